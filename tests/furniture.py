@@ -11,6 +11,7 @@ from boresight.console.fleet.tables import Sensor
 from boresight.console.notes.tables import Note
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
 from boresight.console.runs.tables import Preset, Run
+from boresight.console.telemetry.tables import ImportProfile
 from boresight.console.telemetry.tables import TelemetrySet as TelemetrySetRow
 from boresight.console.uplinks.tables import Uplink
 from boresight.platform.audit.tables import AuditRecord
@@ -86,6 +87,7 @@ def rows_of_tables() -> list[Any]:
         alarm(),
         AlarmEvent(alarm_id=1, event="RAISED", printed_name="Boresight", text="", at_utc=NOW),
         Note(subject_kind="runs", subject_id=1, user_id=1, printed_name="Ana", text="n", made_utc=NOW),
+        ImportProfile(name="ours", number=1, document={}, sha256="c" * 64, created_utc=NOW),
         Preset(name="Ours", number=1, sentence="s", document={}, created_utc=NOW),
         Campaign(label="c", settings={}, launched_utc=NOW),
         CampaignRun(campaign_id=1, sensor_id=1, run_id=1),

@@ -23,6 +23,7 @@ ADDRESSES = {
     "campaigns": "/campaigns",
     "campaign-launch": "/campaigns/new",
     "presets": "/presets",
+    "import-profiles": "/import-profiles?from=openc3",
     "run-batch": "/runs/{batch}",
     **{f"run-{part}": f"/runs/{{filter}}?part={part}" for part in PARTS},
     "compare": "/compare?runs={batch},{filter}",

@@ -35,6 +35,8 @@ WITH_ID = [name for name, operation in OPERATIONS.items() if "_id}" in operation
 
 HOOK = {"label": "Chat", "url": "https://mission.invalid/hooks"}  # a name that leads nowhere
 
+PROFILE = {"name": "st", "frames": {"column": "F"}, "row": {"column": "Y"}, "col": {"column": "X"}}
+
 Made = tuple[str, dict[str, Any]]  # who asks, and path values with request options
 
 
@@ -45,6 +47,28 @@ def _versioned(row: dict[str, Any]) -> dict[str, str]:
 def _upload(house: House) -> Made:
     files = {"file": ("t.csv", house.telemetry_csv)}
     return "ada", {"data": {"sensor_id": str(house.new_sensor()["id"])}, "files": files}
+
+
+def _saved_profile(house: House) -> dict[str, Any]:
+    return house.person("ada").post("/api/v1/import-profiles", json=_new_profile(house)).json()
+
+
+def _new_profile(house: House) -> dict[str, Any]:
+    known = house.person("ada").get("/api/v1/import-profiles", params={"archived": "true"}).json()["items"]
+    return {**PROFILE, "name": f"st-{len(known)}"}
+
+
+def _archive_profile(house: House) -> Made:
+    number = _saved_profile(house)["id"]
+    read = house.person("ada").get(f"/api/v1/import-profiles/{number}")
+    return "ada", {"profile_id": number, "headers": {"If-Match": read.headers["etag"]}}
+
+
+def _imported(house: House) -> Made:
+    form = {"sensor_id": str(house.new_sensor()["id"]), "profile": "contract"}
+    files = {"file": ("t.csv", house.telemetry_csv)}
+    made = house.person("ada").post("/api/v1/telemetry-sets", data=form, files=files)
+    return "victor", {"telemetry_set_id": made.json()["id"]}
 
 
 def _launch(house: House) -> Made:
@@ -198,6 +222,11 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "list_sensor_timeline": lambda house: ("victor", {"sensor_id": house.new_sensor()["id"]}),
     "list_telemetry_sets": lambda _: ("victor", {}),
     "upload_telemetry_set": _upload,
+    "get_telemetry_source": _imported,
+    "list_import_profiles": lambda _: ("victor", {}),
+    "save_import_profile": lambda house: ("ada", {"json": _new_profile(house)}),
+    "get_import_profile": lambda house: ("victor", {"profile_id": _saved_profile(house)["id"]}),
+    "archive_import_profile": _archive_profile,
     "get_telemetry_set": lambda house: ("victor", {"telemetry_set_id": house.ready_sensor()[1]}),
     "get_telemetry_file": lambda house: ("victor", {"telemetry_set_id": house.ready_sensor()[1]}),
     "diagnose_telemetry_set": lambda house: ("ada", {"telemetry_set_id": house.ready_sensor()[1]}),

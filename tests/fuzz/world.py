@@ -27,6 +27,7 @@ LISTS = {
     "run_id": "runs",
     "campaign_id": "campaigns",
     "preset_id": "presets",
+    "profile_id": "import-profiles",
     "parameter_set_id": "parameter-sets",
     "approval_id": "approvals",
     "uplink_id": "uplinks",

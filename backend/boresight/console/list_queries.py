@@ -29,7 +29,7 @@ from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import CALIBRATIONS, Preset, Run
-from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.telemetry.tables import ImportProfile, TelemetrySet
 from boresight.console.uplinks.queries import BOARD_WORDS, find_board_place
 from boresight.console.uplinks.tables import Package, Uplink
 from boresight.console.webhooks.tables import WebhookDelivery
@@ -261,6 +261,7 @@ LISTS = {
             "newest": lambda _: CampaignRun.id.in_(select_newest_members()),
         },
     ),
+    "import-profiles": List(ImportProfile, {}, {"in_use": lambda _: ImportProfile.archived_utc.is_(None)}),
     "presets": List(Preset, {}, {"in_use": lambda _: Preset.archived_utc.is_(None)}),
     "change-proposals": List(
         ChangeProposal,

@@ -62,8 +62,8 @@ function finish(answer) {
   else showRefusal(answer);
 }
 
-/** @param {HTMLFormElement} form */
-function upload(form) {
+/** @param {HTMLFormElement} form @param {HTMLElement | null} submitter */
+function upload(form, submitter) {
   result().replaceChildren();
   const sent = (request = new XMLHttpRequest());
   sent.upload.onprogress = ({ loaded, total }) =>
@@ -83,13 +83,13 @@ function upload(form) {
   sent.setRequestHeader("X-Boresight-Upload", "1");
   say(0, "Sending");
   offer(true);
-  sent.send(new FormData(form));
+  sent.send(new FormData(form, submitter));
 }
 
 if (form) {
   form.addEventListener("submit", (event) => {
     event.preventDefault();
-    upload(form);
+    upload(form, event.submitter);
   });
   need("#upload-stop", HTMLButtonElement).addEventListener("click", () => request?.abort());
   addEventListener("beforeunload", (event) => request && event.preventDefault());

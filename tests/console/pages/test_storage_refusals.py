@@ -20,6 +20,7 @@ from tests.sites import PASSWORD
 
 SIGNED = {"decision": "APPROVE", "meaning": "m", "comment": "Seen.", "version": "1", "password": PASSWORD}
 FRESH = dict.fromkeys(("password", "repeated"), "kestrel over the moor 41")
+PROFILE = '{"name": "st", "frames": {"column": "F"}, "row": {"column": "Y"}, "col": {"column": "X"}}'
 FORMS = {  # who sends which form to which page
     "/users": ("adele", {"name": "zoe", "printed_name": "Zoe", "password": "kestrel over the moor 41"}),
     "/users/{user_id}/roles": ("adele", {"roles": ["viewer"]}),
@@ -45,6 +46,8 @@ FORMS = {  # who sends which form to which page
     "/password": ("ada", {"current": PASSWORD, **FRESH}),
     "/runs/new": ("ada", {"intent": "queue", "sensor_id": "1", "telemetry_set_id": "1", "method": "batch"}),
     "/presets/{preset_id:int}/archive": ("ada", {}),
+    "/import-profiles": ("ada", {"document": PROFILE}),
+    "/import-profiles/{profile_id:int}/archive": ("ada", {}),
     "/telemetry/{set_id}/archive": ("ada", {}),
     "/telemetry/{set_id}/diagnose": ("ada", {}),
     "/telemetry/{set_id}/accept-sensor": ("ada", {"version": "1"}),

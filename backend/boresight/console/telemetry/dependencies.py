@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import io
 import tempfile
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -17,12 +18,18 @@ from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import Request
 
 from boresight.console.access.dependencies import ServerSettings
+from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import FORM_CONTENT
+from boresight.console.telemetry import profiles
+from boresight.console.telemetry import service as telemetry_sets
 from boresight.disks import storage_error
 from boresight.errors import RefusedInputError
 from boresight.images.limits import ImageSource, is_image
+from boresight.platform.db.sessions import Engine, Session, open_reading
+from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.web.paging import parse_row_id
 from boresight.platform.web.text_validation import normal_name
+from boresight.settings import Settings
 
 HOW = "Send multipart/form-data with the fields sensor_id, purpose and file; of images several files."
 LONGEST_FIELD_BYTES = 4096
@@ -152,6 +159,38 @@ async def _receive(request: Request, folder: Path, most_images: int) -> Upload:
 
 def _base_name(sent: str) -> str:
     return normal_name("file name", sent.replace("\\", "/").rsplit("/", 1)[-1]) or "image"
+
+
+def import_request(session: Session, upload: Upload) -> telemetry_sets.ImportRequest | None:
+    """Return by which profile a form wants its file imported; None where it names none."""
+    key = upload.fields.get("profile", "").strip()
+    if not key:
+        return None
+    fields = {name: upload.fields.get(name, "").strip() or None for name in ("time", "elements")}
+    return telemetry_sets.ImportRequest(profiles.find_profile(session, key), **fields)
+
+
+@contextmanager
+def hold_upload(
+    upload: Upload, settings: Settings, forecast_sources: ForecastSources, engine: Engine
+) -> Iterator[telemetry_sets.PreparedUpload]:
+    """Check a form's file before the writing transaction: telemetry, what a mapping profile imports, or images."""
+    with open_reading(engine) as session:
+        document = session.get_known(Sensor, upload.number("sensor_id")).document
+        wanted = import_request(session, upload)
+    images = telemetry_sets.ImageUpload(upload.images, settings.image_limits, settings.image_seconds)
+    with telemetry_sets.hold_prepared(
+        document,
+        forecast_sources.catalogue(),
+        upload.file(),
+        upload.file_name,
+        settings.telemetry_limits,
+        forecast_sources.catalogue_folder,
+        images,
+        wanted,
+    ) as prepared:
+        forecast_sources.blobs.send_ahead(prepared.original, prepared.table)
+        yield prepared
 
 
 Uploaded = Annotated[Upload, Depends(uploaded, scope="function")]

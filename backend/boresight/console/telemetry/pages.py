@@ -7,12 +7,12 @@ import hmac
 import io
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 import orjson
-from fastapi import APIRouter, Depends, Request
+from fastapi import APIRouter, Depends, Form, Request
 from fastapi.concurrency import contextmanager_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
@@ -34,7 +34,15 @@ from boresight.console.fleet.pages.sensors import list_sensor_choices
 from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import Beside
 from boresight.console.pages.drawings import Drawing, detector_map, histogram, number_bars
-from boresight.console.pages.rendering import AttemptResult, RefusalContext, attempt, read_again, redirect, render
+from boresight.console.pages.rendering import (
+    AttemptResult,
+    RefusalContext,
+    attempt,
+    make_change,
+    read_again,
+    redirect,
+    render,
+)
 from boresight.console.pages.tables import (
     Table,
     TableColumn,
@@ -50,9 +58,10 @@ from boresight.console.pages.tables import (
 from boresight.console.runs import queries as run_queries
 from boresight.console.runs.pages.list import RunNames, make_run_line, read_names
 from boresight.console.telemetry import service as telemetry_sets
-from boresight.console.telemetry.dependencies import Upload, Uploaded
+from boresight.console.telemetry.dependencies import Upload, Uploaded, hold_upload
+from boresight.console.telemetry.profiles import archive_profile, list_offers, list_profiles, save_profile
 from boresight.console.telemetry.service import PURPOSES, PreparedUpload
-from boresight.console.telemetry.tables import TelemetrySet, find_diagnosis, find_quality
+from boresight.console.telemetry.tables import ImportProfile, TelemetrySet, find_diagnosis, find_quality
 from boresight.errors import BoresightError, ForbiddenError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role
 from boresight.platform.blobs.store import BlobStore
@@ -61,7 +70,9 @@ from boresight.platform.db.sessions import Engine, Session, open_reading
 from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.web.paging import parse_row_id
 from boresight.settings import Settings
+from boresight.telemetry.imports.builtin import BUILT_IN
 from boresight.telemetry.quality.report import QualityReport, RadialCoverage
+from boresight.telemetry.read.formats import parse_json
 
 SCRIPTED = "x-boresight-upload"  # sent by the script that shows an upload's progress
 
@@ -113,6 +124,10 @@ class TelemetryContext:
     find: str = ""
     purpose: str = PURPOSES[0]
     refusal: RefusalContext | None = None
+    profile: str = ""
+    time: str = ""
+    elements: str = ""
+    preview: dict[str, Any] | None = None
 
 
 def _in_use(view: TableView) -> dict[str, Any]:
@@ -136,6 +151,7 @@ def _page(
         choices=list_sensor_choices(session, view, find=shown.find, keep=[shown.sensor] if shown.sensor else []),
         names=read_names(session, sensors_of=found.rows),
         purposes=PURPOSES,
+        profiles=list_offers(session),
         may_upload="analyst" in roles,
         limit_mb=limit_mb,
         shown=shown,
@@ -187,6 +203,9 @@ async def upload(
     """Check and store the file, then show its quality report."""
     _require_meant(request, upload)
     prepared = _prepared(actor, upload, settings, forecast_sources, engine)
+    if upload.fields.get("preview"):
+        shown = await _previewed(upload, prepared)
+        return await read_again(request, partial(_page, request, actor.roles, settings.upload_limit_mb, shown))
     outcome = await _attempt(request, actor, upload, forecast_sources.blobs, prepared)
     if outcome.value is None:
         shown = _refused(upload, outcome.refusal)
@@ -196,6 +215,17 @@ async def upload(
     if SCRIPTED in request.headers:
         response.status_code = 201  # a script follows no redirect on its own: it opens the Location
     return response
+
+
+async def _previewed(upload: Upload, checking: AbstractContextManager[PreparedUpload]) -> TelemetryContext:
+    """Import and check a form's file, and store nothing."""
+    try:
+        async with contextmanager_in_threadpool(checking) as prepared:
+            if prepared.imported is None:
+                raise RefusedInputError("Choose the mapping profile that the file is to be imported by.")
+            return replace(_refused(upload, None), preview=prepared.imported.to_preview())
+    except BoresightError as error:
+        return _refused(upload, RefusalContext.of(error))
 
 
 def _require_meant(request: Request, upload: Upload) -> None:
@@ -227,21 +257,10 @@ def _prepared(
     if parse_row_id(upload.fields.get("sensor_id", "")) is None:
         raise RefusedInputError("Choose the sensor that the telemetry is of.")
     if upload.path is None or not upload.file_name:
-        raise RefusedInputError("No file was chosen: choose a CSV, JSON Lines or Parquet file, or images.")
-    with open_reading(engine) as session:
-        document = session.get_known(Sensor, upload.number("sensor_id")).document
-    limits = settings.telemetry_limits
-    images = telemetry_sets.ImageUpload(upload.images, settings.image_limits, settings.image_seconds)
-    with telemetry_sets.hold_prepared(
-        document,
-        forecast_sources.catalogue(),
-        upload.path,
-        upload.file_name,
-        limits,
-        forecast_sources.catalogue_folder,
-        images,
-    ) as prepared:
-        forecast_sources.blobs.send_ahead(prepared.original, prepared.table)
+        raise RefusedInputError(
+            "No file was chosen: choose the telemetry, images, or what a mapping profile reads."
+        )
+    with hold_upload(upload, settings, forecast_sources, engine) as prepared:
         yield prepared
 
 
@@ -253,7 +272,67 @@ def _store(actor: Actor, blobs: BlobStore, upload: Upload, prepared: PreparedUpl
 def _refused(upload: Upload, refusal: RefusalContext | None) -> TelemetryContext:
     sensor, purpose = upload.fields.get("sensor_id", ""), upload.fields.get("purpose", "")
     known = purpose if purpose in PURPOSES else PURPOSES[0]
-    return TelemetryContext(parse_row_id(sensor), purpose=known, refusal=refusal)
+    typed = {name: upload.fields.get(name, "") for name in ("profile", "time", "elements")}
+    return TelemetryContext(parse_row_id(sensor), purpose=known, refusal=refusal, **typed)
+
+
+profile_router = APIRouter(dependencies=[Depends(csrf)])
+
+
+def _profiles_page(
+    request: Request, actor: Actor, typed: str, refusal: RefusalContext | None, session: Session
+) -> HTMLResponse:
+    offers = [offer for offer in list_offers(session) if offer.key in BUILT_IN]
+    return render(
+        request,
+        "telemetry/profiles.html",
+        refused=refusal,
+        own=offers,
+        saved=list_profiles(session, archived=True),
+        typed=typed,
+        refusal=refusal,
+        people=read_names(session).people,
+        may="analyst" in actor.roles,
+    )
+
+
+@profile_router.get("/import-profiles", response_class=HTMLResponse)
+def profiles_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
+    """List every mapping profile, and offer one to begin from, named in the address by `from`."""
+    start = request.query_params.get("from", "")
+    profile = next((offer.profile for offer in list_offers(session) if offer.key == start), None)
+    typed = "" if profile is None else json.dumps(profile.to_dict(), indent=2, ensure_ascii=False)
+    return _profiles_page(request, actor, typed, None, session)
+
+
+@profile_router.post("/import-profiles", response_class=HTMLResponse)
+async def save(request: Request, actor: Who, document: Annotated[str, Form()]) -> Response:
+    """Save a profile's next version."""
+
+    def change(session: Session) -> ImportProfile:
+        return save_profile(session, actor, _parsed_profile(document))
+
+    outcome = await attempt(request, change)
+    if outcome.refusal is not None:
+        return await read_again(request, partial(_profiles_page, request, actor, document, outcome.refusal))
+    return redirect("/import-profiles", flash=f"{outcome.made.name}, version {outcome.made.number}, is saved.")
+
+
+def _parsed_profile(text: str) -> dict[str, Any]:
+    try:
+        document = parse_json(text)
+    except ValueError as error:
+        raise RefusedInputError(f"The profile is not JSON ({error}): correct it.") from error
+    if not isinstance(document, dict):
+        raise RefusedInputError("The profile is no JSON object: begin with a brace.")
+    return document
+
+
+@profile_router.post("/import-profiles/{profile_id:int}/archive", response_class=HTMLResponse)
+async def archive_version(request: Request, actor: Who, profile_id: int) -> Response:
+    """Archive a version."""
+    change = partial(archive_profile, actor=actor, profile_id=profile_id)
+    return await make_change(request, change, "/import-profiles", "Archived: it is not offered any more.")
 
 
 RUNS_SHOWN = 100

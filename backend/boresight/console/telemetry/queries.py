@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import sqlalchemy as sa
 
-from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.telemetry.tables import ImportProfile, TelemetrySet
 from boresight.platform.db.documents import among
 from boresight.platform.db.sessions import Session
 
@@ -41,3 +41,16 @@ def read_names(session: Session, set_ids: Collection[int] | None) -> dict[int, s
     if set_ids is not None:
         query = query.where(among(TelemetrySet.id, set_ids))
     return {row[0]: row[1] for row in session.execute(query)}
+
+
+def find_newest_profile(session: Session, name: str) -> ImportProfile | None:
+    """Return the newest version of a mapping profile's name, archived or not."""
+    query = sa.select(ImportProfile).where(ImportProfile.name == name)
+    return session.scalar(query.order_by(ImportProfile.number.desc()).limit(1))
+
+
+def list_profiles_in_use(session: Session) -> Sequence[ImportProfile]:
+    """Return the newest version of every mapping profile that is not archived, by name."""
+    row = ImportProfile
+    newest = sa.select(sa.func.max(row.id)).where(row.archived_utc.is_(None)).group_by(row.name)
+    return session.scalars(sa.select(row).where(row.id.in_(newest)).order_by(row.name)).all()

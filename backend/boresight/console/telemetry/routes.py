@@ -22,16 +22,20 @@ from boresight.console.access.dependencies import (
     Writing,
 )
 from boresight.console.fleet.tables import Sensor
-from boresight.console.operation import operations
-from boresight.console.telemetry import schemas
+from boresight.console.operation import Beside, operations
+from boresight.console.schemas import Document
+from boresight.console.telemetry import profiles, schemas
 from boresight.console.telemetry import service as telemetry_sets
-from boresight.console.telemetry.dependencies import Uploaded
-from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.telemetry.dependencies import Uploaded, hold_upload
+from boresight.console.telemetry.profiles import OfferedProfile
+from boresight.console.telemetry.tables import ImportProfile, TelemetrySet
+from boresight.errors import NotFoundError
 from boresight.platform.actors import require_role
 from boresight.platform.db.sessions import open_reading
 from boresight.platform.web.media import StoredFile
 from boresight.platform.web.paging import Id, Listing, Page, Paged
 from boresight.platform.web.response_cache import cover_with_tag, matches_tag
+from boresight.telemetry.imports.builtin import BUILT_IN
 
 router = operations("/telemetry-sets", tags=["telemetry sets"])
 
@@ -49,8 +53,18 @@ FORM = {
                         "type": "string",
                         "format": "binary",
                         "description": "CSV, JSON Lines or Parquet; or images, one file each (FITS, PNG, TIFF, raw) "
-                        "or packed as ZIP.",
+                        "or packed as ZIP; with a profile, what that profile reads.",
                     },
+                    "profile": {
+                        "type": "string",
+                        "description": "Mapping profile to import the file by: a built-in name, the key of a saved version, or a "
+                        "saved name. With `validate_only` the answer is the preview.",
+                    },
+                    "time": {
+                        "type": "string",
+                        "description": "When the file was taken, where it does not say it (ISO 8601).",
+                    },
+                    "elements": {"type": "string", "description": "Two-line elements to take velocities from."},
                 },
             }
         }
@@ -63,20 +77,7 @@ def _prepare(
 ) -> Iterator[telemetry_sets.PreparedUpload]:
     """Read and check the file before the writing transaction, because a large one takes seconds and there is one writer."""
     require_role(actor, "analyst")
-    with open_reading(engine) as session:
-        document = session.get_known(Sensor, upload.number("sensor_id")).document
-    limits = settings.telemetry_limits
-    images = telemetry_sets.ImageUpload(upload.images, settings.image_limits, settings.image_seconds)
-    with telemetry_sets.hold_prepared(
-        document,
-        forecast_sources.catalogue(),
-        upload.file(),
-        upload.file_name,
-        limits,
-        forecast_sources.catalogue_folder,
-        images,
-    ) as prepared:
-        forecast_sources.blobs.send_ahead(prepared.original, prepared.table)
+    with hold_upload(upload, settings, forecast_sources, engine) as prepared:
         yield prepared
 
 
@@ -105,15 +106,16 @@ def list_telemetry_sets(
     response_model=schemas.TelemetrySet,
     openapi_extra={"requestBody": FORM},
 )
-def upload_telemetry_set(
-    actor: Who, upload: Uploaded, prepared: Prepared, session: Writing, blobs: Blobs
-) -> TelemetrySet:
+def upload_telemetry_set(actor: Who, upload: Uploaded, prepared: Prepared, session: Writing, blobs: Blobs) -> Beside:
     """Store a file with its quality report; a refused one leaves nothing behind and says row and column.
 
-    The same bytes again for the same sensor are the set that is there already.
+    The same bytes again for the same sensor are the set that is there already. With a mapping profile the file may be what
+    another program wrote; its first rows come beside the cells they were made of.
     """
     purpose = upload.fields.get("purpose", "calibration")
-    return telemetry_sets.store_prepared(session, actor, blobs, upload.number("sensor_id"), prepared, purpose)
+    row = telemetry_sets.store_prepared(session, actor, blobs, upload.number("sensor_id"), prepared, purpose)
+    preview = row.import_record if prepared.imported is None else prepared.imported.to_preview()
+    return Beside(row, import_record=preview)
 
 
 @router.get(
@@ -166,3 +168,53 @@ def archive_telemetry_set(telemetry_set_id: Id, actor: Who, seen: SeenTag, sessi
     row = session.get_known(TelemetrySet, telemetry_set_id)
     seen.require(schemas.TelemetrySet, row, row.name)
     return telemetry_sets.archive_telemetry_set(session, actor, telemetry_set_id)
+
+
+@router.get("/{telemetry_set_id}/source", summary="Download the imported file", response_class=StoredFile)
+def get_telemetry_source(telemetry_set_id: Id, session: Reading, blobs: Blobs) -> Response:
+    """Download the file that a set was imported from, as it came."""
+    row = session.get_known(TelemetrySet, telemetry_set_id)
+    if row.source_sha256 is None or row.import_record is None:
+        raise NotFoundError(f"{row.name} was uploaded as telemetry; its file is what there is.")
+    name = row.import_record["sources"][0]["name"]
+    return StoredFile(blobs.path(row.source_sha256), filename=name, headers={"ETag": f'"{row.source_sha256}"'})
+
+
+profile_router = operations("/import-profiles", tags=["telemetry sets"])
+
+
+def _saved(row: ImportProfile) -> Beside:
+    return Beside(row, key=str(row.id))
+
+
+def _own(offer: OfferedProfile) -> Beside:
+    document, sha256 = offer.profile.to_dict(), offer.profile.sha256
+    absent = dict.fromkeys(("id", "number", "created_utc", "created_by", "archived_utc"))
+    return Beside(offer, name=offer.key, document=document, sha256=sha256, **absent)
+
+
+@profile_router.get("", summary="List mapping profiles", response_model=Page[schemas.ImportProfile])
+def list_import_profiles(session: Reading, page: Paged, archived: bool = False) -> Listing[Beside]:
+    """List saved versions, newest first, with the archived ones where asked; the first page begins with Boresight's own."""
+    saved = page.cut(profiles.list_profiles(session, archived=archived, **page.rows), _saved)
+    own = [_own(OfferedProfile(name, profile)) for name, profile in BUILT_IN.items()] if page.last_id is None else []
+    return Listing([*own, *saved.items], saved.next)
+
+
+@profile_router.post("", summary="Save a mapping profile", status_code=201, response_model=schemas.ImportProfile)
+def save_import_profile(document: Document, actor: Who, session: Writing) -> Beside:
+    """Keep a profile under the name that it says; a name that is there gets its next version."""
+    return _saved(profiles.save_profile(session, actor, document))
+
+
+@profile_router.get("/{profile_id}", summary="Read a mapping profile", response_model=schemas.ImportProfile)
+def get_import_profile(profile_id: Id, session: Reading) -> Beside:
+    """Read a saved version, archived or not."""
+    return _saved(profiles.get_profile(session, profile_id))
+
+
+@profile_router.post("/{profile_id}:archive", summary="Archive a mapping profile", response_model=schemas.ImportProfile)
+def archive_import_profile(profile_id: Id, actor: Who, seen: SeenTag, session: Writing) -> Beside:
+    """Take a version out of the choice; nothing is deleted."""
+    seen.require(schemas.ImportProfile, profiles.get_profile(session, profile_id), f"Mapping profile {profile_id}")
+    return _saved(profiles.archive_profile(session, actor, profile_id))

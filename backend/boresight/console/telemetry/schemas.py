@@ -27,3 +27,26 @@ class TelemetrySet(Row):
     uploaded_utc: str
     uploaded_by: int | None
     archived_utc: str | None
+    source_sha256: str | None = Field(
+        description="SHA-256 of the file it was imported from; null of telemetry as such."
+    )
+    import_record: Document | None = Field(
+        description="How it was imported: sources, profile, what each column means, notes; of an upload the first rows too."
+    )
+
+
+class ImportProfile(Row):
+    """A mapping profile."""
+
+    versioned_by = ("id", "archived_utc")
+    location = "/import-profiles/{row.id}"
+
+    key: str = Field(description="What an upload names as its `profile`.")
+    id: int | None = Field(description="Of a saved version; null for those that come with Boresight.")
+    name: str
+    number: int | None = Field(description="Version.")
+    document: Document = Field(description="What it says; `docs/import-profile.schema.json` is its schema.")
+    sha256: str = Field(description="Hash of what it says but its version.")
+    created_utc: str | None
+    created_by: int | None
+    archived_utc: str | None

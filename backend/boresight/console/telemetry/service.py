@@ -35,6 +35,8 @@ from boresight.platform.db.sessions import Session, utc_now
 from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.web.text_validation import normal_name
 from boresight.sky.catalogue import Catalogue
+from boresight.telemetry.imports.mapping import Imported, SourceFile, import_files
+from boresight.telemetry.imports.profile import Profile
 from boresight.telemetry.mapping import parse_mapping
 from boresight.telemetry.quality.detector import OffDetectorError
 from boresight.telemetry.quality.findings import Finding
@@ -46,6 +48,8 @@ from boresight.telemetry.working_table import MEDIA_TYPE, WorkingTableParts
 
 PURPOSES = ("calibration", "validation")
 MEDIA_TYPES = {".csv": "text/csv", ".jsonl": "application/x-ndjson", ".ndjson": "application/x-ndjson"}
+MOST_OF_NAME = 200
+IMPORTED = "imported.parquet"
 PARQUET, ARCHIVE = "application/vnd.apache.parquet", "application/zip"
 
 
@@ -70,6 +74,17 @@ class PreparedUpload:
     frames: int
     stars: int
     quality: dict[str, Any]
+    source: Path | None = None
+    imported: Imported | None = None
+
+
+@dataclass(frozen=True)
+class ImportRequest:
+    """By which profile a file is to be imported, and what it does not say itself."""
+
+    profile: Profile
+    time: str | None = None
+    elements: str | None = None
 
 
 @contextmanager
@@ -81,30 +96,62 @@ def hold_prepared(
     limits: Limits = LIMITS,
     cache_folder: Path | None = None,
     images: ImageUpload | None = None,
+    wanted: ImportRequest | None = None,
 ) -> Iterator[PreparedUpload]:
-    """Read and check an uploaded file, or images of which telemetry is extracted first, without the database.
+    """Read and check an uploaded file without the database.
 
+    Of images telemetry is extracted first; of what another program wrote it is made by the `wanted` mapping profile.
     `cache_folder` keeps the tables of a diagnosis.
     """
-    sensor, name = parse_sensor(sensor_document), _base_name(file_name)
+    sensor, name, images = parse_sensor(sensor_document), _base_name(file_name), images or ImageUpload()
     with tempfile.TemporaryDirectory() as folder:
-        table, found = Path(folder) / "table", _extract(images or ImageUpload(), sensor, path, name, Path(folder))
-        if found is None:
-            quality = _checked(path, name, sensor, catalogue, table, limits, cache_folder)
-        else:
-            path = found.archive
-            quality = _checked(found.telemetry, "telemetry.parquet", sensor, catalogue, table, limits, cache_folder)
+        table, original, read = Path(folder) / "table", path, path
+        imported = None if wanted is None else _import(images, sensor, path, name, wanted, limits, Path(folder))
+        found = None if imported else _extract(images, sensor, path, name, Path(folder))
+        if imported is not None:
+            original = read = Path(folder) / IMPORTED
+            name = f"{_source_name(images, name)[:MOST_OF_NAME]}.parquet"
+        elif found is not None:
+            original, read = found.archive, found.telemetry
+        quality = _checked(read, read.name if found else name, sensor, catalogue, table, limits, cache_folder)
+        if found is not None:
             quality["findings"] += [Finding("IMAGES", "NORMAL", said, 1).document() for said in found.sentences]
         yield PreparedUpload(
-            original=path,
+            original=original,
             table=table,
             name=name,
             media_type=ARCHIVE if found else MEDIA_TYPES.get(PurePath(name).suffix.lower(), PARQUET),
-            original_sha256=_sha256_of_file(path),
+            original_sha256=_sha256_of_file(original),
             frames=quality["frames"],
             stars=quality["stars"],
             quality=quality,
+            source=path if imported else None,
+            imported=imported,
         )
+
+
+def _source_name(images: ImageUpload, name: str) -> str:
+    """What the sender calls a file: a FITS table comes as an image does, by its suffix."""
+    return images.sources[0].name if images.sources else name
+
+
+def _import(
+    images: ImageUpload, sensor: Sensor, path: Path, name: str, wanted: ImportRequest, limits: Limits, folder: Path
+) -> Imported:
+    """Make telemetry of what another program wrote."""
+    if len(images.sources) > 1:
+        raise RefusedInputError(
+            "A mapping profile imports one file; several images are extracted: choose no profile for them."
+        )
+    orbit = None
+    if wanted.elements:
+        orbit = SourceFile(folder / "elements", "The two-line elements")
+        orbit.path.write_text(wanted.elements)
+    source = SourceFile(path, _source_name(images, name))
+    imported = import_files([source], wanted.profile, sensor=sensor, orbit=orbit, time=wanted.time, limits=limits)
+    with (folder / IMPORTED).open("wb") as stream:
+        imported.write(stream, ".parquet")
+    return imported
 
 
 @dataclass(frozen=True)
@@ -280,6 +327,9 @@ def store_prepared(
     if (existing := rows.find_set_with_bytes(session, sensor_id, upload.original_sha256)) is not None:
         return _use_again(session, actor, existing)
     original, table = _put_both(session, blobs, upload)
+    source = None if upload.source is None else blobs.put(upload.source)
+    if source is not None:
+        register_blob(session, blobs, source, "application/octet-stream")
     register_blob(session, blobs, original, upload.media_type)
     register_blob(session, blobs, table, MEDIA_TYPE)
     row = TelemetrySet(
@@ -293,9 +343,13 @@ def store_prepared(
         quality=upload.quality,
         uploaded_utc=utc_now(),
         uploaded_by=actor.user_id,
+        import_record=None if upload.imported is None else upload.imported.record(),
+        source_sha256=source,
     )
     session.put(row)
-    after = {"name": row.name, "sensor_id": sensor_id, "purpose": purpose, "original_sha256": original}
+    after: dict[str, Any] = {"name": row.name, "sensor_id": sensor_id, "purpose": purpose, "original_sha256": original}
+    if upload.imported is not None:
+        after |= {"source_sha256": source, "profile": upload.imported.record()["profile"]}
     audit.append(session, actor, "uploaded", _subject(row), None, after)
     return row
 

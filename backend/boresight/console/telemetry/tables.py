@@ -61,9 +61,27 @@ class TelemetrySet(Base):
     uploaded_utc: Mapped[str] = mapped_column(sa.Text)
     uploaded_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
     archived_utc: Mapped[str | None] = mapped_column(sa.Text)
+    import_record: Mapped[dict[str, Any] | None] = mapped_column(JsonText)  # of what another program wrote
+    source_sha256: Mapped[str | None] = mapped_column(sa.Text)  # the file that it was made of
 
     @property
     def diagnosed(self) -> str | None:
         """The sentence of its diagnosis."""
         found = find_diagnosis(self.quality)
         return None if found is None else found.sentence
+
+
+class ImportProfile(Base):
+    """A mapping profile; each version is a row, and only archiving changes one."""
+
+    __tablename__ = "import_profiles"
+    noun = "mapping profile"
+    __table_args__ = (sa.UniqueConstraint("name", "number"), STRICT)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    name: Mapped[str] = mapped_column(sa.Text)
+    number: Mapped[int]
+    document: Mapped[dict[str, Any]] = mapped_column(JsonText)
+    sha256: Mapped[str] = mapped_column(sa.Text)  # of what it says but its version
+    created_utc: Mapped[str] = mapped_column(sa.Text)
+    created_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
+    archived_utc: Mapped[str | None] = mapped_column(sa.Text)
