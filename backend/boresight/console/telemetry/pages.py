@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import hmac
 import io
+import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
@@ -257,9 +258,7 @@ def _prepared(
     if parse_row_id(upload.fields.get("sensor_id", "")) is None:
         raise RefusedInputError("Choose the sensor that the telemetry is of.")
     if upload.path is None or not upload.file_name:
-        raise RefusedInputError(
-            "No file was chosen: choose the telemetry, images, or what a mapping profile reads."
-        )
+        raise RefusedInputError("No file was chosen: choose the telemetry, images, or what a mapping profile reads.")
     with hold_upload(upload, settings, forecast_sources, engine) as prepared:
         yield prepared
 
