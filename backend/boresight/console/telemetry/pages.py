@@ -271,7 +271,7 @@ def _store(actor: Actor, blobs: BlobStore, upload: Upload, prepared: PreparedUpl
 def _refused(upload: Upload, refusal: RefusalContext | None) -> TelemetryContext:
     sensor, purpose = upload.fields.get("sensor_id", ""), upload.fields.get("purpose", "")
     known = purpose if purpose in PURPOSES else PURPOSES[0]
-    typed = {name: upload.fields.get(name, "") for name in ("profile", "time", "elements")}
+    typed: dict[str, Any] = {name: upload.fields.get(name, "") for name in ("profile", "time", "elements")}
     return TelemetryContext(parse_row_id(sensor), purpose=known, refusal=refusal, **typed)
 
 
