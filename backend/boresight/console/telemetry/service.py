@@ -302,15 +302,19 @@ def add_telemetry_set(
         return store_prepared(session, actor, blobs, sensor_id, upload, purpose)
 
 
-def _put_both(session: Session, blobs: BlobStore, upload: PreparedUpload) -> tuple[str, str]:
-    """Store both the file and its table, or neither if the disk is full."""
-    original = blobs.put(upload.original)
+def _put_all(session: Session, blobs: BlobStore, paths: Sequence[Path]) -> list[str]:
+    """Store every file, or none if the disk is full."""
+    stored: list[str] = []
     try:
-        return original, blobs.put(upload.table)
+        for path in paths:
+            stored.append(blobs.put(path))  # noqa: PERF401 - what was stored before a refusal is discarded
     except UnavailableError:
-        if not files.list_sizes(session, [original]):
-            blobs.discard(original)
+        known = dict(files.list_sizes(session, stored))
+        for address in stored:
+            if address not in known:
+                blobs.discard(address)
         raise
+    return stored
 
 
 def store_prepared(
@@ -326,10 +330,11 @@ def store_prepared(
     sensor_id = session.get_known(SensorRow, sensor_id).id
     if (existing := rows.find_set_with_bytes(session, sensor_id, upload.original_sha256)) is not None:
         return _use_again(session, actor, existing)
-    original, table = _put_both(session, blobs, upload)
-    source = None if upload.source is None else blobs.put(upload.source)
-    if source is not None:
-        register_blob(session, blobs, source, "application/octet-stream")
+    sources = [] if upload.source is None else [upload.source]
+    original, table, *kept = _put_all(session, blobs, [upload.original, upload.table, *sources])
+    source = kept[0] if kept else None
+    for address in kept:
+        register_blob(session, blobs, address, "application/octet-stream")
     register_blob(session, blobs, original, upload.media_type)
     register_blob(session, blobs, table, MEDIA_TYPE)
     row = TelemetrySet(
