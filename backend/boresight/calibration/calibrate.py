@@ -22,6 +22,7 @@ from boresight.calibration.calibration import (
     RemovedOf,
     StarOff,
     StarsOffDetector,
+    Trust,
 )
 from boresight.calibration.corrections import Corrections
 from boresight.calibration.estimate import Estimate, Parameters, never
@@ -379,10 +380,13 @@ class _LastPass:
         estimate = (lambda: self.noise) if self.settings.noise_model == "from-data" else None
         return self.corrections.refined(self.estimate.x, star_id, estimate)
 
-    def assumptions(self) -> list[Assumption]:
-        """What was assumed that the set cannot show."""
+    def assumptions(self, trust: Trust | None) -> list[Assumption]:
+        """What was assumed that the set cannot show, and that its tests may miss."""
         of, done = self.corrections, self.corrections.done
-        return list_assumptions(self.telemetry, self.matched.telemetry, of.sensor, of.catalogue, self.estimate.x, done)
+        unseen = trust.unseen if trust else ()
+        return list_assumptions(
+            self.telemetry, self.matched.telemetry, of.sensor, of.catalogue, self.estimate.x, done, unseen
+        )
 
 
 def _with_removed(found: Calibration, sets: Dataset, matched: Matched) -> Calibration:
@@ -418,7 +422,7 @@ def _judge(
     minima = describe_minima(problem, estimate.searched, estimate.x, result.find_sigma(problem, parameters, estimate))
     found = with_advice(replace(found, minima=minima), *minima_advice(minima))
     found = evaluate_result(found, judged.sets, judged.first, ended.judged_by(judged.last), parameters, settings)
-    found = replace(found, noise=corrections.noise or last.noise, assumptions=last.assumptions())
+    found = replace(found, noise=corrections.noise or last.noise, assumptions=last.assumptions(found.trust))
     found = _say_what_was_judged(found, judged.last.problem)
     return with_advice(found, *identification_advice(ended.matched.unidentified))
 

@@ -1,4 +1,4 @@
-"""What no telemetry can show and an operator declares in the sensor file: readout, velocity, directions, refraction, site, tilt.
+"""What telemetry never shows and an operator declares in the sensor file: readout, velocity, directions, refraction, site, lens.
 
 A rolling shutter exposes line after line. The centroid of a star on line l (a row, or a column) was taken l * line_time_s later
 than one on the first line, and the sky moved in between; along some axes a camera model takes that up as scale and distortion,
@@ -71,6 +71,11 @@ DECLARATIONS = {
             "Tilt of the detector",
             {"aligned": "the detector was measured to be square to the optical axis, or its tilt does not matter"},
         ),
+        Declaration(
+            "decentring",
+            "Decentring of the lens",
+            {"centred": "the lens was measured to have no tangential distortion, or what it has does not matter"},
+        ),
     )
 }
 
@@ -119,6 +124,7 @@ class Declared:
     directions: str | None = None
     refraction: str | None = None
     tilt: str | None = None
+    decentring: str | None = None
 
     def document(self) -> dict[str, str]:
         """Return what is declared as a sensor file has it."""
