@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -253,7 +253,7 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
 
                 raise explain_refusal(error, telemetry, sensor, catalogue, cache_folder) from error
     if hardly_matches(found):
-        found = replace(found, advice=[*_explained(telemetry, sensor, catalogue, settings, context), *found.advice])
+        found = replace(found, advice=_explained(telemetry, sensor, catalogue, settings, context, found.advice))
         clock.lap("diagnose")
     found = with_advice(replace(found, stars_off_detector=_describe_off(off)), *off.sentences())
     if validation is not None and ended is not None and ended.estimate.status != "diverged":
@@ -287,8 +287,9 @@ def _explained(
     catalogue: Catalogue,
     settings: CalibrationSettings,
     context: CalibrationContext,
+    advice: Sequence[str],
 ) -> list[str]:
-    """What a diagnosis says of a set that hardly matches."""
+    """The advice on a set that hardly matches with what a diagnosis says."""
     from boresight.calibration.diagnosis.explain import explain  # noqa: PLC0415 - only for sets that hardly match
 
     def report(message: str, _: float | None) -> None:
@@ -297,7 +298,7 @@ def _explained(
         if context.report is not None:
             context.report(Progress(0.0, f"finding out why so few stars match: {message}", None))
 
-    return explain(telemetry, sensor, catalogue, settings, context.cache_folder, report)
+    return explain(telemetry, sensor, catalogue, settings, context.cache_folder, report, advice=advice)
 
 
 def _describe_off(off: OffDetector) -> StarsOffDetector:
