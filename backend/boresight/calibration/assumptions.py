@@ -23,7 +23,6 @@ from boresight.calibration.corrections import lacks_refraction
 from boresight.calibration.readout import ReadoutCorrection, find_rates
 from boresight.calibration.trust.trust_tests import MATTERS, TANGENTIAL
 from boresight.cameras import CAMERA_MODELS
-from boresight.cameras.model import Role
 from boresight.site import Site
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.directions import star_directions
@@ -194,7 +193,7 @@ def _refraction(telemetry: Telemetry, sensor: Sensor, corner_px: float) -> Assum
 def _tilt(sensor: Sensor, x: FloatArray) -> list[Assumption]:
     """That the detector is square to the axis: of cameras that have no tilt."""
     camera, name, word = CAMERA_MODELS[sensor.camera_model], "tilt", sensor.declared.tilt
-    if any(one.role is Role.TILT for one in camera.parameters):
+    if not DECLARATIONS[name].is_asked(camera):
         return []
     if word is not None:
         return [Assumption(name=name, declared=True, value=word, sentence=f"Declared. {_words(name, word)}.")]
@@ -209,8 +208,8 @@ def _tilt(sensor: Sensor, x: FloatArray) -> list[Assumption]:
 
 def _decentring(sensor: Sensor, unseen: Sequence[UnseenDeparture]) -> list[Assumption]:
     """That the lens is centred: of cameras without tangential terms, where their tests may miss what matters."""
-    camera, name, word = CAMERA_MODELS[sensor.camera_model], "decentring", sensor.declared.decentring
-    if any(one.role is Role.DECENTRING for one in camera.parameters):
+    name, word = "decentring", sensor.declared.decentring
+    if not DECLARATIONS[name].is_asked(CAMERA_MODELS[sensor.camera_model]):
         return []
     if word is not None:
         return [Assumption(name=name, declared=True, value=word, sentence=f"Declared. {_words(name, word)}.")]
