@@ -21,6 +21,7 @@ from benchmarks import Report, held
 from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.calibration import Calibration
+from boresight.calibration.matching.verification import MANY_REMOVED
 from boresight.calibration.options import CalibrationSettings
 from boresight.cameras import CAMERA_MODELS
 from boresight.estimation.attitude import conjugate, product, rotation_vector, to_matrix
@@ -299,7 +300,9 @@ def judge(one: Set) -> Calibration:
 
 
 def name_first(found: Calibration) -> str:
-    """The cause that is told first."""
+    """The cause that is told first; stars that were removed before the fit are named as such, and come before any other."""
+    if found.removed_of is not None and found.removed_of.removed > MANY_REMOVED * found.removed_of.proposed:
+        return "identities"
     return found.causes[0].name if found.causes else "none"
 
 

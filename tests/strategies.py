@@ -49,18 +49,18 @@ def sensors(draw):
         typical_sigma=np.array(model.default_typical_sigma),
         free=tuple(name for name in names if name in free),
         magnitude_limit=draw(st.none() | st.floats(3.0, 9.0, **_FLOAT_OPTIONS)),
-        readout=draw(st.none() | st.just(Readout(GLOBAL)) | readouts()),
+        readout=draw(st.none() | st.just(Readout(GLOBAL)) | readouts(max(rows, columns))),
         declared=Declared(
             **{name: draw(st.none() | st.sampled_from(list(one.words))) for name, one in DECLARATIONS.items()}
         ),
     )
 
 
-def readouts():
+def readouts(lines):
     return st.builds(
         Readout,
         st.just(ROLLING),
-        st.floats(*LINE_TIME_S).flatmap(lambda s: st.sampled_from([s, -s])),
+        st.floats(LINE_TIME_S[0], min(LINE_TIME_S[1], 9.9 / lines)).flatmap(lambda s: st.sampled_from([s, -s])),
         st.sampled_from(AXES),
         st.booleans(),
     )

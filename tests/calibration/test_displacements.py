@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from boresight.calibration.trust import displacements
-from boresight.calibration.trust.displacements import Block, Departure, add_up, find_score
+from boresight.calibration.trust.displacements import Block, Departure, add_up, find_score, find_unseen
 from boresight.estimation import batch
 from boresight.estimation.arcs import arclength, pairs
 from tests.calibration.sets import case, field
@@ -179,3 +179,27 @@ def test_p_values_of_three_hundred_clean_sets_are_uniform(sensor, catalogue):
     for p in _p_values(sensor, catalogue, range(1000, 1300)):
         assert stats.kstest(p, "uniform").pvalue > 1e-3
         assert stats.binomtest(int((p < 0.05).sum()), len(p), 0.05).pvalue > 1e-3
+
+
+def test_what_is_called_unseen_is_missed_once_in_ten_and_moves_its_parameter_as_far_as_said(sensor, catalogue):
+    ground = case(field(5, frames=60), sensor, catalogue).ground
+    block, sums, level = Block(ground, 0, ground.arcs.n_frames), add_up(ground, [TANGENTIAL]), 1.6e-4
+    G, H, P = block.displace(_tangential(block), "detector"), ground.H, np.linalg.inv(sums.A)
+    found = find_unseen(sums, find_score(sums, "tangential"), level)
+    rng, missed, moved = np.random.default_rng(11), 0, []
+    for _ in range(1000):
+        e = rng.normal(size=len(H)) + G @ found.c
+        drawn = replace(sums, G_e=G.T @ e, b=H.T @ e, chi2=float(e @ e))
+        missed += find_score(drawn, "tangential").p >= level
+        moved.append(-P @ drawn.b / np.sqrt(np.diag(P)))
+    assert 70 < missed < 132
+    shift = np.abs(np.mean(moved, axis=0))
+    assert np.argmax(shift) == found.parameter
+    assert shift.max() == pytest.approx(found.sigmas, abs=4 / np.sqrt(1000))
+    # no other displacement that is missed as often moves any parameter farther
+    score, towards = find_score(sums, "tangential"), -P @ sums.G_H.T
+    F = np.linalg.inv(score.covariance)
+    around = np.exp(1j * np.linspace(0, np.pi, 400))
+    c = np.stack([around.real, around.imag])
+    c *= np.sqrt(found.c @ F @ found.c / np.einsum("ik,ij,jk->k", c, F, c))
+    assert np.abs((towards @ c) / np.sqrt(np.diag(P))[:, None]).max() == pytest.approx(found.sigmas, rel=1e-3)

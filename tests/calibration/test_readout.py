@@ -227,6 +227,19 @@ def test_a_tilt_is_asked_of_a_camera_that_has_none_for_it_is_fitted_as_principal
     assert declared.declared
 
 
+def test_a_centred_lens_is_assumed_aloud_where_tangential_distortion_that_matters_would_go_unnoticed(catalogue):
+    telemetry, declared = made(catalogue, readout=Readout("global"), frames=40)
+    sensor = replace(declared, declared=replace(declared.declared, decentring=None))
+    found = calibrate(telemetry, sensor, catalogue, CalibrationSettings(match="given"))
+    (unseen,) = found.trust.unseen
+    assert unseen.sigmas > 3
+    (asked,) = (one for one in found.assumptions if one.name == "decentring")
+    assert (asked.declared, asked.value) == (False, "none")
+    assert unseen.parameter in asked.sentence
+    said = calibrate(telemetry, declared, catalogue, CalibrationSettings(match="given")).assumptions
+    assert next(one for one in said if one.name == "decentring").declared
+
+
 def test_a_scenario_keeps_its_readout_and_slew():
     document = scenario_document(scene(slew_rate_deg_s=0.2))
     again = parse_scenario(document)

@@ -208,6 +208,13 @@ def test_causes_come_first_in_their_order_with_their_share_and_what_they_leave_u
     ]  # fmt: skip
 
 
+@pytest.mark.parametrize(("likelihood", "is_likely"), [(0.03, False), (0.49, False), (0.5, True), (0.9, True)])
+def test_a_cause_at_less_than_even_odds_is_not_called_the_likeliest(clean, likelihood, is_likely):
+    (said,) = advise(clean, [_cause("places", likelihood)])
+    assert said.startswith("Likeliest cause") == is_likely
+    assert said.startswith("No cause explains well") != is_likely
+
+
 def test_a_start_that_is_the_truth_is_said_to_leave_little_to_estimate(catalogue):
     sensor = replace(st16_sensor(1), initial=st16_truth(1))
     advice = advise(case(simulated(catalogue, frames=40).telemetry, sensor, catalogue).trust)

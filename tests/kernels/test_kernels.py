@@ -401,6 +401,8 @@ def test_stars_in_one_direction_give_no_attitude(apart):
 
 # Apparent places.
 
+NO_AIR = np.zeros(5)
+
 
 @pytest.mark.parametrize("date", ["1991-04-02T13:30", "2018-07-20", "2026-11-21T06:00", "2049-02-01"])
 def test_the_short_form_of_apparent_place_agrees_with_the_standard_one(date):
@@ -411,7 +413,7 @@ def test_the_short_form_of_apparent_place_agrees_with_the_standard_one(date):
     for j in range(len(stars.hip)):
         loops._apparent(
             stars.place, stars.motion, stars.parallax_rad, j,
-            motion.years[0], motion.earth_au[0], motion.beta[0], c[j],
+            motion.years[0], motion.earth_au[0], motion.beta[0], NO_AIR, c[j],
         )  # fmt: skip
     n = len(stars.hip)
     standard = apparent_directions(
@@ -427,7 +429,7 @@ def test_the_stars_of_a_cone_are_found_at_the_poles_too():
         star, c = np.empty(len(stars.hip), np.int64), np.empty((len(stars.hip), 3))
         m = loops._candidates(
             np.array(axis), 0.3, stars.place, stars.motion, stars.parallax_rad,
-            motion.years[0], motion.earth_au[0], motion.beta[0], star, c,
+            motion.years[0], motion.earth_au[0], motion.beta[0], NO_AIR, star, c,
         )  # fmt: skip
         assert set(star[:m]) == set(np.flatnonzero(stars.place @ axis > np.cos(0.3)))
 

@@ -107,6 +107,7 @@ ROLLING_READOUT = {"mode": "rolling", "line_time_s": 3.6e-5}
         ("readout", ROLLING_READOUT | {"line_time_s": True}, "readout.line_time_s is True"),
         ("readout", ROLLING_READOUT | {"line_time_s": float("nan")}, "readout.line_time_s is nan"),
         ("readout", ROLLING_READOUT | {"line_time_s": 36}, "readout.line_time_s is 36"),
+        ("readout", ROLLING_READOUT | {"line_time_s": 0.05}, "lines would take"),
         ("readout", ROLLING_READOUT | {"axis": "x"}, "readout.axis is 'x': write rows"),
         ("readout", ROLLING_READOUT | {"corrected": "no"}, "readout.corrected is 'no': write true"),
         ("readout", ROLLING_READOUT | {"line_times_s": 1}, "readout.line_times_s is not a field"),

@@ -8,7 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.calibration import Calibration, Shadow, TrustTest, Values, parse_calibration, to_plain
+from boresight.calibration.calibration import (
+    Calibration,
+    RemovedOf,
+    Shadow,
+    TrustTest,
+    Values,
+    parse_calibration,
+    to_plain,
+)
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.trust.trust_tests import TRUST_TESTS
 from boresight.platform.db.documents import canonical
@@ -438,3 +446,13 @@ def test_calibrations_of_good_telemetry_pass_and_are_not_blocked_however_few_the
         report = assess(result, SENSOR, ground_set(SENSOR), profile)
         assert report.blocking == [], number
         assert "FAIL" not in {one.status for one in report.gates}
+
+
+@pytest.mark.parametrize(
+    ("removed", "expected"),
+    [(0, "PASS"), (10, "PASS"), (11, "MARGINAL"), (50, "MARGINAL"), (51, "FAIL"), (225, "FAIL")],
+)
+def test_a_file_whose_identities_are_removed_in_numbers_does_not_pass(removed, expected):
+    result = a_result(removed_of=RemovedOf(proposed=500, removed=removed))
+    report = judge(parse_profile({}), measure(gate_inputs(result=result)))
+    assert next(one.status for one in report.gates if one.name == "identities") == expected

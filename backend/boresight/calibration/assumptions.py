@@ -4,23 +4,25 @@ Sizes, for a tracker whose half diagonal is theta and whose pixel is 1 / f_px ra
 v / c sin(angle to v), so the field is stretched by up to v / c: 2.5e-5 for 7.6 km/s, 1.0e-4 for the Earth's 29.8 km/s, which is
 the change of focal length that would be fitted for it. Refraction R = 2.9e-4 tan z (Bennett, at the sea's level) stretches the
 field by 2.9e-4 across the vertical and by 2.9e-4 / cos^2 z along it. A rolling shutter displaces stars by their speed times the
-time of a readout. A detector tilted by a about an axis in it displaces a star at r from the principal point by a r (n.r) / f with n
-a unit vector; so does a principal point that is a f off in the direction n, once the attitude has turned by a: for a camera without
-a tilt the one is the other to second order in r / f, and no star tells which it is.
+time of a readout. A decentred lens is nearly a principal point and a tilt besides; how much of it the tests of a set may miss, and
+what that does, is computed (`trust.displacements`). A detector tilted by a about an axis in it displaces a star at r from the
+principal point by a r (n.r) / f with n a unit vector; so does a principal point that is a f off in the direction n, once the
+attitude has turned by a: for a camera without a tilt the one is the other to second order in r / f, and no star tells which it is.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from boresight.arrays import FloatArray
-from boresight.calibration.calibration import Assumption
+from boresight.calibration.calibration import Assumption, UnseenDeparture
 from boresight.calibration.corrections import lacks_refraction
 from boresight.calibration.readout import ReadoutCorrection, find_rates
+from boresight.calibration.trust.trust_tests import MATTERS, TANGENTIAL
 from boresight.cameras import CAMERA_MODELS
-from boresight.cameras.model import Role
 from boresight.site import Site
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.directions import star_directions
@@ -59,17 +61,19 @@ def list_assumptions(
     catalogue: Catalogue,
     x: FloatArray,
     done: ReadoutCorrection,
+    unseen: Sequence[UnseenDeparture] = (),
 ) -> list[Assumption]:
     """List what a calibration assumes.
 
     `telemetry`: the set, or a part, as it came; `named`: with matched stars. `x`: (n_parameters,) result. `done`: about the
-    readout.
+    readout. `unseen`: what its tests may miss.
     """
     corner_px = np.hypot(sensor.rows, sensor.columns) / 2
     made = [
         _readout(named, sensor, catalogue, x, done),
         *(make(telemetry, sensor, float(corner_px)) for make in (_velocity, _directions)),
         *_tilt(sensor, x),
+        *_decentring(sensor, unseen),
     ]
     if sensor.site is None:
         return [*made, _refraction(telemetry, sensor, float(corner_px))]
@@ -189,7 +193,7 @@ def _refraction(telemetry: Telemetry, sensor: Sensor, corner_px: float) -> Assum
 def _tilt(sensor: Sensor, x: FloatArray) -> list[Assumption]:
     """That the detector is square to the axis: of cameras that have no tilt."""
     camera, name, word = CAMERA_MODELS[sensor.camera_model], "tilt", sensor.declared.tilt
-    if any(one.role is Role.TILT for one in camera.parameters):
+    if not DECLARATIONS[name].is_asked(camera):
         return []
     if word is not None:
         return [Assumption(name=name, declared=True, value=word, sentence=f"Declared. {_words(name, word)}.")]
@@ -198,6 +202,33 @@ def _tilt(sensor: Sensor, x: FloatArray) -> list[Assumption]:
         f"The camera model has no tilt, so a detector square to the optical axis is assumed. A tilt of "
         f"{USUAL_TILT_RAD * 1e3:g} mrad would be fitted as a principal point {moved_px:.2g} px off, with no sign in the residuals "
         f"and hardly any in the directions of stars: calibrate with a model that has it, such as inverted_wang, or {WHERE}."
+    )
+    return [Assumption(name=name, declared=False, value="none", sentence=sentence)]
+
+
+def _decentring(sensor: Sensor, unseen: Sequence[UnseenDeparture]) -> list[Assumption]:
+    """That the lens is centred: of cameras without tangential terms, where their tests may miss what matters."""
+    name, word = "decentring", sensor.declared.decentring
+    if not DECLARATIONS[name].is_asked(CAMERA_MODELS[sensor.camera_model]):
+        return []
+    if word is not None:
+        return [Assumption(name=name, declared=True, value=word, sentence=f"Declared. {_words(name, word)}.")]
+    most = next((one for one in unseen if one.name == TANGENTIAL), None)
+    if most is None:
+        how = "and nothing was found out about what tangential distortion would do unnoticed"
+    elif most.sigmas is None:
+        how = f"and tangential distortion is not told from {most.parameter} at all"
+    else:
+        how = (
+            f"tangential distortion of {most.size_px:.2g} px at the corner goes unnoticed once in ten such sets, and moves "
+            f"{most.parameter} by {most.sigmas:.2g} claimed sigmas"
+        )
+        if most.sigmas <= MATTERS:
+            said = f"What matters of tangential distortion would be noticed: {how}."
+            return [Assumption(name=name, declared=True, value="would be noticed", sentence=said)]
+    sentence = (
+        f"The camera model has no tangential terms, so a centred lens is assumed; {how}: calibrate with a model that has "
+        f"them, such as brown_conrady, or {WHERE}."
     )
     return [Assumption(name=name, declared=False, value="none", sentence=sentence)]
 

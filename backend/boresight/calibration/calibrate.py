@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,6 +22,7 @@ from boresight.calibration.calibration import (
     RemovedOf,
     StarOff,
     StarsOffDetector,
+    Trust,
 )
 from boresight.calibration.corrections import Corrections
 from boresight.calibration.estimate import Estimate, Parameters, never
@@ -252,7 +253,7 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
 
                 raise explain_refusal(error, telemetry, sensor, catalogue, cache_folder) from error
     if hardly_matches(found):
-        found = replace(found, advice=[*_explained(telemetry, sensor, catalogue, settings, context), *found.advice])
+        found = replace(found, advice=_explained(telemetry, sensor, catalogue, settings, context, found.advice))
         clock.lap("diagnose")
     found = with_advice(replace(found, stars_off_detector=_describe_off(off)), *off.sentences())
     if validation is not None and ended is not None and ended.estimate.status != "diverged":
@@ -286,8 +287,9 @@ def _explained(
     catalogue: Catalogue,
     settings: CalibrationSettings,
     context: CalibrationContext,
+    advice: Sequence[str],
 ) -> list[str]:
-    """What a diagnosis says of a set that hardly matches."""
+    """The advice on a set that hardly matches with what a diagnosis says."""
     from boresight.calibration.diagnosis.explain import explain  # noqa: PLC0415 - only for sets that hardly match
 
     def report(message: str, _: float | None) -> None:
@@ -296,7 +298,7 @@ def _explained(
         if context.report is not None:
             context.report(Progress(0.0, f"finding out why so few stars match: {message}", None))
 
-    return explain(telemetry, sensor, catalogue, settings, context.cache_folder, report)
+    return explain(telemetry, sensor, catalogue, settings, context.cache_folder, report, advice=advice)
 
 
 def _describe_off(off: OffDetector) -> StarsOffDetector:
@@ -379,10 +381,13 @@ class _LastPass:
         estimate = (lambda: self.noise) if self.settings.noise_model == "from-data" else None
         return self.corrections.refined(self.estimate.x, star_id, estimate)
 
-    def assumptions(self) -> list[Assumption]:
-        """What was assumed that the set cannot show."""
+    def assumptions(self, trust: Trust | None) -> list[Assumption]:
+        """What was assumed that the set cannot show, and that its tests may miss."""
         of, done = self.corrections, self.corrections.done
-        return list_assumptions(self.telemetry, self.matched.telemetry, of.sensor, of.catalogue, self.estimate.x, done)
+        unseen = trust.unseen if trust else ()
+        return list_assumptions(
+            self.telemetry, self.matched.telemetry, of.sensor, of.catalogue, self.estimate.x, done, unseen
+        )
 
 
 def _with_removed(found: Calibration, sets: Dataset, matched: Matched) -> Calibration:
@@ -418,7 +423,7 @@ def _judge(
     minima = describe_minima(problem, estimate.searched, estimate.x, result.find_sigma(problem, parameters, estimate))
     found = with_advice(replace(found, minima=minima), *minima_advice(minima))
     found = evaluate_result(found, judged.sets, judged.first, ended.judged_by(judged.last), parameters, settings)
-    found = replace(found, noise=corrections.noise or last.noise, assumptions=last.assumptions())
+    found = replace(found, noise=corrections.noise or last.noise, assumptions=last.assumptions(found.trust))
     found = _say_what_was_judged(found, judged.last.problem)
     return with_advice(found, *identification_advice(ended.matched.unidentified))
 

@@ -882,6 +882,19 @@ class ResidualSpline:
 
 
 @dataclass(frozen=True, kw_only=True)
+class UnseenDeparture:
+    """The largest displacement of a kind that its test misses once in ten times, and what it does to the parameter it moves most.
+
+    `size_px`: at the corner of the detector. `sigmas`: claimed ones of the parameter; None where nothing tells the two apart.
+    """
+
+    name: str
+    size_px: float
+    parameter: str
+    sigmas: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
 class Trust:
     """How far a calibration can be believed beyond its own sigmas; `unavailable` says why a part is None."""
 
@@ -903,6 +916,7 @@ class Trust:
     drop_one_sentence: str | None = None
     stars_sentence: str | None = None
     stars_in_all: int | None = None
+    unseen: list[UnseenDeparture] = field(default_factory=list)
     suspects: list[int] = field(default_factory=list)
     unavailable: dict[str, str] = field(default_factory=dict)
 

@@ -280,7 +280,7 @@ def match(
 
             prepared.report("finding out why so few stars match", None)
             folder = prepared.settings.catalogue_folder
-            advice = explain(stars, described, catalogue, chosen, folder, prepared.report) + advice
+            advice = explain(stars, described, catalogue, chosen, folder, prepared.report, advice=advice)
         document |= {"advice": advice, "stars_off_detector": off.document()}
         matched = replace(stars, star_id=matched_stars(matches, seen)[0])
     found: Matches = parse_report(Matches, document, telemetry=matched)

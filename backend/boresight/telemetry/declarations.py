@@ -1,4 +1,4 @@
-"""What no telemetry can show and an operator declares in the sensor file: readout, velocity, directions, refraction, site, tilt.
+"""What telemetry never shows and an operator declares in the sensor file: readout, velocity, directions, refraction, site, lens.
 
 A rolling shutter exposes line after line. The centroid of a star on line l (a row, or a column) was taken l * line_time_s later
 than one on the first line, and the sky moved in between; along some axes a camera model takes that up as scale and distortion,
@@ -17,6 +17,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Final
 
+from boresight.cameras.model import CameraModel, Role
 from boresight.site import SITE_FIELDS, Site, SiteField
 from boresight.telemetry.read.checks import Faults
 
@@ -30,11 +31,19 @@ LINE_TIME_S = (1e-9, 0.1)
 
 @dataclass(frozen=True)
 class Declaration:
-    """One thing that is declared: its title, and what may be declared, each word with its meaning."""
+    """One thing that is declared: its title, and what may be declared, each word with its meaning.
+
+    `role`: cameras with a parameter of this role estimate it, and nobody need declare it.
+    """
 
     name: str
     title: str
     words: Mapping[str, str]
+    role: Role | None = None
+
+    def is_asked(self, camera: CameraModel) -> bool:
+        """Whether it is asked of a camera."""
+        return self.role is None or all(one.role is not self.role for one in camera.parameters)
 
 
 #: What is declared beside the readout, by name.
@@ -70,6 +79,13 @@ DECLARATIONS = {
             "tilt",
             "Tilt of the detector",
             {"aligned": "the detector was measured to be square to the optical axis, or its tilt does not matter"},
+            Role.TILT,
+        ),
+        Declaration(
+            "decentring",
+            "Decentring of the lens",
+            {"centred": "the lens was measured to have no tangential distortion, or what it has does not matter"},
+            Role.DECENTRING,
         ),
     )
 }
@@ -119,6 +135,7 @@ class Declared:
     directions: str | None = None
     refraction: str | None = None
     tilt: str | None = None
+    decentring: str | None = None
 
     def document(self) -> dict[str, str]:
         """Return what is declared as a sensor file has it."""

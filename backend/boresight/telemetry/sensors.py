@@ -40,6 +40,8 @@ _MOST_FIELDS = 100
 _MOST_PIXELS = 65536
 _PITCH_M = (1e-7, 1e-3)
 _SIGMA_PX = (1e-4, 100.0)
+#: Longest that a detector takes to be read, s.
+_READOUT_S = 10.0
 _MAGNITUDE = (-2.0, 20.0)
 _FIELD_DEG = (0.1, 175.0)
 
@@ -176,10 +178,25 @@ def _parse(document: Mapping[str, Any], faults: Faults) -> Sensor:
         faults.add(
             "declared.refraction is none, images from space, and there is a site on the ground: leave one of the two out"
         )
+    _check_readout(sensor, faults)
     faults.refuse()
     check_geometry(sensor, model, faults)
     faults.refuse()
     return sensor
+
+
+def _check_readout(sensor: Sensor, faults: Faults) -> None:
+    """Refuse a line time with which the whole detector would take longer to read than any does."""
+    readout = sensor.readout
+    if readout is None or readout.line_time_s is None:
+        return
+    lines = sensor.rows if readout.axis == "rows" else sensor.columns
+    seconds = abs(readout.line_time_s) * lines
+    if seconds > _READOUT_S:
+        faults.add(
+            f"readout.line_time_s is {readout.line_time_s:g}: {lines:,} lines would take {seconds:.3g} s, and none takes more "
+            f"than {_READOUT_S:g} s: give seconds from one line to the next, not of a frame"
+        )
 
 
 def _check_keys(document: Mapping[str, Any], faults: Faults) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +29,13 @@ def explain(
     settings: CalibrationSettings | None = None,
     cache_folder: Path | None = None,
     report: Report | None = None,
+    *,
+    advice: Sequence[str] = (),
 ) -> list[str]:
-    """Return what to say of a set that hardly matches: why, or nothing where the files fit each other."""
-    return advise(diagnose(telemetry, sensor, catalogue, settings, cache_folder=cache_folder, report=report))
+    """Return the advice on a set that hardly matches with why: first, or last where most exposures match as the files stand."""
+    found = diagnose(telemetry, sensor, catalogue, settings, cache_folder=cache_folder, report=report)
+    matches = 2 * found.exposures_solved_before > found.exposures
+    return [*advice, *advise(found)] if matches else [*advise(found), *advice]
 
 
 def explain_refusal(

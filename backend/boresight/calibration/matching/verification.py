@@ -296,6 +296,10 @@ def list_removed(pieces: Pieces, refused: Refusals) -> Iterator[RemovedStar]:
             )
 
 
+#: Share of removed stars beyond which a file's identification as a whole is in doubt.
+MANY_REMOVED = 0.02
+
+
 def advise(proposed: int, removed: int, listed: Sequence[RemovedStar]) -> list[str]:
     """Say how many proposed stars were removed, why most likely, and what to do."""
     if not removed:
@@ -304,7 +308,7 @@ def advise(proposed: int, removed: int, listed: Sequence[RemovedStar]) -> list[s
     named = "" if first.star_id is None else f", HIP {first.star_id}"
     which = f"row {first.row:,} (frame {first.frame}{named})"
     which = which if removed == 1 else f"the first is {which}; all are listed under Matching"
-    many = removed > 0.02 * proposed
+    many = removed > MANY_REMOVED * proposed
     remedy = (
         "so many point to a faulty identification: match the stars anew (match 'rematch')"
         if many

@@ -27,31 +27,31 @@ a pass over the set a frame; such a part says how many frames it used.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from boresight.calibration.calibration import Cause, ModelMisfit, Trust, TrustTest, Values
+from boresight.calibration.calibration import Cause, ModelMisfit, Trust, TrustTest, UnseenDeparture, Values
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.trust.advice import cause_advice, trust_advice
 from boresight.calibration.trust.causes import find_causes
-from boresight.calibration.trust.departures import find_companions, find_departures
-from boresight.calibration.trust.displacements import add_up, find_score
+from boresight.calibration.trust.departures import TANGENTIAL_AT_CORNER, find_companions, find_departures
+from boresight.calibration.trust.displacements import Score, ScoreSums, add_up, find_score, find_unseen
 from boresight.calibration.trust.efficiency import arc_sigma_map, efficiency, more_data
 from boresight.calibration.trust.field import residual_against, residual_distribution, residual_field, residual_outliers
-from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, fit_best
+from boresight.calibration.trust.fitted_set import UNLIKELY, FittedSet, Unavailable, fit_best
 from boresight.calibration.trust.innovations import nis_over_time, whiteness, worst_frames
 from boresight.calibration.trust.misfit import find_misfit
 from boresight.calibration.trust.refits import drop_one, drop_one_sentence, two_halves
 from boresight.calibration.trust.residual_spline import find_residual_spline
 from boresight.calibration.trust.residuals import StarResiduals, compute_star_residuals, residuals
 from boresight.calibration.trust.stars import StarTable, star_table, stars, stars_sentence
-from boresight.calibration.trust.trust_tests import Examined, make_tests
+from boresight.calibration.trust.trust_tests import TANGENTIAL, Examined, make_tests
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 
@@ -140,7 +140,22 @@ def _tested(fitted: FittedSet, trust: Trust, parts: Parts, stars: StarParts) -> 
     except np.linalg.LinAlgError:  # the numbers are too near to singular
         return TrustReport(trust, [], [])
     wider = find_misfit(fitted, sums, scores, tests)
+    trust = replace(trust, unseen=list(_unseen(fitted, sums, scores)))
     return TrustReport(trust, tests, causes) if wider is None else TrustReport(trust, tests, causes, *wider)
+
+
+def _unseen(fitted: FittedSet, sums: ScoreSums, scores: Mapping[str, Score]) -> Iterator[UnseenDeparture]:
+    """Say what of a decentred lens the tests may miss."""
+    score = scores[TANGENTIAL]
+    found = find_unseen(sums, score, UNLIKELY)
+    if found is not None:
+        tested = float(np.sqrt(len(fitted.e) / sums.n_arcs))  # a part is tested, the sigmas are of all
+        yield UnseenDeparture(
+            name=TANGENTIAL,
+            size_px=TANGENTIAL_AT_CORNER * float(np.linalg.norm(found.c)),
+            parameter=fitted.names[found.parameter],
+            sigmas=found.sigmas * tested if np.isfinite(found.sigmas) else None,
+        )
 
 
 def _computed(parts: Mapping[str, Callable[[], Any]]) -> tuple[Parts, dict[str, str]]:

@@ -16,6 +16,8 @@ TOO_SMALL = 0.97
 SEVERAL = 2
 #: Parts of the detector, rows and columns of them, and the share that has stars below which the rest is spoken of.
 PARTS, COVERED = (6, 8), 0.7
+#: Likelihoods below which a cause is only a guess, and from which on it is told as a fact.
+EVEN_ODDS, CERTAIN = 0.5, 0.995
 #: Causes of which the stars' own sentence says more, for it names them.
 OF_STARS = ("places", "identities")
 #: Causes of which the residual spline says more, for it names the camera model that takes them up.
@@ -42,14 +44,19 @@ def _of_geometry(trust: Trust) -> Iterator[str]:
 def _of_causes(trust: Trust, causes: Sequence[Cause]) -> Iterator[str]:
     """What explains the tests that noticed something, the likeliest first."""
     for place, cause in enumerate(causes):
-        opening = (
-            "Besides: " if place else f"Likeliest cause ({cause.likelihood:.0%}): " if cause.likelihood < 0.995 else ""
-        )
+        opening = "Besides: " if place else _opening(cause.likelihood)
         yield f"{opening}{cause.sentence} {cause.remedy}"
         if cause.name in OF_THE_LENS and trust.residual_spline is not None and trust.residual_spline.structure:
             yield trust.residual_spline.sentence
         if cause.name in OF_STARS and trust.suspects and trust.stars_sentence is not None:
             yield trust.stars_sentence
+
+
+def _opening(likelihood: float) -> str:
+    """How surely the first cause is one: at less than even odds nothing is called likely."""
+    if likelihood < EVEN_ODDS:
+        return f"No cause explains well what the tests notice; perhaps ({likelihood:.0%}): "
+    return f"Likeliest cause ({likelihood:.0%}): " if likelihood < CERTAIN else ""
 
 
 def _of_coverage(trust: Trust, coverage: Coverage | None) -> Iterator[str]:

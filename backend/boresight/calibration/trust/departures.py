@@ -60,6 +60,8 @@ from boresight.telemetry.schema import MAGNITUDES, TEMPERATURES_C, within
 EDGE = 0.1
 #: Numbers of a departure that were looked for before it was tested: Schwarz's criterion counts them with its coefficients.
 SOUGHT = {"flaw": 3}
+#: Largest displacement at the corner by tangential terms of which the root of the sum of squares is one.
+TANGENTIAL_AT_CORNER = 3.0
 #: Orders of the polynomials above.
 RADIAL, LENS, TIME, TEMPERATURE, HARMONICS = 4, 3, 6, 5, 2
 #: Seconds between exposures, and the angle between them, rad, beyond which they do not tell a rate.

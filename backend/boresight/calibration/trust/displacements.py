@@ -21,6 +21,17 @@ how far its parameters are wrong if this departure is real. A direction of c tha
 camera nearly has itself is hardly known and moves the parameters far: what is told of d in claimed sigmas counts only those
 directions that stand clear of the noise.
 
+What the test may miss follows before any data speak. A departure c falls short of being noticed once in ten times where its
+noncentrality c^T F c is
+
+    lambda = (sqrt(q) + z)^2 - 1,          q the chi-square that is noticed, z = 1.28 the normal deviate of nine in ten,
+
+for sqrt(s^T F^-1 s) is nearly normal about sqrt(lambda + 1) with sigma one. Of all c of that size the parameter i is moved most, by
+
+    sqrt(lambda g_i^T F^-1 g_i),           g_i the row of -A^-1 H^T G,     along c = sqrt(lambda / g_i^T F^-1 g_i) F^-1 g_i:
+
+the external reliability of geodesy, told in claimed sigmas (`find_unseen`).
+
 Three kinds of field have three kinds of rows: displaced centroids, pixels (J = -ds/d(principal point), for a camera knows a place
 only by its distance from it); directions displaced in the sky, rad east and north, where the arcs of the catalogue are what moves;
 and what changes from frame to frame by f_k, whose rows are those of the unchanging field times f_k: -H f_k for a parameter.
@@ -33,7 +44,8 @@ test here without any departure; so the statistic is held against the residuals 
 
     (s^T F^-1 s / k) / ((e^T e - s^T F^-1 s) / (n - k)),        an F distribution with k and n - k degrees of freedom.
 
-Reference: C. R. Rao, "Large sample tests of statistical hypotheses concerning several parameters", Proc. Camb. Phil. Soc. 44, 1948.
+Reference: C. R. Rao, "Large sample tests of statistical hypotheses concerning several parameters", Proc. Camb. Phil. Soc. 44, 1948;
+W. Baarda, "A testing procedure for use in geodetic networks", Netherlands Geodetic Commission, New Series 2(5), 1968.
 """
 
 from __future__ import annotations
@@ -52,12 +64,14 @@ from boresight.calibration.estimate import covariance
 from boresight.calibration.trust.fitted_set import FittedSet
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.blocks import in_blocks
-from boresight.estimation.statistics.special import fdtrc
+from boresight.estimation.statistics.special import chdtri, fdtrc
 
 #: Share of a displacement's information below which a direction of it is the camera's own, or a turn of the exposure.
 LEAST_SHARE = 1e-7
 #: Sigmas from which on a direction of c is clear.
 CLEAR = 3.0
+#: Normal deviate that nine in ten stay below.
+NINE_IN_TEN = 1.2816
 #: Frames whose rows are made at a time: they stay in the processor's cache.
 FRAMES = 256
 
@@ -272,6 +286,35 @@ def find_score(sums: ScoreSums, *names: str) -> Score:
 def find_score_of(sums: ScoreSums, places: IntArray) -> Score:
     """Test some fields of a departure alone, by their places among all."""
     return _solve(sums, "", places)
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """The departure of a kind that its test misses once in ten times and that moves a parameter most.
+
+    `c`: (n_fields,) its coefficients. `parameter`: place of that parameter among the free ones. `sigmas`: how far it is moved, in
+    its claimed sigmas; infinite where a direction of c cannot be told from the camera.
+    """
+
+    c: FloatArray
+    parameter: int
+    sigmas: float
+
+
+def find_unseen(sums: ScoreSums, score: Score, level: float) -> Unseen | None:
+    """Find what of a departure may stay unnoticed at a level of its test; None where nothing of it can be told."""
+    if score.dof == 0:
+        return None
+    P = covariance(sums.A)
+    reach = np.sqrt(chdtri(score.dof, level)) + NINE_IN_TEN
+    towards = -P @ sums.G_H[sums.places[score.name]].T
+    moved = np.sqrt(np.einsum("ij,jk,ik->i", towards, score.covariance, towards))
+    i = int(np.argmax(moved / np.sqrt(np.diag(P))))
+    if not moved[i] > 0:
+        return None
+    size = np.sqrt(reach**2 - 1)
+    c = score.covariance @ towards[i] * size / moved[i]
+    return Unseen(c, i, float(size * moved[i] / np.sqrt(P[i, i])) if score.dof == len(score.c) else np.inf)
 
 
 def _solve(sums: ScoreSums, name: str, places: IntArray) -> Score:

@@ -35,6 +35,8 @@ from boresight.estimation.statistics.special import chdtrc, ndtr
 
 #: Claimed sigmas from which on an error fails a set, and share of a star's noise below which none does.
 MATTERS, LITTLE = 3.0, 0.05
+#: The departure of a decentred lens.
+TANGENTIAL = "tangential"
 #: Frames that tell a spread of their own.
 FEWEST_FRAMES = 20
 #: Spreads beyond which a sighting is taken out to see what it did to the parameters.

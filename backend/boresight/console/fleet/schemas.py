@@ -17,7 +17,12 @@ EXAMPLE_INITIAL = dict(zip(DEFAULT_CAMERA.parameter_names, _PARAMETERS.tolist(),
 EXAMPLE_TYPICAL_SIGMA = dict(zip(DEFAULT_CAMERA.parameter_names, DEFAULT_CAMERA.default_typical_sigma, strict=True))
 #: What it declares that no data can show.
 EXAMPLE_READOUT = {"mode": "rolling", "line_time_s": 3.6e-5, "axis": "rows", "corrected": True}
-EXAMPLE_DECLARED = {"satellite_velocity": "given", "directions": "apparent", "refraction": "none"}
+EXAMPLE_DECLARED = {
+    "satellite_velocity": "given",
+    "directions": "apparent",
+    "refraction": "none",
+    "decentring": "centred",
+}
 
 
 class Sensor(Row):

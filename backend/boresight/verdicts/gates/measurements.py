@@ -47,6 +47,7 @@ import numpy as np
 
 from boresight.arrays import FloatArray
 from boresight.calibration.calibration import Calibration, ChiSquareTest, InnovationTest, TrustTest
+from boresight.calibration.matching.verification import MANY_REMOVED
 from boresight.calibration.parameter_file import parse_parameters
 from boresight.calibration.trust.causes import gate_of_cause
 from boresight.calibration.trust.efficiency import field_arc_sigma
@@ -346,6 +347,8 @@ UNKNOWN_SIZE = 1.0
 OF_STARS = ("outliers",)
 #: And at least, so that what was noticed is never taken for nothing.
 LEAST_SIZE = 1e-3
+#: Share of removed identities beyond which the rest is in doubt: NEES was measured within its bounds up to as many gross outliers.
+MOST_REMOVED = 0.1
 NO_TESTS = "The run made no tests of the model: clone it and start it again to have them."
 
 
@@ -363,6 +366,25 @@ def tests_of_model(name: str, inputs: GateInputs) -> Measurement:
     if not found:
         return Measurement(0.0, f"None of {made} tests tells of such an error (1 % over all tests of the set).")
     return Measurement(max(LEAST_SIZE, *(size for size, _ in found)), " ".join(sentence for _, sentence in found))
+
+
+def identities(inputs: GateInputs) -> Measurement:
+    """Measure what wrong stars or directions do, and how many of the proposed identities were removed."""
+    measured, of = tests_of_model("identities", inputs), inputs.result.removed_of if inputs.result else None
+    if of is None or of.removed <= MANY_REMOVED * of.proposed:
+        return measured
+    share = of.removed / of.proposed
+    sentence = (
+        f"{of.removed:,} of {of.proposed:,} proposed identities, {share:.1%}, contradict the other stars and were removed: the "
+        "file's identification is faulty; match the stars anew (match 'rematch')."
+    )
+    if share > MOST_REMOVED:
+        return answer(
+            "FAIL", f"{sentence} With more than {MOST_REMOVED:.0%} removed nobody has shown that the rest is right."
+        )
+    if measured.value:
+        return replace(measured, sentence=f"{sentence} {measured.sentence}")
+    return answer("MARGINAL", sentence)
 
 
 def _findings(result: Calibration) -> Iterator[tuple[str, float, str]]:
@@ -620,7 +642,7 @@ GATES = {
             "How far do wrong stars or directions pull the parameters, where a test notices it, in claimed sigmas?",
             "below",
             "σ",
-            measure=partial(tests_of_model, "identities"),
+            measure=identities,
             limit=MATTERS,
             marginal=0.0,
         ),

@@ -251,6 +251,7 @@ def describe_declarations(document: Mapping[str, Any]) -> dict[str, str]:
     return words | {
         one.title: f"{declared[name]}: {one.words[declared[name]]}" if name in declared else UNDECLARED
         for name, one in DECLARATIONS.items()
+        if name in declared or one.is_asked(CAMERA_MODELS[sensor.camera_model])
     }
 
 
