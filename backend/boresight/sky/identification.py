@@ -65,6 +65,8 @@ HOW_TO_INSTALL = (
 )
 #: Four stars make a pattern.
 FEWEST_STARS = 4
+#: Detections of an exposure that are looked at, the brightest: more cost seconds and tell nothing more.
+MOST_STARS = 300
 WIDTH_PX = 1000.0
 #: The field of view may be wrong by this share of itself where a sensor file is believed: ten times what a ground calibration
 #: leaves. A field farther off is not recognised by `identify`; `recognise` looks for it from `NARROWEST` to `WIDEST` times.
@@ -202,9 +204,9 @@ def _pixels(s: FloatArray, magnitude: FloatArray | None, field_deg: float) -> Fl
     s = s[usable]
     faintness = np.arange(len(s), dtype=float) if magnitude is None else magnitude[usable]
     faintness = np.where(np.isfinite(faintness), faintness, np.nanmax(faintness, initial=0.0))
-    order = np.argsort(faintness, kind="stable")
+    order = np.argsort(faintness, kind="stable")[:MOST_STARS]
     focal_px = WIDTH_PX / (2 * np.tan(np.radians(field_deg) / 2))
-    brightness = 1.0 / (1.0 + np.arange(len(s)))
+    brightness = 1.0 / (1.0 + np.arange(len(order)))
     return np.column_stack([focal_px * s[order, :2] / s[order, 2:], brightness])
 
 

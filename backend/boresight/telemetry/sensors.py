@@ -273,7 +273,7 @@ def _camera_model(value: Any, faults: Faults) -> CameraModel:
 
 def _spreads(model: CameraModel) -> tuple[tuple[float, float], ...]:
     """Return the limits of each typical sigma: positive, and not wider than the plausible range."""
-    return tuple((1e-12 * (high - low), high - low) for low, high in model.plausible)
+    return tuple((1e-15 * (high - low), high - low) for low, high in model.plausible)
 
 
 def _parameters(

@@ -78,7 +78,7 @@ MOST_S, MOST_MB = 5.0, 500.0
 
 def in_a_process(path, profile):
     code = (
-        "import sys,resource,time\n"
+        "import re, sys, time\n"
         "from pathlib import Path\n"
         "from boresight.errors import RefusedInputError\n"
         "from boresight.telemetry.imports.builtin import BUILT_IN\n"
@@ -91,7 +91,8 @@ def in_a_process(path, profile):
         "        import_files([SourceFile(Path(path), Path(path).name)], BUILT_IN[profile]); said = 'accepted'\n"
         "    except RefusedInputError as error:\n"
         "        said = 'refused'\n"
-        "    print(said, time.process_time() - start, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3, flush=True)\n"
+        "    peak = re.search(r'VmHWM:\\s+(\\d+)', Path('/proc/self/status').read_text())\n"
+        "    print(said, time.process_time() - start, int(peak[1]) / 1e3, flush=True)\n"
     )
     with subprocess.Popen(
         [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True

@@ -56,6 +56,8 @@ Report = Callable[[str, float | None], None]
 
 #: Exposures that are looked at, and seconds that may be spent on them; making a table of patterns is not counted.
 MOST_EXPOSURES, BUDGET_S = 40, 30.0
+#: Detections of these exposures together, about: an exposure that has very many costs as much as many exposures.
+MOST_DETECTIONS = 40_000
 #: Exposures that a mend has to solve, at least and as a share of those with enough stars, and log10 of the chance that it did by
 #: coincidence.
 FEWEST, SHARE, TOO_LIKELY = 2, 0.3, -9.0
@@ -100,6 +102,7 @@ def _spread(telemetry: Telemetry, most: int) -> Telemetry:
     frames, first, of = np.unique(exposures.frame, return_index=True, return_inverse=True)
     enough = np.flatnonzero(np.maximum.reduceat(exposures.count, first) >= FEWEST_STARS)
     chosen = enough if len(enough) else np.arange(len(frames))
+    most = min(most, max(FEWEST, MOST_DETECTIONS * len(exposures) // len(telemetry)))
     wanted = max(1, round(most * len(frames) / len(exposures)))
     if len(chosen) > wanted:
         chosen = chosen[np.linspace(0, len(chosen) - 1, wanted).round().astype(np.int64)]
