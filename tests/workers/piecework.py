@@ -5,6 +5,7 @@ import signal
 import time
 from pathlib import Path
 
+from boresight.calibration.calibration import Calibration, Change
 from boresight.errors import RefusedInputError
 from boresight.workers.cluster_executor import ClusterExecutor
 
@@ -61,5 +62,7 @@ def calculate(telemetry, sensor, catalogue, settings, **_):  # noqa: ARG001 - as
     marks.mkdir(parents=True, exist_ok=True)
     if behaviour != "quick":
         spread(marks, {"deadly": die, "spreading": square}[behaviour])
-    return {"status": "converged", "sensor": sensor.name, "method": "batch", "frames": 1, "stars": len(telemetry),
-            "rms_arc_rad": {"initial": 1.0, "final": 1.0}, "validation": None}  # fmt: skip
+    return Calibration(
+        status="converged", sensor=sensor.name, method="batch", frames=1, stars=len(telemetry),
+        rms_arc_rad=Change(initial=1.0, final=1.0),
+    )  # fmt: skip
