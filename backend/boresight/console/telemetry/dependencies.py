@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import hmac
 import io
 import tempfile
 from collections.abc import AsyncIterator, Mapping
@@ -16,10 +17,10 @@ from starlette.datastructures import UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import Request
 
-from boresight.console.access.dependencies import ServerSettings
+from boresight.console.access.dependencies import CSRF_FIELD, ServerSettings
 from boresight.console.operation import FORM_CONTENT
 from boresight.disks import storage_error
-from boresight.errors import RefusedInputError
+from boresight.errors import ForbiddenError, RefusedInputError
 from boresight.images.limits import ImageSource, is_image
 from boresight.platform.web.paging import parse_row_id
 from boresight.platform.web.text_validation import normal_name
@@ -152,6 +153,13 @@ async def _receive(request: Request, folder: Path, most_images: int) -> Upload:
 
 def _base_name(sent: str) -> str:
     return normal_name("file name", sent.replace("\\", "/").rsplit("/", 1)[-1]) or "image"
+
+
+def require_meant(request: Request, upload: Upload) -> None:
+    """Refuse a form without this log-in's CSRF token, which is checked here because the streamed body is read only once."""
+    given, expected = upload.fields.get(CSRF_FIELD, ""), getattr(request.state, CSRF_FIELD, None)
+    if expected is not None and not hmac.compare_digest(given.encode(), expected.encode()):
+        raise ForbiddenError("This form is of another log-in; reload the page and choose the file again.")
 
 
 Uploaded = Annotated[Upload, Depends(uploaded, scope="function")]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import hmac
 import io
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
@@ -18,7 +17,6 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.calibration.diagnosis.result import Diagnosis
 from boresight.console.access.dependencies import (
-    CSRF_FIELD,
     KNOWN,
     Blobs,
     Database,
@@ -50,10 +48,10 @@ from boresight.console.pages.tables import (
 from boresight.console.runs import queries as run_queries
 from boresight.console.runs.pages.list import RunNames, make_run_line, read_names
 from boresight.console.telemetry import service as telemetry_sets
-from boresight.console.telemetry.dependencies import Upload, Uploaded
+from boresight.console.telemetry.dependencies import Upload, Uploaded, require_meant
 from boresight.console.telemetry.service import PURPOSES, PreparedUpload
 from boresight.console.telemetry.tables import TelemetrySet, find_diagnosis, find_quality
-from boresight.errors import BoresightError, ForbiddenError, NotFoundError, RefusedInputError
+from boresight.errors import BoresightError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.blobs.tables import Blob
@@ -185,7 +183,7 @@ async def upload(
     engine: Database,
 ) -> Response:
     """Check and store the file, then show its quality report."""
-    _require_meant(request, upload)
+    require_meant(request, upload)
     prepared = _prepared(actor, upload, settings, forecast_sources, engine)
     outcome = await _attempt(request, actor, upload, forecast_sources.blobs, prepared)
     if outcome.value is None:
@@ -196,13 +194,6 @@ async def upload(
     if SCRIPTED in request.headers:
         response.status_code = 201  # a script follows no redirect on its own: it opens the Location
     return response
-
-
-def _require_meant(request: Request, upload: Upload) -> None:
-    """Refuse a form without this log-in's CSRF token, which is checked here because the streamed body is read only once."""
-    given, expected = upload.fields.get(CSRF_FIELD, ""), getattr(request.state, CSRF_FIELD, None)
-    if expected is not None and not hmac.compare_digest(given.encode(), expected.encode()):
-        raise ForbiddenError("This form is of another log-in; reload the page and choose the file again.")
 
 
 async def _attempt(
