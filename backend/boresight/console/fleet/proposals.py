@@ -31,9 +31,9 @@ def propose_of_images(
     seconds: float,
 ) -> tuple[Described, list[str]]:
     """Extract and solve images; returns the sensor and what is to be said of it. `seconds` hold for each of both."""
-    from boresight.calibration.proposal import propose_apart  # noqa: PLC0415 - of uploads alone, as below
-    from boresight.images import extraction  # noqa: PLC0415
-    from boresight.images.detection import DetectionOptions  # noqa: PLC0415
+    from boresight.calibration.proposal import propose_apart  # noqa: PLC0415 - heavy, and of uploads alone
+    from boresight.images import extraction  # noqa: PLC0415 - as above
+    from boresight.images.detection import DetectionOptions  # noqa: PLC0415 - as above
 
     sized = extraction.sensor_of_images(sources, known, limits=limits, subject=SUBJECT)
     found = extraction.extract_apart(sources, sized, DetectionOptions(), seconds=seconds, limits=limits)
