@@ -118,12 +118,22 @@ if TYPE_CHECKING:
         import_telemetry,
         load,
         match,
+        new_sensor,
         read_sensor,
         read_telemetry,
         simulate,
     )
     from boresight.library.remote import RunFailedError
-    from boresight.library.results import Assessment, Calibration, Evaluation, Extraction, Matches, Quality, Simulation
+    from boresight.library.results import (
+        Assessment,
+        Calibration,
+        Evaluation,
+        Extraction,
+        Matches,
+        NewSensor,
+        Quality,
+        Simulation,
+    )
     from boresight.telemetry.imports.mapping import Imported
     from boresight.telemetry.schema import Telemetry
     from boresight.telemetry.sensors import Sensor
@@ -145,6 +155,7 @@ _PLACES = {
         "import_telemetry",
         "load",
         "match",
+        "new_sensor",
         "read_sensor",
         "read_telemetry",
         "simulate",
@@ -156,6 +167,7 @@ _PLACES = {
         "Evaluation",
         "Extraction",
         "Matches",
+        "NewSensor",
         "Quality",
         "Simulation",
     ),
@@ -198,6 +210,7 @@ __all__ = [
     "ForbiddenError",
     "Imported",
     "Matches",
+    "NewSensor",
     "NotFoundError",
     "Quality",
     "RefusedInputError",
@@ -220,6 +233,7 @@ __all__ = [
     "import_telemetry",
     "load",
     "match",
+    "new_sensor",
     "read_sensor",
     "read_telemetry",
     "simulate",

@@ -2,6 +2,13 @@
 
 import json
 
+import numpy as np
+import pytest
+from astropy.io import fits
+
+from boresight.sky.identification import available
+from tests.images.conftest import folder, hard_images, night  # noqa: F401 - fixtures
+
 NUMBERS = ("--rows", "768", "--columns", "1024", "--pixel-pitch-um", "6.9", "--focal-length-mm", "35")
 
 
@@ -48,3 +55,39 @@ def test_the_real_field_calibrates_by_a_data_sheet_alone(boresight, real_sky, tm
     document = json.loads(found.read_text())
     assert document["exposures"] == 5
     assert abs(document["parameters"]["f_m"] - 0.0353) < 2e-5
+
+
+@pytest.mark.skipif(not available(), reason="lost in space is an extra")
+def test_images_alone_make_a_sensor_file_that_calibrates(boresight, folder, night, tmp_path):  # noqa: F811 - a fixture
+    images, out, found = sorted(folder.glob("*.fits")), tmp_path / "sensor.json", tmp_path / "found.json"
+    done = boresight("sensor", "new", "--images", *images, "--processes", "1", "--out", out)
+    assert done.exit_code == 0, done.stderr
+    document = json.loads(out.read_text())
+    assert document["detector"] == {"rows": 480, "columns": 640, "pixel_pitch_m": pytest.approx(5e-6)}
+    assert document["parity"] == night.sensor.parity
+    true_px = night.truth[1] / night.sensor.pixel_pitch_m
+    assert document["initial"]["f_m"] / 5e-6 == pytest.approx(true_px, rel=0.01)
+    done = boresight("calibrate", *images, "--sensor", out, "--processes", "1", "--json", found)
+    assert done.exit_code == 0, done.stderr
+    calibration = json.loads(found.read_text())
+    assert calibration["status"] == "converged"
+    for name, value in calibration["parameters"].items():
+        assert abs(value - document["initial"][name]) < 3 * document["typical_sigma"][name]
+
+
+def test_images_without_stars_and_what_is_no_image_are_refused_in_a_sentence(boresight, tmp_path):
+    rng = np.random.default_rng(1)
+    for k in range(2):
+        fits.writeto(tmp_path / f"{k}.fits", rng.normal(100, 10, (128, 160)).round().astype(np.uint16))
+    out = tmp_path / "sensor.json"
+    for words in (
+        ("--images", tmp_path / "0.fits", tmp_path / "1.fits"),
+        ("--images", tmp_path / "table.csv"),
+        ("--images", tmp_path / "0.raw", "--raw-bits", "12"),
+        ("--images", tmp_path / "0.fits", "--telemetry", tmp_path / "t.csv"),
+    ):
+        (tmp_path / "0.raw").write_bytes(b"12")
+        done = boresight("sensor", "new", *words, "--out", out)
+        assert done.exit_code == 1
+        assert len([line for line in done.stderr.splitlines() if " ..." not in line]) == 1, done.stderr
+        assert not out.exists()

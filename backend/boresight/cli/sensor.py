@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from boresight.cli.extract import extraction_options, take_extraction_choices
+from boresight.cli.input import INPUT_FILE
 from boresight.cli.output import STANDARD_OUTPUT, check_writable, tell, write_json
 from boresight.errors import RefusedInputError
-from boresight.library.text import aligned
+from boresight.images.limits import is_image
+from boresight.library import functions as library
 from boresight.site import SITE_FIELDS
-from boresight.telemetry.data_sheets import ASKED, DATA_SHEETS, LensAndDetector
+from boresight.telemetry.data_sheets import ASKED, DATA_SHEETS
 
 if TYPE_CHECKING:
+    from boresight.library.results import NewSensor
     from boresight.site import Site
-    from boresight.telemetry.new_sensor import Described
     from boresight.telemetry.sensors import Sensor
 
 site_option = click.option(
@@ -82,7 +85,20 @@ def asked_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
+FILE = click.Path(path_type=Path)
+
+
 @sensor.command()
+@click.option(
+    "--images", multiple=True, type=FILE, metavar="IMAGE...", help="Images of the night sky: the stars say the rest."
+)
+@click.argument("further_images", nargs=-1, type=FILE, metavar="")
+@click.option(
+    "--telemetry",
+    type=INPUT_FILE,
+    metavar="FILE",
+    help="Centroids without names instead of images: CSV, JSON Lines, Parquet.",
+)
 @asked_options
 @click.option("--sheet", metavar="NAME", help="A data sheet that tells the rest: " + ", ".join(DATA_SHEETS) + ".")
 @click.option(
@@ -94,40 +110,43 @@ def asked_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--name", default="New sensor", help="What it is called.")
 @site_option
 @click.option("--out", "out_file", required=True, metavar="FILE", help="Sensor file to write; - is standard output.")
-def new(out_file: str, site: str | None, **known: Any) -> None:
-    """Write a whole sensor file from detector, pixel and lens, or from a data sheet's name.
+@extraction_options
+def new(
+    images: tuple[Path, ...],
+    further_images: tuple[Path, ...],
+    telemetry: Path | None,
+    out_file: str,
+    site: str | None,
+    **choices: Any,
+) -> None:
+    """Write a whole sensor file from detector, pixel and lens, from a data sheet's name, or from stars alone.
 
-    Every other number is derived, and printed with its reason. What is missing or makes no sense is told at once.
+    Every other number is derived, and printed with its reason. What is missing or makes no sense is told at once. With --images
+    night/*.fits, or --telemetry, neither a focal length nor a field of view is needed: the star fields are recognised,
+    upright or mirrored, from 2.8 to 108 degrees across, and parity, focal length, centroid noise and faintest magnitude are
+    proposed as measured. A pixel pitch is only the scale of lengths; without one a pixel is taken as 5 micrometres.
     """
-    from boresight.telemetry.new_sensor import describe_sensor
-
     check_writable(out_file)
-    where = None if site is None else read_site(site)
-    described = describe_sensor(LensAndDetector(**known, site=where), "boresight sensor new")
+    extraction = take_extraction_choices(choices)
+    known = {name: value for name, value in choices.items() if value is not None}
+    if site is not None:
+        where = read_site(site)
+        known["site"] = None if where is None else where.document()
     if out_file != STANDARD_OUTPUT and Path(out_file).exists():
         raise RefusedInputError(f"{out_file} exists and is kept: choose another name, or remove it first.")
-    write_json(described.document, out_file)
-    tell("\n".join(_lines(described, out_file)), out_file)
-
-
-def _lines(described: Described, out_file: str) -> Iterator[str]:
-    document = described.document
-    names = document["initial"]
-    yield f"{document['name']}: {document['camera_model']}, {document['detector']['rows']} x {document['detector']['columns']} px"
-    yield ""
-    rows = [
-        (
-            name,
-            f"{names[name]:.6g}",
-            f"{document['typical_sigma'][name]:.3g}",
-            described.reasons[f"typical_sigma.{name}"],
+    pictures = [*images, *further_images]
+    if others := [path.name for path in pictures if not is_image(path)]:
+        raise RefusedInputError(
+            f"{others[0]} is no image: name FITS, PNG, TIFF or raw files, or --telemetry of a table."
         )
-        for name in names
-    ]
-    yield aligned([("parameter", "start", "typical sigma", "why"), *rows], left=(0, 3))
-    yield ""
-    for field, reason in described.reasons.items():
-        if not field.startswith("typical_sigma"):
-            yield f"- {field}: {reason}"
+    made = library.new_sensor(pictures or None, telemetry, extraction=extraction, **known)
+    write_json(made.to_dict(), out_file)
+    tell("\n".join(_lines(made, out_file, pictures, telemetry)), out_file)
+
+
+def _lines(made: NewSensor, out_file: str, images: Sequence[Path], telemetry: Path | None) -> Iterator[str]:
+    yield str(made)
     if out_file != STANDARD_OUTPUT:
-        yield f"\nWrote {out_file}; next: boresight calibrate TELEMETRY --sensor {out_file}"
+        named = "TELEMETRY" if telemetry is None else str(telemetry)
+        named = named if not images else " ".join(str(one) for one in images[:2]) + (" ..." if len(images) > 2 else "")
+        yield f"\nWrote {out_file}; next: boresight calibrate {named} --sensor {out_file}"

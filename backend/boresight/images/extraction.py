@@ -16,9 +16,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -27,11 +28,14 @@ from boresight.arrays import FloatArray, IntArray
 from boresight.errors import Fault, RefusedInputError
 from boresight.images.detection import LOOKED_AT, REASONS, Common, DetectionOptions, Detections, detect, learn
 from boresight.images.limits import LIMITS, ImageLimits, ImageSource
-from boresight.images.reading import Image, read_image
+from boresight.images.reading import Image, read_image, read_size
+from boresight.telemetry.data_sheets import LensAndDetector
 from boresight.telemetry.declarations import ImageFormat
+from boresight.telemetry.new_sensor import complete, describe_sensor
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
 
+T = TypeVar("T")
 #: Told (message, share of the work that is done).
 Report = Callable[[str, float | None], None]
 #: The columns of the images beside the contract's.
@@ -138,25 +142,57 @@ def extract(
     return assemble(found, sensor, common)
 
 
+def sensor_of_images(
+    sources: Sequence[ImageSource],
+    known: LensAndDetector,
+    raw: ImageFormat | None = None,
+    limits: ImageLimits = LIMITS,
+    subject: str = "The new sensor",
+) -> Sensor:
+    """Describe a sensor as large as its images, of which nothing else need be known, so that they can be extracted.
+
+    Raises RefusedInputError when the first image cannot be read, or is raw numbers and nobody says how many rows and columns.
+    """
+    _refuse_set(sources, None, limits)
+    whole = complete(known, subject)
+    if whole.rows is None or whole.columns is None:
+        size = read_size(sources[0].path, sources[0].name, limits)
+        if size is None:
+            raise RefusedInputError(f"{sources[0].name} is raw numbers, which have no shape: give rows and columns.")
+        whole = replace(whole, rows=size[0], columns=size[1])
+    lens = replace(
+        whole,
+        sheet=None,
+        name=f"{sources[0].name} or as given",
+        parity=None,
+        pixel_pitch_um=1.0,
+        focal_length_mm=None,
+        field_of_view_deg=20.0,
+    )
+    found = describe_sensor(lens, subject).sensor
+    return found if raw is None else replace(found, image=raw)
+
+
 def extract_apart(
     sources: Sequence[ImageSource], sensor: Sensor, options: DetectionOptions, *, seconds: float, limits: ImageLimits
 ) -> Extraction:
     """Extract as `extract` does, in a process of its own that ends when the time is over: a server goes on answering meanwhile."""
+    work = partial(extract, sources, sensor, options, limits=limits)
+    return run_apart(work, seconds, f"The extraction of {len(sources):,} images {{}}: send fewer images at once.")
+
+
+def run_apart(work: Callable[[], T], seconds: float, refusal: str) -> T:
+    """Run what can be pickled in a process of its own; `refusal` has a place for what became of it when the time is over."""
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        work = pool.submit(extract, sources, sensor, options, limits=limits)
+        running = pool.submit(work)
         try:
-            return work.result(seconds)
+            return running.result(seconds)
         except (TimeoutError, BrokenProcessPool) as error:
             for process in list(pool._processes.values()):  # noqa: SLF001 - a pool has no way to end what computes
                 process.kill()
-            said = (
-                f"took longer than {seconds:g} s"
-                if isinstance(error, TimeoutError)
-                else "needed more memory than there is"
-            )
-            raise RefusedInputError(
-                f"The extraction of {len(sources):,} images {said}: send fewer images at once."
-            ) from error
+            late = isinstance(error, TimeoutError)
+            said = f"took longer than {seconds:g} s" if late else "needed more memory than there is"
+            raise RefusedInputError(refusal.format(said)) from error
 
 
 def _refuse_set(sources: Sequence[ImageSource], times: Mapping[str, np.datetime64] | None, limits: ImageLimits) -> None:

@@ -106,6 +106,28 @@ def read_image(
         When it cannot be used; names the file.
     """
     name = name or path.name
+    content = _read_bytes(path, name, limits)
+    read = _READERS[_find_form(content, name)]
+    image = read(content, name, sensor, raw or sensor.image, limits)
+    _check_size(image, sensor)
+    return _timed(image, times)
+
+
+def read_size(path: Path, name: str, limits: ImageLimits = LIMITS) -> tuple[int, int] | None:
+    """Return rows and columns of an image; None of raw numbers, which have no shape.
+
+    Raises RefusedInputError when it cannot be read.
+    """
+    content = _read_bytes(path, name, limits)
+    form = _find_form(content, name)
+    if form == "raw":
+        return None
+    rows, columns = (_read_fits if form == "FITS" else _read_picture)(content, name, None, None, limits).dn.shape
+    return rows, columns
+
+
+def _read_bytes(path: Path, name: str, limits: ImageLimits) -> bytes:
+    """Read a file within the budget; refuses an empty one."""
     try:
         size = path.stat().st_size
         if size > limits.file_bytes:
@@ -117,12 +139,7 @@ def read_image(
         raise RefusedInputError(f"{name} cannot be read: {error.strerror}; check the name and its rights.") from error
     if not content:
         raise RefusedInputError(f"{name} is empty: copy it again.")
-    read = {"FITS": _read_fits, "PNG": _read_picture, "TIFF": _read_picture, "raw": _read_raw}[
-        _find_form(content, name)
-    ]
-    image = read(content, name, sensor, raw or sensor.image, limits)
-    _check_size(image, sensor)
-    return _timed(image, times)
+    return content
 
 
 def _find_form(content: bytes, name: str) -> str:
@@ -147,7 +164,11 @@ def _check_size(image: Image, sensor: Sensor) -> None:
     if (rows, columns) == (sensor.rows, sensor.columns):
         return
     turned = (rows, columns) == (sensor.columns, sensor.rows)
-    remedy = "turn rows and columns of the sensor file" if turned else "give the sensor file that belongs to it"
+    remedy = (
+        "turn rows and columns of the sensor file"
+        if turned
+        else "give the sensor file that belongs to it, or images of one camera"
+    )
     raise RefusedInputError(
         f"{image.name} has {rows:,} rows and {columns:,} columns, the detector of {sensor.name} {sensor.rows:,} and "
         f"{sensor.columns:,}: {remedy}."
@@ -161,7 +182,9 @@ def _refuse_pixels(name: str, pixels: int, limits: ImageLimits) -> None:
         )
 
 
-def _read_fits(content: bytes, name: str, _sensor: Sensor, _raw: ImageFormat, limits: ImageLimits) -> Image:
+def _read_fits(
+    content: bytes, name: str, _sensor: Sensor | None, _raw: ImageFormat | None, limits: ImageLimits
+) -> Image:
     """Read the first image of a FITS file."""
     from astropy.io import fits  # noqa: PLC0415 - 0.2 s
 
@@ -261,7 +284,9 @@ def _middle(start: np.datetime64, exposure_s: float | None) -> np.datetime64:
     return start if exposure_s is None else start + np.timedelta64(round(exposure_s / 2.0 * 1e6), "us")
 
 
-def _read_picture(content: bytes, name: str, _sensor: Sensor, _raw: ImageFormat, limits: ImageLimits) -> Image:
+def _read_picture(
+    content: bytes, name: str, _sensor: Sensor | None, _raw: ImageFormat | None, limits: ImageLimits
+) -> Image:
     """Read a PNG or a TIFF."""
     import PIL.Image  # noqa: PLC0415 - 30 ms
 
@@ -348,6 +373,9 @@ def _read_raw(content: bytes, name: str, sensor: Sensor, raw: ImageFormat, limit
             f"(--raw-order {other})."
         )
     return Image(name, dn, hashlib.sha256(content).hexdigest(), np.datetime64("NaT", "us"), "", white_dn=white)
+
+
+_READERS: Final = {"FITS": _read_fits, "PNG": _read_picture, "TIFF": _read_picture, "raw": _read_raw}
 
 
 def _timed(image: Image, times: Mapping[str, np.datetime64] | None) -> Image:

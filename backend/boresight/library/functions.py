@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from boresight.arrays import FloatArray
     from boresight.calibration.exports import ExposureAttitude
     from boresight.calibration.options import Choices
+    from boresight.calibration.telemetry_pieces import TelemetryFile
     from boresight.library.choice import Choice
     from boresight.library.diagnosis import Diagnosis
     from boresight.library.inputs import ParameterSource, ProfileSource, SensorSource, TelemetrySource
@@ -38,10 +39,12 @@ if TYPE_CHECKING:
         Evaluation,
         Extraction,
         Matches,
+        NewSensor,
         Quality,
         Simulation,
     )
     from boresight.sky.catalogue import Catalogue
+    from boresight.telemetry.data_sheets import Known, LensAndDetector
     from boresight.telemetry.imports.mapping import Imported
     from boresight.telemetry.schema import Telemetry
     from boresight.telemetry.sensors import Sensor
@@ -426,6 +429,89 @@ def extract(  # noqa: PLR0913 - each is a choice of its own
         "sentences": found.sentences,
     }
     return Extraction(telemetry=found.telemetry, images=found.images, sentences=found.sentences, document=document)
+
+
+@_on_kernels
+def new_sensor(
+    images: Sequence[str | os.PathLike[str]] | None = None,
+    telemetry: TelemetrySource | None = None,
+    *,
+    extraction: Mapping[str, Any] | None = None,
+    progress: Wanted = None,
+    **known: Unpack[Known],
+) -> NewSensor:
+    """Make a whole sensor file of what a data sheet says, or propose one from stars alone.
+
+    Parameters
+    ----------
+    images, telemetry
+        Images of the night sky, or centroids, whose fields are recognised: neither a focal length nor a field of view is needed,
+        and names count for nothing. One of them at most.
+    extraction
+        The choices of `extract` by name, as `{"threshold": 6.0}`.
+    progress
+        As `calibrate`.
+    known
+        What is known: `rows`, `columns`, `pixel_pitch_um`, `focal_length_mm` or `field_of_view_deg`, `sheet`, `camera_model`,
+        `parity`, `centroid_sigma_px`, `magnitude_limit`, `site`, `name`.
+
+    Returns
+    -------
+    The sensor file with a reason for each number, and of a proposal what was solved.
+
+    Raises
+    ------
+    RefusedInputError
+        When numbers are missing or make no sense, each told, or no star field is recognised, with what was tried and what to do.
+    """
+    from boresight.library.inputs import open_telemetry
+    from boresight.library.results import NewSensor
+    from boresight.telemetry.data_sheets import LensAndDetector
+    from boresight.telemetry.declarations import parse_site
+    from boresight.telemetry.new_sensor import describe_sensor
+    from boresight.telemetry.read.checks import Faults
+
+    faults = Faults("The new sensor")
+    place = parse_site(known.get("site"), faults)
+    faults.refuse()
+    numbers: dict[str, Any] = {name: value for name, value in known.items() if name != "site"}
+    lens = LensAndDetector(**numbers, site=place)
+    if images is not None and telemetry is not None:
+        raise RefusedInputError("A sensor is proposed from images or from telemetry: give one of them.")
+    if images is None and telemetry is None:
+        return NewSensor.of(describe_sensor(lens))
+    with _prepared(progress, "reading the images" if telemetry is None else "reading the telemetry") as prepared:
+        from boresight.calibration.proposal import propose
+
+        sentences: list[str] = []
+        stars: Telemetry | TelemetryFile
+        if telemetry is None:
+            stars, lens, sentences = _extract_for(images or (), lens, extraction or {}, prepared)
+        else:
+            stars = open_telemetry(telemetry, prepared.settings.telemetry_limits)
+        found = propose(
+            stars,
+            prepared.load_catalogue(),
+            lens,
+            of_images=telemetry is None,
+            cache_folder=prepared.settings.catalogue_folder,
+            report=prepared.report,
+        )
+    return NewSensor.of(found.described, found, sentences)
+
+
+def _extract_for(
+    images: Sequence[str | os.PathLike[str]], lens: LensAndDetector, choices: Mapping[str, Any], prepared: _Prepared
+) -> tuple[Telemetry, LensAndDetector, list[str]]:
+    """Extract images of which no sensor file says anything: their telemetry, the camera with their size, what was assumed."""
+    from boresight.images import extraction, reading
+    from boresight.images.limits import ImageSource
+
+    sources = [ImageSource(Path(one), Path(one).name) for one in images]
+    raw = None if choices.get("raw") is None else reading.parse_raw(choices["raw"])
+    sized = extraction.sensor_of_images(sources, lens, raw, prepared.settings.image_limits)
+    found = extract(images, sized, progress=prepared.report, **choices)
+    return found.telemetry, replace(lens, rows=sized.rows, columns=sized.columns), found.sentences
 
 
 @_on_kernels

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from importlib import import_module
 from importlib.util import find_spec
@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     import polars as pl
     import pyarrow as pa
 
+    from boresight.calibration.proposal import Proposal
     from boresight.images.extraction import ExtractedImage
+    from boresight.telemetry.new_sensor import Described
     from boresight.telemetry.schema import Telemetry
     from boresight.telemetry.sensors import Sensor
     from boresight.verdicts.gates import GateAnswer
@@ -268,6 +270,38 @@ class Extraction(Tabular, Summarised):
     def save(self, path: str | Path) -> None:
         """Write the telemetry, as CSV or Parquet by the name's ending."""
         save_telemetry(self.telemetry, Path(path))
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class NewSensor(Summarised):
+    """A sensor file that was made, with a reason for each number.
+
+    `sensor`: to be given to `calibrate`. `document`: the file. `reasons`: a sentence by field. `proposal`: of one that stars
+    proposed, what was solved, as numbers; else None. `sentences`: the same in words, and what was assumed.
+    """
+
+    sensor: Sensor
+    document: dict[str, Any]
+    reasons: dict[str, str]
+    proposal: Proposal | None = None
+    sentences: list[str] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, made: Described, proposal: Proposal | None = None, sentences: Sequence[str] = ()) -> NewSensor:
+        """Give a sensor its face."""
+        said = [*(() if proposal is None else proposal.sentences), *sentences]
+        return cls(sensor=made.sensor, document=made.document, reasons=made.reasons, proposal=proposal, sentences=said)
+
+    def _summarise(self) -> Summary:
+        return text.summarise_new_sensor(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the sensor file."""
+        return self.document
+
+    def save(self, path: str | Path) -> None:
+        """Write the sensor file."""
+        Path(path).write_text(json.dumps(self.document, indent=1) + "\n")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     )
     from boresight.calibration.choice.result import Choice
     from boresight.calibration.diagnosis.result import Diagnosis
-    from boresight.library.results import Assessment, Extraction, Matches, Quality
+    from boresight.library.results import Assessment, Extraction, Matches, NewSensor, Quality
     from boresight.library.results import Evaluation as Comparison
 
 
@@ -242,6 +242,23 @@ def summarise_extraction(found: Extraction) -> Summary:
         [names, [f"{number:,}" for number in numbers]],
         (),
         found.sentences,
+    )
+
+
+def summarise_new_sensor(found: NewSensor) -> Summary:
+    """Where each parameter starts, how far it may be off, and why; then the reasons of the other numbers."""
+    document = found.document
+    rows: list[Sequence[str]] = [("parameter", "start", "typical sigma", "why")]
+    for name, value in document["initial"].items():
+        sigma = document["typical_sigma"][name]
+        rows.append((name, f"{value:.6g}", f"{sigma:.3g}", found.reasons[f"typical_sigma.{name}"]))
+    said = [f"{name}: {why}" for name, why in found.reasons.items() if not name.startswith("typical_sigma")]
+    size = document["detector"]
+    return Summary(
+        f"{document['name']}: {document['camera_model']}, {size['rows']} x {size['columns']} px",
+        rows,
+        (0, 3),
+        [*found.sentences, *said],
     )
 
 

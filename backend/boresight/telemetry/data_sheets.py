@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from typing import Any, TypedDict
 
 from boresight.site import Site
 
@@ -34,18 +36,24 @@ DATA_SHEETS: dict[str, DataSheet] = {
     for sheet in (
         DataSheet("Sinclair ST-16", 1944, 2592, 2.2, 16.0, "rolling", "Enright et al. 2018, Table II"),
         DataSheet("SSTL Altair HB+", 512, 768, 9.0, 25.0, None, _SSTL),
-        DataSheet("SSTL Rigel-L", 1024, 1024, 18.0, 47.7, None, _SSTL),
+        DataSheet(
+            "SSTL Rigel-L", 1024, 1024, 18.0, 47.7, None,
+            f"{_SSTL}; its field there, 22.6 degrees, would be a focal length of 46.1 mm",
+        ),
         DataSheet(
             "FLIR BFS-U3-31S4M", 1536, 2048, 3.45, None, "global",
-            "Teledyne FLIR, Blackfly S BFS-U3-31S4 (Sony IMX265), www.teledynevisionsolutions.com",
+            "Teledyne FLIR, Blackfly S BFS-U3-31S4 (Sony IMX265), softwareservices.flir.com/BFS-U3-31S4/latest/Model/spec.html",
         ),
         DataSheet(
             "FLIR BFS-U3-31S4M, 2x2", 768, 1024, 6.9, None, "global",
-            "the same, binned two by two, as in esa/tetra3's test images (35 mm lens)",
+            "the same, binned two by two, as github.com/esa/tetra3 has it of its test images (their lens is of 35 mm)",
         ),
         DataSheet("Raspberry Pi Camera Module 1", 1944, 2592, 1.4, 3.6, "rolling", _PI),
         DataSheet("Raspberry Pi Camera Module 2", 2464, 3280, 1.12, 3.04, "rolling", _PI),
-        DataSheet("Raspberry Pi Camera Module 3", 2592, 4608, 1.4, 4.74, "rolling", _PI),
+        DataSheet(
+            "Raspberry Pi Camera Module 3", 2592, 4608, 1.4, 4.74, "rolling",
+            f"{_PI}; its field there, 66 by 41 degrees, would be a focal length of 4.85 to 4.97 mm",
+        ),
         DataSheet("Raspberry Pi HQ Camera", 3040, 4056, 1.55, None, "rolling", _PI),
         DataSheet("Raspberry Pi Global Shutter Camera", 1088, 1456, 3.45, None, "global", _PI),
     )
@@ -109,6 +117,23 @@ class LensAndDetector:
         ).metadata,
     )
     site: Site | None = None
+
+
+class Known(TypedDict, total=False):
+    """`LensAndDetector` by name, as a call gives it; `site` as a sensor file has it."""
+
+    name: str
+    sheet: str
+    camera_model: str
+    parity: int
+    rows: int
+    columns: int
+    pixel_pitch_um: float
+    focal_length_mm: float
+    field_of_view_deg: float
+    centroid_sigma_px: float
+    magnitude_limit: float
+    site: Mapping[str, Any]
 
 
 #: Every number that is asked, by name.

@@ -25,7 +25,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -66,6 +66,24 @@ def describe_typed(typed: Mapping[str, str], subject: str = "The new sensor") ->
     Raises RefusedInputError with every fault at once; empty texts are left out, and a comma may stand for the point.
     """
     faults = Faults(subject)
+    found = _read_typed(typed, faults)
+    try:
+        described = describe_sensor(found, subject)
+    except RefusedInputError as refusal:
+        raise refusal if not faults.count else _joined(faults, refusal) from refusal
+    faults.refuse()
+    return described
+
+
+def read_typed(typed: Mapping[str, str], subject: str = "The new sensor") -> LensAndDetector:
+    """Read what was typed into a form as `describe_typed` does, of which nothing need be known."""
+    faults = Faults(subject)
+    found = _read_typed(typed, faults)
+    faults.refuse()
+    return found
+
+
+def _read_typed(typed: Mapping[str, str], faults: Faults) -> LensAndDetector:
     given = {name: text for name, text in typed.items() if text}
     known: dict[str, Any] = {}
     for name, text in given.items():
@@ -76,13 +94,7 @@ def describe_typed(typed: Mapping[str, str], subject: str = "The new sensor") ->
         elif name not in SITE_FIELDS:
             known[name] = text
     site = {name: _plain(given[name]) for name in SITE_FIELDS if name in given}
-    found = LensAndDetector(**known, site=parse_site(site or None, faults))
-    try:
-        described = describe_sensor(found, subject)
-    except RefusedInputError as refusal:
-        raise refusal if not faults.count else _joined(faults, refusal) from refusal
-    faults.refuse()
-    return described
+    return LensAndDetector(**known, site=parse_site(site or None, faults))
 
 
 def _joined(faults: Faults, refusal: RefusedInputError) -> RefusedInputError:
@@ -118,6 +130,22 @@ def _parity(text: str, faults: Faults) -> int | None:
         return -1 if text in {"-1", "−1"} else 1
     faults.add(f"parity is {text!r}: give -1 for an upright image, as on a screen, or 1 for one that is mirrored")
     return None
+
+
+def complete(known: LensAndDetector, subject: str = "The new sensor") -> LensAndDetector:
+    """Return what is known with what its data sheet tells beside it; nothing need be known.
+
+    Raises RefusedInputError with every fault at once: what is out of bounds, and unknown names with what was probably meant.
+    """
+    faults = Faults(subject)
+    sheet = _sheet(known.sheet, faults)
+    at_hand = {name: _given(name, known, sheet) for name in ASKED}
+    for name, value in at_hand.items():
+        _check(name, value, faults)
+    _camera(known.camera_model, faults)
+    faults.refuse()
+    whole = {name: value if value is None or not ASKED[name].whole else round(value) for name, value in at_hand.items()}
+    return replace(known, **whole)  # type: ignore[arg-type]  # each by its own name
 
 
 def describe_sensor(known: LensAndDetector, subject: str = "The new sensor") -> Described:

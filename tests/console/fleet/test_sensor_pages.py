@@ -1,9 +1,11 @@
 """The list of sensors, registering one, and a sensor's page."""
 
 import html
+import io
 import json
 import math
 import re
+import shutil
 from collections.abc import Iterator
 from copy import deepcopy
 from typing import Any
@@ -12,6 +14,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pyarrow import csv as pa_csv
+from sqlalchemy import func, select
 
 from boresight.cameras import CAMERA_MODELS
 from boresight.console import list_queries as lists
@@ -24,6 +28,7 @@ from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import (
     ConflictError,
     ForbiddenError,
@@ -31,10 +36,15 @@ from boresight.errors import (
     RefusedInputError,
     StaleError,
 )
+from boresight.library.results import tabulate
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
+from boresight.platform.audit.tables import AuditRecord
+from boresight.platform.blobs.tables import Blob
 from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing, utc_now
+from boresight.simulation.scenes import calibration_scenario, simulate
+from boresight.sky.identification import available
 from boresight.telemetry.sensors import parse_sensor
 from tests.stores import open_migrated, url_in
 
@@ -73,6 +83,64 @@ def test_every_fault_of_the_numbers_is_told_beside_what_was_typed(site):
     assert page.count('aria-describedby="describe-faults"') >= 3
     assert 'value="many"' in page
     assert '<svg class="plot sketch"' not in page
+
+
+def stars_of(catalogue, name="t.csv"):
+    """A tracker's centroids without names as a file, and the tracker."""
+    scenario = calibration_scenario(1, 8)
+    stars = simulate(scenario, np.random.default_rng(1), catalogue)
+    stream = io.BytesIO()
+    pa_csv.write_csv(tabulate(stars).select(["frame", "exposure", "row_px", "col_px", "magnitude"]), stream)
+    return {"file": (name, stream.getvalue())}, scenario.sensor
+
+
+def counts(site):
+    """Rows of every table that something could be stored in."""
+    with open_reading(site.engine) as session:
+        return [
+            session.scalar(select(func.count()).select_from(table))
+            for table in (Sensor, TelemetrySet, AuditRecord, Blob)
+        ]
+
+
+@pytest.mark.skipif(not available(), reason="lost in space is an extra")
+def test_uploaded_stars_fill_the_form_and_store_nothing(site, catalogue, catalogue_folder):
+    own = site.settings.catalogue_folder
+    shutil.rmtree(own, ignore_errors=True)
+    own.symlink_to(catalogue_folder)  # with the tables that other tests have made
+    files, truth = stars_of(catalogue)
+    visitor, before = site.visitor("ada"), counts(site)
+    form = {
+        "csrf_token": visitor.csrf_token,
+        "rows": "1944",
+        "columns": "2592",
+        "pixel_pitch_um": "2.2",
+        "name": "Found",
+    }
+    answer = visitor.send("POST", "/sensors/propose", data=form, files=files)
+    assert answer.status_code == 200, answer.text
+    typed = dict(re.findall(r'id="new-(\w+)" name="\w+"[^>]*? value="([^"]*)"', answer.text))
+    assert float(typed["focal_length_mm"]) == pytest.approx(1e3 * truth.initial[0], rel=0.01)
+    assert (typed["rows"], typed["columns"], typed["pixel_pitch_um"]) == ("1944", "2592", "2.2")
+    text = html.unescape(re.search(r'<textarea id="document"[^>]*>(.*?)</textarea>', answer.text, re.DOTALL)[1])
+    assert json.loads(text)["parity"] == truth.parity
+    assert counts(site) == before
+    assert list((site.settings.data_folder / "uploads").iterdir()) == []
+    assert visitor.post("/sensors", document=text).status_code == 303
+
+
+def test_stars_that_cannot_be_solved_and_people_who_may_not_register_are_refused(site, catalogue):
+    visitor = site.visitor("ada")
+    form = {"csrf_token": visitor.csrf_token, "rows": "many"}
+    answer = visitor.send("POST", "/sensors/propose", data=form, files=stars_of(catalogue)[0])
+    assert answer.status_code == 422
+    assert 'value="many"' in answer.text
+    assert visitor.send("POST", "/sensors/propose", data=form).status_code in {415, 422}
+    form = {"csrf_token": "another's"}
+    assert visitor.send("POST", "/sensors/propose", data=form, files=stars_of(catalogue)[0]).status_code == 403
+    viewer = site.visitor("victor")
+    form = {"csrf_token": viewer.csrf_token}
+    assert viewer.send("POST", "/sensors/propose", data=form, files=stars_of(catalogue)[0]).status_code == 403
 
 
 def test_a_refused_sensor_keeps_the_text_and_names_every_fault(site, read):

@@ -8,6 +8,7 @@ from fastapi.routing import APIRoute
 
 from boresight.console import pages
 from boresight.console.approvals.pages import gates as gate_report
+from boresight.console.fleet.pages import new_sensor
 from boresight.console.pages import rendering as attempts
 from boresight.console.telemetry import pages as telemetry
 from boresight.console.webhooks import service as webhooks
@@ -53,6 +54,7 @@ FORMS = {  # who sends which form to which page
     "/telemetry/{set_id}/accept-sensor": ("ada", {"version": "1"}),
     "/telemetry/{set_id}/accept-mapping": ("ada", {}),
     "/sensors": ("ada", {"document": "{}"}),
+    "/sensors/propose": ("ada", {}),
     "/campaigns/{campaign_id:int}/cancel": ("ada", {"reason": "x"}),
     "/campaigns/{campaign_id:int}/launch-failed": ("ada", {}),
     "/approvals/{approval_id:int}/open": ("alan", {"evidence": "trust"}),
@@ -119,13 +121,19 @@ def test_a_full_disk_is_503_with_retry_after_by_every_form(request, site, monkey
         raise StorageError(full("the database"))
         yield
 
+    if route == "/sensors/propose":  # it stores nothing, and an upload that cannot be kept is all that may fail
+
+        def on_a_full_folder(*_: object) -> None:
+            raise StorageError(full("the folder of uploads"))
+
+        monkeypatch.setattr(new_sensor, "_solve", on_a_full_folder)
     visitor = site.visitor(name)
     monkeypatch.setattr(attempts, "_transaction", on_a_full_disk)
     path = route.replace("{step}", "acknowledge").replace("{kind}", "runs")
     path = "/".join("1" if part.startswith("{") else part for part in path.split("/"))
     given = {"headers": {"Accept": "text/html"}}
     data = {"csrf_token": visitor.csrf_token, **form}
-    if route == "/telemetry":
+    if route in {"/telemetry", "/sensors/propose"}:
         given["files"] = {"file": ("pass.csv", b"frame\n1\n")}
     answer = visitor.send("POST", path, data=data, **given)
     assert (answer.status_code, answer.headers.get("retry-after")) == (503, "30"), answer.text[-1500:]

@@ -166,7 +166,7 @@ def _silent(message: str, share: float | None) -> None:
 
 
 @dataclass(frozen=True)
-class _Image:
+class Consensus:
     """How the images of a sample are: mirrored or not, true focal length over the file's, and how many exposures say so."""
 
     mirrored: bool
@@ -174,16 +174,16 @@ class _Image:
     exposures: int
 
 
-def find_consensus(recognised: Sequence[Recognised | None]) -> _Image | None:
-    """Return what most of the recognised exposures agree on; None where fewer than `FEWEST` do."""
+def find_consensus(recognised: Sequence[Recognised | None], fewest: int = FEWEST) -> Consensus | None:
+    """Return what most of the recognised exposures agree on; None where fewer than so many do."""
     known = [one for one in recognised if one is not None]
-    best: _Image | None = None
+    best: Consensus | None = None
     for mirrored in (False, True):
         ratios = np.sort([one.focal_ratio for one in known if one.mirrored == mirrored])
         for ratio in ratios:
             alike = ratios[(ratios >= ratio) & (ratios <= ratio * (1 + SAME_RATIO))]
-            if len(alike) >= FEWEST and (best is None or len(alike) > best.exposures):
-                best = _Image(mirrored, float(np.median(alike)), len(alike))
+            if len(alike) >= fewest and (best is None or len(alike) > best.exposures):
+                best = Consensus(mirrored, float(np.median(alike)), len(alike))
     return best
 
 

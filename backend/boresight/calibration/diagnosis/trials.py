@@ -178,16 +178,16 @@ class Bench:
     def try_(self, hypothesis: Hypothesis) -> Trial:
         """Match the sample under a hypothesis."""
         telemetry, sensor = self.read(hypothesis)
-        matches = self._match(telemetry, sensor, self._recognised(telemetry, sensor))
+        matches = self.match(telemetry, sensor, self._recognised(telemetry, sensor))
         scale = self.settings.initial_sigma_scale
         return Trial(hypothesis, sensor, telemetry, matches, fit_camera(telemetry, sensor, matches, scale))
 
     def match_as_given(self) -> BoolArray:
         """Which exposures match (n_exposures,) as the files stand, from what they give."""
         telemetry, sensor = self.read(Hypothesis())
-        return self._match(telemetry, sensor, []).valid
+        return self.match(telemetry, sensor, []).valid
 
-    def _match(self, telemetry: Telemetry, sensor: Sensor, recognised: Sequence[Recognised | None]) -> Matches:
+    def match(self, telemetry: Telemetry, sensor: Sensor, recognised: Sequence[Recognised | None]) -> Matches:
         """Match from what the file gives, and from what was recognised if sensor file and sky agree on it."""
         identified = np.full((len(self.exposures), 4), np.nan)
         for k, one in enumerate(recognised):

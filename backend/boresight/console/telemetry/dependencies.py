@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import hmac
 import io
 import tempfile
 from collections.abc import AsyncIterator, Iterator, Mapping
@@ -17,13 +18,13 @@ from starlette.datastructures import UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import Request
 
-from boresight.console.access.dependencies import ServerSettings
+from boresight.console.access.dependencies import CSRF_FIELD, ServerSettings
 from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import FORM_CONTENT
 from boresight.console.telemetry import profiles
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.disks import storage_error
-from boresight.errors import RefusedInputError
+from boresight.errors import ForbiddenError, RefusedInputError
 from boresight.images.limits import ImageSource, is_image
 from boresight.platform.db.sessions import Engine, Session, open_reading
 from boresight.platform.jobs.forecasts import ForecastSources
@@ -191,6 +192,13 @@ def hold_upload(
     ) as prepared:
         forecast_sources.blobs.send_ahead(prepared.original, prepared.table)
         yield prepared
+
+
+def require_meant(request: Request, upload: Upload) -> None:
+    """Refuse a form without this log-in's CSRF token, which is checked here because the streamed body is read only once."""
+    given, expected = upload.fields.get(CSRF_FIELD, ""), getattr(request.state, CSRF_FIELD, None)
+    if expected is not None and not hmac.compare_digest(given.encode(), expected.encode()):
+        raise ForbiddenError("This form is of another log-in; reload the page and choose the file again.")
 
 
 Uploaded = Annotated[Upload, Depends(uploaded, scope="function")]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import hmac
 import io
 import json
 from collections.abc import Callable, Iterator, Mapping
@@ -19,7 +18,6 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.calibration.diagnosis.result import Diagnosis
 from boresight.console.access.dependencies import (
-    CSRF_FIELD,
     KNOWN,
     Blobs,
     Database,
@@ -59,11 +57,11 @@ from boresight.console.pages.tables import (
 from boresight.console.runs import queries as run_queries
 from boresight.console.runs.pages.list import RunNames, make_run_line, read_names
 from boresight.console.telemetry import service as telemetry_sets
-from boresight.console.telemetry.dependencies import Upload, Uploaded, hold_upload
+from boresight.console.telemetry.dependencies import Upload, Uploaded, hold_upload, require_meant
 from boresight.console.telemetry.profiles import archive_profile, list_offers, list_profiles, save_profile
 from boresight.console.telemetry.service import PURPOSES, PreparedUpload
 from boresight.console.telemetry.tables import ImportProfile, TelemetrySet, find_diagnosis, find_quality
-from boresight.errors import BoresightError, ForbiddenError, NotFoundError, RefusedInputError
+from boresight.errors import BoresightError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.blobs.tables import Blob
@@ -202,7 +200,7 @@ async def upload(
     engine: Database,
 ) -> Response:
     """Check and store the file, then show its quality report."""
-    _require_meant(request, upload)
+    require_meant(request, upload)
     prepared = _prepared(actor, upload, settings, forecast_sources, engine)
     if upload.fields.get("preview"):
         shown = await _previewed(upload, prepared)
@@ -227,13 +225,6 @@ async def _previewed(upload: Upload, checking: AbstractContextManager[PreparedUp
             return replace(_refused(upload, None), preview=prepared.imported.to_preview())
     except BoresightError as error:
         return _refused(upload, RefusalContext.of(error))
-
-
-def _require_meant(request: Request, upload: Upload) -> None:
-    """Refuse a form without this log-in's CSRF token, which is checked here because the streamed body is read only once."""
-    given, expected = upload.fields.get(CSRF_FIELD, ""), getattr(request.state, CSRF_FIELD, None)
-    if expected is not None and not hmac.compare_digest(given.encode(), expected.encode()):
-        raise ForbiddenError("This form is of another log-in; reload the page and choose the file again.")
 
 
 async def _attempt(

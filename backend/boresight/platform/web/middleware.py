@@ -63,7 +63,7 @@ ALONE = "four-eyes-off-"  # prefix of file names
 FILE_NAME = re.compile(r"""(filename\*?=(?:"|utf-8''|))""")
 USABLE_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 BODY_LIMIT_BYTES = 1_000_000  # for JSON, plain forms, and the other parts of a multipart form
-UPLOADED = ("/telemetry-sets", "/telemetry")  # paths that take a file
+UPLOADED = ("/telemetry-sets", "/telemetry", "/sensors/propose")  # paths that take a file
 
 HeaderPairs = tuple[tuple[bytes, bytes], ...]
 Observe = Callable[[Scope, int, float], None]

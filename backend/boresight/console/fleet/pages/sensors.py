@@ -226,16 +226,22 @@ def propose(request: Request) -> Proposal:
 
 @dataclass(frozen=True)
 class SensorsContext:
-    """The state of the form: its text and its refusal."""
+    """The state of the form: its text and its refusal; what fills it where the address does not, and what is said of that.
+
+    `of_stars`: whether the refusal is of uploaded stars.
+    """
 
     text: str = ""
     refusal: RefusalContext | None = None
+    proposal: Proposal | None = None
+    sentences: tuple[str, ...] = ()
+    of_stars: bool = False
 
 
 @router.get("/sensors", response_class=HTMLResponse)
 def sensors_page(request: Request, roles: Roles, example: str = "") -> HTMLResponse:
     """Show a page of sensors and the form, filled with the example when asked."""
-    return _page(request, roles, SensorsContext(EXAMPLE if example else propose(request).text))
+    return show_sensors(request, roles, SensorsContext(EXAMPLE if example else propose(request).text))
 
 
 @router.get("/sensors.csv", dependencies=[KNOWN])
@@ -293,7 +299,8 @@ def _csv_row(tile: SensorTile) -> Beside:
     )
 
 
-def _page(request: Request, roles: frozenset[str], shown: SensorsContext) -> HTMLResponse:
+def show_sensors(request: Request, roles: frozenset[str], shown: SensorsContext) -> HTMLResponse:
+    """Render a page of sensors and the form."""
     view = read_view(request, SENSORS)
     with open_reading(get_server(request).engine) as session:
         chosen = _standing(session, view)
@@ -313,7 +320,8 @@ def _page(request: Request, roles: frozenset[str], shown: SensorsContext) -> HTM
             fields=FIELDS,
             focal_length_m=compute_focal_length,
             models=_models(),
-            proposal=propose(request),
+            proposal=shown.proposal or propose(request),
+            limit_mb=get_server(request).settings.upload_limit_mb,
             asked=ASKED,
             sheets=DATA_SHEETS,
             site_fields=SITE_FIELDS,
@@ -331,13 +339,15 @@ async def register(request: Request, actor: Who) -> Response:
     try:
         text = await typed_document(await request.form())
     except RefusedInputError as error:
-        return await run_in_threadpool(_page, request, actor.roles, SensorsContext(refusal=RefusalContext.of(error)))
+        return await run_in_threadpool(
+            show_sensors, request, actor.roles, SensorsContext(refusal=RefusalContext.of(error))
+        )
     outcome = await attempt(request, partial(_register, actor, text))
     if outcome.value is not None:
         sensor = outcome.value
         flash = f"{sensor.name} is registered; its ground calibration PS-{sensor.name}-0 is the baseline."
         return redirect(f"/sensors/{sensor.id}", flash=flash)
-    return await run_in_threadpool(_page, request, actor.roles, SensorsContext(text, outcome.refusal))
+    return await run_in_threadpool(show_sensors, request, actor.roles, SensorsContext(text, outcome.refusal))
 
 
 def _register(actor: Actor, text: str, session: Session) -> Sensor:
