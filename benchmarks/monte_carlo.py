@@ -63,7 +63,6 @@ from boresight.estimation.statistics.consistency import chi_square, nees
 from boresight.estimation.statistics.observability import further_covariance
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import WU_TRUTH, st16_sensor, st16_truth
-from boresight.sky import identification
 from boresight.sky.catalogue import Catalogue, load_catalogue
 from boresight.telemetry.sensors import Sensor
 
@@ -267,8 +266,6 @@ def matching(*, frames: int, sensors: Sequence[int]) -> None:
     table = make_table(title, "start", "sensor", "recovered", "wrong", "frames solved", "promise kept")
     with tempfile.TemporaryDirectory() as folder:
         for begin, promised in PROMISED.items():
-            if begin == "nothing" and not identification.available():
-                continue
             counts = {
                 str(number): matched(number, begin, frames, catalogue, Path(folder))
                 for number in tracked(sensors, begin)

@@ -239,7 +239,9 @@ def read_settings(environment: Mapping[str, str] | None = None) -> Settings:
         try:
             values[setting.name] = setting.read(text)
         except ValueError as error:
-            raise RefusedInputError(f"{setting.variable}={text!r} cannot be read: {setting.sentence}") from error
+            raise RefusedInputError(
+                f"{setting.variable}={text!r} cannot be read: correct it, or leave it out. {setting.sentence}"
+            ) from error
     folder = Path(str(values["data_folder"])) if values["data_folder"] else default_data_folder(environment)
     values["data_folder"] = folder.expanduser().resolve()
     values["database_url"] = values["database_url"] or f"sqlite:///{values['data_folder']}/boresight.sqlite3"

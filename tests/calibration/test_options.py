@@ -52,7 +52,7 @@ def test_every_setting_survives_its_document(chosen):
         ({"metod": "batch"}, "Setting 'metod' is unknown"),
         ({"linearisations": 0}, "give a whole number from 1 to 100"),
         ({"process_noise_sigma": float("nan")}, "give a number from 0 to 10"),
-        ({"free": "f_m"}, "must be a list"),
+        ({"free": "f_m"}, "is no list of parameter names"),
         ({"minimum_stars": 3}, "from 4 to 1000"),
         ({"minimum_stars": True}, "from 4 to 1000"),
         ({"method": "svd", "star_model": 5}, "give a whole number from 1 to 4"),

@@ -108,7 +108,7 @@ def test_rows_that_have_no_direction_are_matched_with_nothing(scenario, telemetr
 
 
 def test_a_truth_whose_distortion_turns_back_on_the_detector_is_refused():
-    with pytest.raises(RefusedInputError, match="turns back short of a corner"):
+    with pytest.raises(RefusedInputError, match="turns back before a corner"):
         parse_scenario({"sensor": SENSOR, "truth": TRUTH | {"k1": -10.0}})
 
 

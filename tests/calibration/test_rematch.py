@@ -90,7 +90,6 @@ def test_a_frame_without_anything_is_found_from_its_neighbours(catalogue, number
 
 
 def test_with_neither_names_nor_attitudes_the_sky_is_recognised(catalogue, patterns):
-    pytest.importorskip("tetra3rs", reason="the lost-in-space extra is not installed")
     score = Score()
     for number in effort((1, 4), SENSORS):
         field = sky(catalogue, number, 40)

@@ -93,7 +93,9 @@ def test_a_model_that_does_not_fit_is_said_before_drift_and_stars(catalogue):
     judged = simulated(catalogue, seed=1, free=("f_m",)).report
     trust = to_plain(judged.trust)
     advice = advise(trust, judged.causes)
-    assert trust["unavailable"] == {"drop_one": "Only one parameter is free, so there is no other to fit without it."}
+    assert trust["unavailable"] == {
+        "drop_one": "Only one parameter is free, so there is no other to fit without it: free more."
+    }
     assert not trust["residual_against"]["radius"]["even"]
     assert judged.causes[0].name in {"radial", "lens", "tangential"}
     assert judged.causes[0].sentence in advice[0]

@@ -20,8 +20,7 @@ from boresight.errors import BoresightError, Fault, RefusedInputError
 from boresight.library.progress import progress
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.db.sessions import current_revision, head_revision, open_engine, open_writing
-from boresight.sky import identification
-from tests.cli.conftest import accepted, assert_refused, read_rows, write_rows
+from tests.cli.conftest import accepted, assert_refused, read_rows
 from tests.library.test_import import HEAVY, loaded_by
 from tests.stores import open_migrated, url_in
 
@@ -328,35 +327,6 @@ def test_a_place_that_cannot_hold_what_is_written_is_refused_in_one_line(
     assert not {"-", "out.txt", "out.csv", "log.csv", "all.json", "package.json"} & {
         path.name for path in tmp_path.iterdir()
     }
-
-
-@pytest.fixture
-def nameless(simulated, tmp_path):
-    rows = read_rows(simulated / "calibration.csv")
-    kept = [name for name in rows[0] if name != "star_id" and not name.startswith("q_")]
-    path = tmp_path / "nameless.csv"
-    return write_rows(path, [row for row in rows if int(row["frame"]) < 10], kept)
-
-
-def test_where_the_extra_is_missing_and_needed_every_command_says_how_to_install_it(
-    boresight, simulated, nameless, tmp_path, monkeypatch
-):
-    monkeypatch.setattr(identification.importlib.util, "find_spec", lambda _: None)
-    how = "pip install tetra3rs"
-    sensor = ("--sensor", simulated / "sensor.json")
-    calibrated = boresight("calibrate", nameless, *sensor, "--json", tmp_path / "result.json")
-    matched = boresight("match", nameless, *sensor, "--out", tmp_path / "out.csv")
-    evaluated = boresight("evaluate", nameless, *sensor, "--parameters", simulated / "truth.json")
-    assert_refused(calibrated, how)
-    assert how in json.loads((tmp_path / "result.json").read_text())["advice"][0]
-    assert how in matched.stdout
-    assert how in evaluated.stdout
-
-
-def test_nobody_is_told_to_install_what_is_not_needed(boresight, simulated, monkeypatch):
-    monkeypatch.setattr(identification.importlib.util, "find_spec", lambda _: None)
-    done = accepted(boresight("calibrate", simulated / "calibration.csv", "--sensor", simulated / "sensor.json"))
-    assert "pip install" not in done.stdout + done.stderr
 
 
 @pytest.mark.parametrize("member", ["schema", "status", "parameters", "sensor"])

@@ -14,7 +14,6 @@ from boresight.errors import RefusedInputError
 from boresight.images.detection import DetectionOptions
 from boresight.images.extraction import IMAGE_COLUMNS, extract
 from boresight.images.limits import ImageLimits, ImageSource
-from boresight.sky.identification import available
 from boresight.telemetry.read.readers import read_telemetry
 from tests.cli.conftest import accepted, assert_refused, boresight, data_folder  # noqa: F401 - fixtures
 from tests.images.files import write_fits
@@ -75,7 +74,6 @@ def test_images_without_a_time_keep_their_order_and_say_so(folder, hard_images, 
     assert any("--times" in sentence for sentence in found.sentences)
 
 
-@pytest.mark.skipif(not available(), reason="lost in space is an extra")
 def test_one_command_leads_from_a_hard_night_to_a_calibration(boresight, folder, images, night, tmp_path):  # noqa: F811 - a fixture
     out = tmp_path / "c.json"
     done = boresight("calibrate", *images, "--sensor", folder / "camera.json", "--processes", 1, "--json", out)
@@ -90,7 +88,6 @@ def test_one_command_leads_from_a_hard_night_to_a_calibration(boresight, folder,
     assert found["chi2_per_dof"] < 1.3
 
 
-@pytest.mark.skipif(not available(), reason="lost in space is an extra")
 def test_match_takes_images(boresight, folder, images, tmp_path):  # noqa: F811 - a fixture
     out, pictures = tmp_path / "matched.csv", tmp_path / "pictures"
     words = ("--sensor", folder / "camera.json", "--processes", 1, "--out", out, "--pictures", pictures)

@@ -1,5 +1,7 @@
 """The library over a data folder of its own, and a small simulated set."""
 
+import csv
+import io
 import threading
 
 import pytest
@@ -65,3 +67,16 @@ def computing(house):
     yield
     over.set()
     thread.join()
+
+
+@pytest.fixture
+def exchanged(house, tmp_path):
+    """A file of the house's telemetry without names and attitudes, its rows and columns exchanged."""
+    rows = csv.DictReader(io.StringIO(house.telemetry_csv.decode()))
+    kept = [name for name in rows.fieldnames if name != "star_id" and not name.startswith("q_")]
+    path = tmp_path / "exchanged.csv"
+    with path.open("w", newline="") as file:
+        table = csv.DictWriter(file, kept, extrasaction="ignore")
+        table.writeheader()
+        table.writerows(row | {"row_px": row["col_px"], "col_px": row["row_px"]} for row in rows)
+    return path

@@ -73,6 +73,25 @@ def test_a_camera_is_chosen_for_a_run_or_for_telemetry(client, house, tmp_path):
     assert asyncio.run(choose()) == (chosen, chosen)
 
 
+def test_a_set_is_diagnosed_with_or_without_async_and_keeps_the_answer(client, house, exchanged):
+    sensor = client.sensor(house.sensor_file())
+    found = client.diagnose(exchanged, sensor)
+    assert isinstance(found, bs.Diagnosis)
+    assert found.names == ("swapped_axes",)
+    stored = client.upload(exchanged, sensor)
+    assert stored.quality["diagnosis"] == found.to_dict()
+    with pytest.raises(bs.RefusedInputError):
+        client.diagnose(stored, sensor)
+    with pytest.raises(bs.RefusedInputError):
+        client.diagnose(exchanged)
+
+    async def diagnose():
+        async with bs.AsyncClient(house.address, client._key) as other:
+            return await other.diagnose(stored.id)
+
+    assert asyncio.run(diagnose()) == found
+
+
 def test_a_result_goes_to_approval_and_is_exported_once_people_signed(client, house):
     run = house.finished()
     candidate = client.make_parameter_set(run)

@@ -48,6 +48,19 @@ def test_a_camera_is_chosen_on_a_server(run, files):
     assert bs.read_sensor(sensor).free == tuple(made_choice().chosen.free)
 
 
+def test_a_set_is_diagnosed_on_a_server_and_the_files_are_mended_here(run, files, exchanged):
+    out, right, told = files / "mended.json", files / "right.csv", files / "diagnosis.json"
+    exchanged.replace(files / "telemetry.csv")
+    words = ("diagnose", files / "telemetry.csv", "--sensor", files / "sensor.json")
+    done = run(*words, "--json", told, "--out", out, "--out-telemetry", right)
+    assert done.exit_code == 0, done.stderr
+    document = json.loads(told.read_text())
+    assert document["causes"][0]["name"] == "swapped_axes"
+    assert document["sentence"] in done.stdout
+    again = run("diagnose", right, "--sensor", bs.read_sensor(out).name, "--json", "-")
+    assert json.loads(again.stdout)["causes"][0]["name"] == "none"
+
+
 def test_a_report_and_a_package_come_from_the_server(run, files, house):
     done = run("report", house.finished(), "--out", files / "run.html")
     assert done.exit_code == 0, done.stderr

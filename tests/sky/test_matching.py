@@ -15,7 +15,6 @@ from benchmarks.stars import star_frames
 from boresight.calibration.matching.rematch import ground_covariance, rematch
 from boresight.calibration.options import CalibrationSettings
 from boresight.cameras import CAMERA_MODELS
-from boresight.errors import RefusedInputError
 from boresight.estimation.attitude import conjugate, product, rotation_vector, to_matrix, wahba
 from boresight.estimation.blocks import computing_on
 from boresight.kernels import matching as loops
@@ -263,8 +262,6 @@ def test_blocks_and_threads_change_no_bit_of_the_matches(matched, monkeypatch, t
     assert (whole.star_id > 0).mean() > 0.9
 
 
-pytest.importorskip("tetra3rs", reason="the lost-in-space extra is not installed")
-
 MOST_OFF_RAD = np.radians(0.2)
 TOWARDS_ORION = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
@@ -380,13 +377,6 @@ def test_threads_that_ask_at_once_share_one_table(tmp_path, monkeypatch):
     for thread in threads:
         thread.join()
     assert made == [1]
-
-
-def test_without_the_extra_one_sentence_says_how_to_install_it(monkeypatch):
-    monkeypatch.setattr(identification.importlib.util, "find_spec", lambda _: None)
-    assert not identification.available()
-    with pytest.raises(RefusedInputError, match="pip install tetra3rs"):
-        identify(random_field(5, 8), None, 1, 20.0, None)
 
 
 RAD_PER_MAS = np.pi / 180 / 3.6e6

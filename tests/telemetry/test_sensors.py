@@ -114,7 +114,7 @@ ROLLING_READOUT = {"mode": "rolling", "line_time_s": 3.6e-5}
         ("declared", ["apparent"], "declared is ['apparent']: write an object"),
         ("declared", {"directions": "J2000"}, "declared.directions is 'J2000': write apparent or j2000"),
         ("declared", {"refraction": None}, "declared.refraction is None"),
-        ("declared", {"velocity": "given"}, "declared.velocity is not a field: it has satellite_velocity"),
+        ("declared", {"velocity": "given"}, "declared.velocity is not a field"),
         ("readouts", ROLLING_READOUT, "readouts is not a field: write readout"),
     ],
 )

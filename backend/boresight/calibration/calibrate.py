@@ -28,7 +28,7 @@ from boresight.calibration.corrections import Corrections
 from boresight.calibration.estimate import Estimate, Parameters, never
 from boresight.calibration.evaluation.pixel_residuals import FreeCovariance
 from boresight.calibration.evaluation.result_evaluation import evaluate_result, validate, with_advice
-from boresight.calibration.matching.match_report import CyclesEnd, Estimation, identification_advice
+from boresight.calibration.matching.match_report import CyclesEnd, Estimation
 from boresight.calibration.matching.matched import Dataset, Matched
 from boresight.calibration.matching.verification import advise
 from boresight.calibration.minima import LowerMinimum, describe_minima, minima_advice
@@ -329,8 +329,7 @@ def _calibrated(
         nothing = result.nothing_estimated(first.problem, parameters, settings, sha256s)
         if sets.is_given:
             nothing = _with_removed(nothing, sets, first)
-        advice = [*identification_advice(first.unidentified), *nothing.advice]
-        return replace(nothing, advice=advice), None, None
+        return nothing, None, None
     reporter = ProgressReporter(first.problem, parameters, settings, sha256s, context.report, sets.prepared)
     estimation = Estimation(sets, first, parameters, settings, reporter, context.cancelled)
     ended = estimation.run()
@@ -424,8 +423,7 @@ def _judge(
     found = with_advice(replace(found, minima=minima), *minima_advice(minima))
     found = evaluate_result(found, judged.sets, judged.first, ended.judged_by(judged.last), parameters, settings)
     found = replace(found, noise=corrections.noise or last.noise, assumptions=last.assumptions(found.trust))
-    found = _say_what_was_judged(found, judged.last.problem)
-    return with_advice(found, *identification_advice(ended.matched.unidentified))
+    return _say_what_was_judged(found, judged.last.problem)
 
 
 def _say_what_was_judged(found: Calibration, judged: Problem) -> Calibration:

@@ -138,7 +138,7 @@ class Option:
             return
         if self.kind == "names":
             raise RefusedInputError(
-                f"Setting {self.name!r} must be a list of at least one parameter name, or left out."
+                f"Setting {self.name!r} is no list of parameter names: give one of at least one name, or leave it out."
             )
         give = {
             "word": f"choose from {self.range}",

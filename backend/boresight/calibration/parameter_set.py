@@ -52,5 +52,7 @@ def parse_parameter_set(document: Mapping[str, Any]) -> ParameterSetDocument:
     return parse_part(
         ParameterSetDocument,
         document,
-        lambda fault: RefusedInputError(f"A parameter set's document is damaged: {fault}."),
+        lambda fault: RefusedInputError(
+            f"A parameter set's document is damaged ({fault}): restore the store from a backup."
+        ),
     )

@@ -185,7 +185,7 @@ def require_in(document: Mapping[str, Any], name: str) -> ResidualSplineFit:
     spline = find_in(document)
     if spline is None:
         raise RefusedInputError(
-            f"{name} has no residual spline beyond its noise: convert it without --residual, or give the calibration that "
+            f"{name} has no residual spline beyond its noise: leave out --residual, or give the calibration that "
             "`boresight calibrate --json` wrote."
         )
     return spline

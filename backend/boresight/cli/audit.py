@@ -151,7 +151,7 @@ def _refuse_absent(taken: BackupSummary, left_out: str, missing: str) -> None:
         if ones
     ]
     if parts:
-        raise CorruptFileError(f"{'; '.join(parts)}.")
+        raise CorruptFileError(f"{'; '.join(parts)}: bring them back from an older backup.")
 
 
 @click.command()
@@ -193,6 +193,6 @@ def restore(file: Path) -> None:
     _refuse_absent(taken, "were left out when the backup was taken", "were missing when the backup was taken")
     if not found.ok:
         raise ConflictError(
-            f"All that is in the backup was restored, but not all is as it was written: {found.sentence}"
+            f"All that is in the backup was restored, but not all is as it was written: {found.sentence} Use another backup."
         )
     click.echo(found.sentence)

@@ -14,6 +14,7 @@ from boresight.cli.output import (
     refuse_standard_output,
     write_json,
 )
+from boresight.cli.remote import first_message, open_client, server_option
 from boresight.errors import RefusedInputError
 from boresight.library import functions as library
 from boresight.library.progress import progress
@@ -30,15 +31,23 @@ from boresight.library.progress import progress
     metavar="FILE",
     help="Write the telemetry as it is to be read: .csv or .parquet.",
 )
+@server_option
 @json_option
 def diagnose(
-    telemetry: Path, sensor_file: Path, out_file: str | None, telemetry_out: Path | None, json_file: str | None
+    telemetry: Path,
+    sensor_file: Path,
+    out_file: str | None,
+    telemetry_out: Path | None,
+    server_url: str | None,
+    json_file: str | None,
 ) -> None:
     """Find why TELEMETRY does not match its sensor file.
 
     Tries parity, exchanged and flipped axes, pixel origin, focal length, kind of directions, order and sense of quaternions, time,
     epoch and magnitude limit, and verifies what it finds by matching with it. Prints the cause in a sentence and what was tried.
     The exit code is 0 whatever the cause is; with --out or --out-telemetry it is 1 where nothing can be mended.
+
+    With --server the telemetry is uploaded and diagnosed there; --sensor may be the name of a sensor of that server.
     """
     check_one_stream(out_file, json_file)
     for place in (out_file, json_file):
@@ -50,8 +59,12 @@ def diagnose(
             raise RefusedInputError(f"{telemetry_out.name} says no format: end the name with .csv or .parquet.")
         check_writable(telemetry_out, "CSV" if telemetry_out.suffix.lower() == ".csv" else "Parquet")
         _check_kept(telemetry_out, telemetry, "the telemetry itself")
-    with progress("reading the telemetry") as report:
-        found = library.diagnose(telemetry, sensor_file, progress=report)
+    with progress(first_message(server_url)) as report:
+        if server_url is None:
+            found = library.diagnose(telemetry, sensor_file, progress=report)
+        else:
+            with open_client(server_url) as server:
+                found = server.diagnose(telemetry, str(sensor_file), progress=report)
         write_json(found.to_dict(), json_file)
         if out_file is not None:
             write_json(found.mended_sensor(), out_file)

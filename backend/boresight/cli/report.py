@@ -66,7 +66,7 @@ def _check_out(out_file: str) -> None:
             "print it to PDF there, it is laid out for paper."
         )
     if ending not in {"", ".html", ".htm"}:
-        raise RefusedInputError(f"{Path(out_file).name}: a report is HTML, so end the name with .html.")
+        raise RefusedInputError(f"{Path(out_file).name}: a report is HTML; end the name with .html.")
     check_writable(out_file, "HTML")
 
 
@@ -82,7 +82,9 @@ def _read(source: str) -> Calibration:
             f"{source} is no JSON ({error}): give the file that `calibrate --json` wrote."
         ) from error
     except OSError as error:
-        raise RefusedInputError(f"{source} cannot be read: {error.strerror}.") from error
+        raise RefusedInputError(
+            f"{source} cannot be read ({error.strerror}): check the name and its rights."
+        ) from error
     return parse_calibration(document, Path(source).name)
 
 

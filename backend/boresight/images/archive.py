@@ -105,13 +105,13 @@ def draw_image(path: Path, sensor: Sensor, frame: int, limits: ImageLimits, fold
     """
     with zipfile.ZipFile(path) as archive:
         if TELEMETRY not in archive.namelist():
-            raise NotFoundError("This set holds no images of its frames.")
+            raise NotFoundError("This set holds no images of its frames; choose one that was extracted from images.")
         table = folder / TELEMETRY
         table.write_bytes(archive.read(TELEMETRY))
         telemetry = read_telemetry(table)
         rows = np.flatnonzero(telemetry.frame == frame)
         if not len(rows):
-            raise NotFoundError(f"There is no image of frame {frame}.")
+            raise NotFoundError(f"There is no image of frame {frame}; choose a frame of this set.")
         name = str(telemetry.unknown["image"][int(rows[0])].as_py())
         place = folder / "image"
         with archive.open(name) as packed, place.open("wb") as file:

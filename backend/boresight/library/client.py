@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 
     from boresight.calibration.options import Choices
     from boresight.library.choice import Choice
+    from boresight.library.diagnosis import Diagnosis
     from boresight.library.inputs import SensorSource, TelemetrySource
     from boresight.library.results import Calibration
 
@@ -52,8 +53,8 @@ ATTEMPTS, FIRST_PAUSE_S, LONGEST_PAUSE_S = 5, 0.2, 10.0
 #: A server, or what stands before it, cannot answer now.
 NOT_NOW = (429, 502, 503, 504)
 TIMEOUT = httpx.Timeout(60.0, connect=10.0)
-#: A file is answered when the server has read and checked it, which of a large one takes minutes.
-FILE_TIMEOUT = httpx.Timeout(60.0, connect=10.0, read=900.0)
+#: A file is answered when the server has read and checked it, a diagnosis when it has searched, which may take minutes.
+SLOW_TIMEOUT = httpx.Timeout(60.0, connect=10.0, read=900.0)
 #: What ends a request without an answer that can be read.
 NO_ANSWER = (httpx.TransportError, httpx.DecodingError)
 Silence = httpx.TransportError | httpx.DecodingError
@@ -84,10 +85,10 @@ class _Connection:
         if request.file is not None:
             name, content = request.file
             stream = opened.enter_context(content.open("rb")) if isinstance(content, Path) else content
-            arguments |= {"data": dict(request.form or {}), "files": {"file": (name, stream)}, "timeout": FILE_TIMEOUT}
+            arguments |= {"data": dict(request.form or {}), "files": {"file": (name, stream)}}
         elif request.method == "POST":
             arguments["json"] = request.body
-        return arguments
+        return arguments | ({"timeout": SLOW_TIMEOUT} if request.slow else {})
 
     def _judge(self, response: httpx.Response) -> ServerAnswer:
         """Return an answer, or raise the exception of a refusal."""
@@ -307,6 +308,20 @@ class Client(_Connection):
         with reporting(progress, "asking the server") as report:
             return self._run(remote.choose(telemetry, sensor, validate, label, report, settings))
 
+    def diagnose(
+        self,
+        telemetry: TelemetrySource | TelemetrySet | int,
+        sensor: SensorSource | ServerSensor | int | None = None,
+        *,
+        progress: Wanted = None,
+    ) -> Diagnosis:
+        """Find why a set of the server, or telemetry that is uploaded, does not match its sensor; as `boresight.diagnose`.
+
+        The set keeps the answer in its quality report.
+        """
+        with reporting(progress, "asking the server") as report:
+            return self._run(remote.diagnose(telemetry, sensor, report))
+
     def _run(self, operation: Operation[T]) -> T:
         """Do what an operation asks until it has its answer."""
         try:
@@ -500,6 +515,20 @@ class AsyncClient(_Connection):
         """
         with reporting(progress, "asking the server") as report:
             return await self._run(remote.choose(telemetry, sensor, validate, label, report, settings))
+
+    async def diagnose(
+        self,
+        telemetry: TelemetrySource | TelemetrySet | int,
+        sensor: SensorSource | ServerSensor | int | None = None,
+        *,
+        progress: Wanted = None,
+    ) -> Diagnosis:
+        """Find why a set of the server, or telemetry that is uploaded, does not match its sensor; as `boresight.diagnose`.
+
+        The set keeps the answer in its quality report.
+        """
+        with reporting(progress, "asking the server") as report:
+            return await self._run(remote.diagnose(telemetry, sensor, report))
 
     async def _run(self, operation: Operation[T]) -> T:
         """Do what an operation asks until it has its answer."""

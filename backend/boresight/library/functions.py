@@ -775,11 +775,13 @@ def _read_scenario(path: Path) -> Any:
     try:
         return orjson.loads(path.read_bytes())
     except FileNotFoundError as error:
-        raise RefusedInputError(f"{path} is neither a file nor a built-in scenario ({', '.join(BUILT_IN)}).") from error
+        raise RefusedInputError(
+            f"{path} is neither a file nor a built-in scenario: choose from {', '.join(BUILT_IN)}."
+        ) from error
     except orjson.JSONDecodeError as error:
-        raise RefusedInputError(f"{path} is no JSON: {error}.") from error
+        raise RefusedInputError(f"{path} is no JSON ({error}): give a scenario as one JSON object.") from error
     except OSError as error:
-        raise RefusedInputError(f"{path} cannot be read: {error.strerror}.") from error
+        raise RefusedInputError(f"{path} cannot be read ({error.strerror}): check the name and its rights.") from error
 
 
 @_on_kernels

@@ -87,7 +87,7 @@ def read_any_profile(source: ProfileSource) -> Profile:
         return BUILT_IN[source]
     if not Path(source).exists():
         raise RefusedInputError(
-            f"{source} is neither a built-in profile nor a file: the built-in ones are {', '.join(BUILT_IN)}."
+            f"{source} is neither a file nor a built-in profile: choose from {', '.join(BUILT_IN)}."
         )
     return read_profile(Path(source))
 

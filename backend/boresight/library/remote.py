@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     import plotly.graph_objects as go
 
     from boresight.library.choice import Choice
+    from boresight.library.diagnosis import Diagnosis
     from boresight.library.inputs import SensorSource, TelemetrySource
     from boresight.library.progress import Report
     from boresight.library.results import Calibration
@@ -69,7 +70,7 @@ class RunFailedError(BoresightError):
 
 @dataclass(frozen=True, kw_only=True)
 class Request:
-    """One request; `key` makes a repeated POST the same POST. `file`: name and content of an upload."""
+    """One request; `key` makes a repeated POST the same POST. `file`: name and content of an upload. `slow`: may take minutes."""
 
     method: Literal["GET", "POST"]
     path: str
@@ -79,6 +80,7 @@ class Request:
     file: tuple[str, Path | bytes] | None = None
     headers: Mapping[str, str] = field(default_factory=dict)
     key: str | None = None
+    slow: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -319,7 +321,9 @@ def find_sensor(sensor: SensorSource | ServerSensor | int, *, register: bool = T
             if one.name == sensor:
                 return one
         names = ", ".join([one.name for one in known[:NAMES_SHOWN]] + ["..."] * (len(known) > NAMES_SHOWN)) or "none"
-        raise errors.NotFoundError(f"The server has no sensor {sensor}, and there is no such file: it has {names}.")
+        raise errors.NotFoundError(
+            f"The server has no sensor {sensor}, and there is no such file: choose from {names}."
+        )
     described = read_sensor(sensor)
     from boresight.telemetry.sensors import parse_sensor, sensor_document
 
@@ -349,6 +353,7 @@ def upload(
         form={"sensor_id": str(found.id), "purpose": purpose},
         file=_file_of(telemetry),
         key=uuid.uuid4().hex,
+        slow=True,
     )
     return parse_record(TelemetrySet, answer.document())
 
@@ -448,7 +453,7 @@ def fetch(run: Run | int) -> Operation[Calibration]:
     answer = yield _get(f"/runs/{_id(run)}/result")
     document = answer.document()
     if document.get("status") == "none":
-        raise errors.NotFoundError(f"Run {_id(run)} ended without a calibration.")
+        raise errors.NotFoundError(f"Run {_id(run)} ended without a calibration: launch it again.")
     return Calibration.of(parse_calibration(document, f"The result of run {_id(run)}"))
 
 
@@ -482,6 +487,23 @@ def choose(
     return (yield from fetch_choice(run))
 
 
+def diagnose(
+    telemetry: TelemetrySource | TelemetrySet | int, sensor: SensorSource | ServerSensor | int | None, report: Report
+) -> Operation[Diagnosis]:
+    """Find why a telemetry set does not match its sensor; what is not there is uploaded first."""
+    from boresight.calibration.diagnosis.result import parse_diagnosis
+    from boresight.library.diagnosis import Diagnosis
+
+    if not isinstance(telemetry, TelemetrySet | int):
+        telemetry = yield from _uploaded(telemetry, sensor, report)
+    elif sensor is not None:
+        raise RefusedInputError("A telemetry set has its sensor: give the set alone.")
+    report("looking for what does not match", None)
+    answer = yield replace(_post(f"/telemetry-sets/{_id(telemetry)}:diagnose"), slow=True)
+    found = parse_record(TelemetrySet, answer.document())
+    return Diagnosis.of(parse_diagnosis(member(found.quality, "diagnosis", dict)))
+
+
 def calibrate(
     telemetry: TelemetrySource | TelemetrySet | int,
     sensor: SensorSource | ServerSensor | int | None,
@@ -506,11 +528,7 @@ def launch_files(
 ) -> Operation[Run]:
     """Upload what is not there, and launch."""
     if not isinstance(telemetry, TelemetrySet | int):
-        if sensor is None:
-            raise RefusedInputError("Telemetry is uploaded for a sensor: name it, or give its file.")
-        sensor = yield from find_sensor(sensor)
-        report("uploading the telemetry", None)
-        telemetry = yield from upload(telemetry, sensor, "calibration")
+        telemetry = yield from _uploaded(telemetry, sensor, report)
     if validate is not None and not isinstance(validate, TelemetrySet | int):
         report("uploading the validation set", None)
         owner = telemetry.sensor_id if isinstance(telemetry, TelemetrySet) else sensor
@@ -518,6 +536,17 @@ def launch_files(
             raise RefusedInputError("A validation set is uploaded for a sensor: name it, or give its file.")
         validate = yield from upload(validate, owner, "validation")
     return (yield from launch(telemetry, validate, label, settings))
+
+
+def _uploaded(
+    telemetry: TelemetrySource, sensor: SensorSource | ServerSensor | int | None, report: Report
+) -> Operation[TelemetrySet]:
+    """Store telemetry to calibrate from, with its sensor."""
+    if sensor is None:
+        raise RefusedInputError("Telemetry is uploaded for a sensor: name it, or give its file.")
+    known = yield from find_sensor(sensor)
+    report("uploading the telemetry", None)
+    return (yield from upload(telemetry, known, "calibration"))
 
 
 def cancel(run: Run | int, reason: str) -> Operation[Run]:
@@ -564,7 +593,7 @@ def read_parameter_set(parameter_set: ParameterSet | int | str) -> Operation[Par
         for row in rows:
             if row["name"] == parameter_set:
                 return parse_record(ParameterSet, row)
-        raise errors.NotFoundError(f"The server has no parameter set {parameter_set}.")
+        raise errors.NotFoundError(f"The server has no parameter set {parameter_set}: check the name.")
     answer = yield _get(f"/parameter-sets/{_id(parameter_set)}")
     return parse_record(ParameterSet, answer.document())
 

@@ -69,7 +69,9 @@ def require_role(actor: Actor, *roles: str) -> None:
     """Refuse an actor without any of these roles."""
     if not actor.roles.intersection(roles):
         held = ", ".join(sorted(actor.roles)) or "no role"
-        raise ForbiddenError(f"This needs the role {' or '.join(roles)}; {actor.printed_name} has {held}.")
+        raise ForbiddenError(
+            f"This needs the role {' or '.join(roles)}; {actor.printed_name} has {held}: ask somebody who has it."
+        )
 
 
 def require_scope(actor: Actor, scope: str) -> None:
@@ -81,14 +83,14 @@ def require_scope(actor: Actor, scope: str) -> None:
 def require_person(actor: Actor, what: str) -> int:
     """Return the person's row; refuse keys, the command line and the system."""
     if actor.user_id is None or actor.credential != "session":
-        raise ForbiddenError(f"Only a person who is logged in may {what}, not {actor.credential}.")
+        raise ForbiddenError(f"Only a person who is logged in may {what}, not {actor.credential}; log in to do it.")
     return actor.user_id
 
 
 def refuse_key(actor: Actor, what: str) -> None:
     """Refuse keys: people and keys are managed by people, or on the command line, whatever scopes a key has."""
     if actor.is_key:
-        raise ForbiddenError(f"An API key may not {what}; a person who is logged in must.")
+        raise ForbiddenError(f"An API key may not {what}; have a person who is logged in do it.")
 
 
 def require_user(actor: Actor, what: str) -> int:

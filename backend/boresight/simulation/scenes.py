@@ -277,7 +277,8 @@ def _parse_truth(truth: Any, base: Scenario) -> FloatArray:
         is not None
     ):
         raise RefusedInputError(
-            "A scenario's `truth` must give all of the detector a direction; its distortion turns back short of a corner."
+            "A scenario's `truth` must give all of the detector a direction: correct its distortion, which turns back before "
+            "a corner."
         )
     return x
 

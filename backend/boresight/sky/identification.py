@@ -35,7 +35,6 @@ last attitude would not do; where the turn is not constant the answer is wrong, 
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import tempfile
 import threading
@@ -49,7 +48,6 @@ from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray, IntArray
 from boresight.cameras import CameraModel
-from boresight.errors import RefusedInputError
 from boresight.estimation.attitude import (
     conjugate,
     product,
@@ -59,10 +57,6 @@ from boresight.estimation.attitude import (
     vector_to_quaternion,
 )
 
-HOW_TO_INSTALL = (
-    "Frames of which no star is named and no attitude is known need the package tetra3rs, which every install brings and this one "
-    "has lost: pip install tetra3rs==0.14.0."
-)
 #: Four stars make a pattern.
 FEWEST_STARS = 4
 #: Detections of an exposure that are looked at, the brightest: more cost seconds and tell nothing more.
@@ -87,11 +81,6 @@ MOST_TRIED = 200_000
 FIELDS_DEG = (0.1, 175.0)
 _FIELD_STEP_DEG = 0.5
 _making = threading.Lock()
-
-
-def available() -> bool:
-    """Whether the solver is installed; every install brings it, but an installation may have lost it."""
-    return importlib.util.find_spec("tetra3rs") is not None
 
 
 def field_of_view_deg(camera: CameraModel, x: FloatArray, rows: int, columns: int, pitch: float) -> float:
@@ -127,14 +116,7 @@ def identify(
     Returns
     -------
     (4,) quaternion x y z w, ICRS to the right-handed detector triad, good to some 0.1 deg; None when the field is not recognised.
-
-    Raises
-    ------
-    RefusedInputError
-        When the solver is not installed; says how to install it.
     """
-    if not available():
-        raise RefusedInputError(HOW_TO_INSTALL)
     pixels = _pixels(triad(s_d, parity), magnitude, field_deg)
     if len(pixels) < FEWEST_STARS:
         return None

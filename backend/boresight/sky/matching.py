@@ -149,9 +149,8 @@ EXPOSURE_REASONS = (
     "nothing to start from: too few given matches, and no quaternion, neighbour or lost-in-space answer that fits",
     "too few stars agree with the catalogue",
     "no time, so that no catalogue star has a direction",
-    "nothing to start from but lost-in-space identification, which is not installed: pip install tetra3rs==0.14.0",
 )
-NOTHING_TO_START_FROM, NO_TIME, NOT_INSTALLED = 1, 3, 4
+NO_TIME = EXPOSURE_REASONS.index("no time, so that no catalogue star has a direction")
 LEFT_OUT = ROW_REASONS.index("left out as a double or for its unreliable astrometry")
 OFF_DETECTOR = ROW_REASONS.index("its centroid is off the detector")
 OTHER_EXPOSURE, QUATERNION, NEIGHBOUR, LOST = (

@@ -180,7 +180,7 @@ def _sheet(name: str | None, faults: Faults) -> DataSheet | None:
         return DATA_SHEETS[exact or within[0]]
     meant = difflib.get_close_matches(name.casefold(), folded, 1, 0.4)
     guesses = within or [folded[one] for one in meant]
-    hint = f"did you mean {' or '.join(guesses)}?" if guesses else f"there are {', '.join(DATA_SHEETS)}"
+    hint = f"did you mean {' or '.join(guesses)}?" if guesses else f"choose from {', '.join(DATA_SHEETS)}"
     faults.add(f"there is no data sheet {name!r}: {hint}")
     return None
 
@@ -198,8 +198,8 @@ def _check(name: str, value: Any, faults: Faults) -> None:
     if value is None:
         return
     if isinstance(value, bool) or not isinstance(value, int | float) or not asked.lowest <= value <= asked.highest:
-        hint = ": check its unit" if isinstance(value, int | float) else ""
-        faults.add(f"{name} is {value!r}, expected {asked.lowest:g} to {asked.highest:g} {asked.unit}{hint}")
+        hint = "check its unit" if isinstance(value, int | float) else "give a number"
+        faults.add(f"{name} is {value!r}, expected {asked.lowest:g} to {asked.highest:g} {asked.unit}: {hint}")
     elif asked.whole and value != round(value):
         faults.add(f"{name} is {value:g}: give a whole number of pixels")
 

@@ -110,7 +110,7 @@ def read_sensor(path: Path) -> Sensor:
         document = read_json(path, path.name)
     except json.JSONDecodeError as error:
         raise RefusedInputError(
-            f"{path.name}: row {error.lineno}: this is not JSON: a sensor file is one JSON object."
+            f"{path.name}: row {error.lineno}: this is not JSON: write the sensor file as one JSON object."
         ) from error
     if not isinstance(document, dict):
         raise RefusedInputError(f"{path.name} is not a sensor file: write one JSON object with a name and a detector.")
@@ -288,7 +288,7 @@ def _parameters(
     values = in_metres(_mapping(document, key, faults), model.parameter_names, pitch)
     for name in values:
         if name not in model.parameter_names:
-            faults.add(f"{key}.{name} is no parameter of {model.name}: it has {', '.join(model.parameter_names)}")
+            faults.add(f"{key}.{name} is no parameter of {model.name}: choose from {', '.join(model.parameter_names)}")
     pairs = zip(model.parameter_names, limits, strict=True)
     return np.array([_number(values.get(name), f"{key}.{name}", limit, faults) for name, limit in pairs])
 

@@ -30,7 +30,7 @@ class Entries:
         for key in self.document:
             if key not in known:
                 meant = difflib.get_close_matches(str(key), known, 1, 0.6)
-                hint = f"write {meant[0]}" if meant else f"it can have {', '.join(known)}"
+                hint = f"write {meant[0]}" if meant else f"choose from {', '.join(known)}"
                 faults.add(f"{self._at(str(key))} is no entry of a table definition: {hint}")
 
     def _at(self, key: str) -> str:

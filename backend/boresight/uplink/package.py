@@ -85,8 +85,8 @@ def _tables(definition: TableDefinition | None, sensor: Sensor, subject: Mapping
     try:
         files = table_files(definition, parameters, name)
         rounding = _quantisation(definition, sensor, parameters)
-    except RefusedInputError as error:
-        raise RefusedInputError(f"{name} does not fit into the table {definition.table_id}: {error}") from error
+    except RefusedInputError as refusal:
+        raise RefusedInputError(f"{name} does not fit into the table {definition.table_id}: {refusal}") from refusal
     return _Tables(files | {"quantisation.json": json_bytes(rounding)}, table_facts(definition, files), rounding)
 
 

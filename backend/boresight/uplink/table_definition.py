@@ -133,14 +133,14 @@ def read_definition(path: Path, sensor: Sensor) -> TableDefinition:
     try:
         document = read_json(path, path.name)
     except json.JSONDecodeError as error:
-        raise RefusedInputError(f"{path.name} is not JSON: a table definition is one JSON object.") from error
+        raise RefusedInputError(f"{path.name} is not JSON: write the table definition as one JSON object.") from error
     return parse_definition(document, sensor)
 
 
 def parse_definition(document: Mapping[str, Any], sensor: Sensor) -> TableDefinition:
     """Read a sensor's table definition."""
     if not isinstance(document, Mapping):
-        raise RefusedInputError("A table definition is one JSON object with a table_id and fields.")
+        raise RefusedInputError("This is no table definition: write one JSON object with a table_id and fields.")
     faults = Faults("The table definition")
     entries = Entries(document, "", KEYS, faults)
     if document.get("schema", SCHEMA) != SCHEMA:
@@ -199,7 +199,7 @@ def _field(document: Any, place: str, little: bool, sensor: Sensor, faults: Faul
         _check_constant(field, place, faults)
     if field.floating and field.bit % 8:
         faults.add(
-            f"{place} is a {kind} that begins inside a byte: ground systems read floats from a whole byte on only"
+            f"{place} is a {kind} that begins inside a byte, where no ground system reads floats: begin it at a whole byte"
         )
     if field.little and (field.bit % 8 or field.bits not in WHOLE):
         faults.add(f"{place} is little-endian, which needs 8, 16, 32 or 64 bits from a whole byte: give byte_order big")
@@ -209,8 +209,8 @@ def _field(document: Any, place: str, little: bool, sensor: Sensor, faults: Faul
 def _check_constant(field: Field, place: str, faults: Faults) -> None:
     try:
         field.pack(field.constant or 0)
-    except RefusedInputError as error:
-        faults.add(f"{place}: {error}")
+    except RefusedInputError as refusal:
+        faults.add(f"{place}: {refusal}")
 
 
 def _crc(
@@ -243,7 +243,10 @@ def _check_layout(definition: TableDefinition, sensor: Sensor, faults: Faults) -
             faults.add(f"{after.name} begins at bit {after.bit}, inside {before.name}: move one of them")
     for field in placed:
         if field.end > 8 * definition.length_bytes:
-            faults.add(f"{field.name} ends at bit {field.end}, past the {definition.length_bytes} bytes of the table")
+            faults.add(
+                f"{field.name} ends at bit {field.end}, past the {definition.length_bytes} bytes of the table: "
+                "move it, or correct length_bytes"
+            )
     names = [field.name.upper() for field in placed]  # ground systems know no other letters
     for name in sorted({name for name in names if names.count(name) > 1}):
         faults.add(f"{name} is the name of {names.count(name)} fields: name each once")
@@ -251,8 +254,8 @@ def _check_layout(definition: TableDefinition, sensor: Sensor, faults: Faults) -
     for parameter in CAMERA_MODELS[sensor.camera_model].parameter_names:
         if held.count(parameter) != 1:
             faults.add(
-                f"the parameter {parameter} lies in {held.count(parameter)} fields, expected one: "
-                f"the table must hold a whole {sensor.camera_model} camera"
+                f"the parameter {parameter} lies in {held.count(parameter)} fields: "
+                f"give each parameter of {sensor.camera_model} one field"
             )
 
 

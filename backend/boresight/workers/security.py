@@ -183,8 +183,7 @@ def make_security(settings: Settings) -> Security | None:
     for variable, path in files.items():
         if not path or not Path(path).is_file():
             raise RefusedInputError(
-                f"{variable}={path!r} is no file: TLS links need an authority and a certificate, as "
-                "`boresight certificates` makes them."
+                f"{variable}={path!r} is no file: make authority and certificate with `boresight certificates`."
             )
     if settings.scheduler and not settings.scheduler.startswith(PROTOCOL):
         raise RefusedInputError(
@@ -202,7 +201,7 @@ def _refuse_unusable(settings: Settings) -> None:
         load_pem_x509_certificates(Path(settings.tls_authority).read_bytes())
     except (OSError, ValueError) as error:
         raise RefusedInputError(
-            f"BORESIGHT_TLS_AUTHORITY={settings.tls_authority!r} holds no certificate (PEM) that can be read."
+            f"BORESIGHT_TLS_AUTHORITY={settings.tls_authority!r} holds no certificate (PEM) that can be read: {MAKE_NEW}."
         ) from error
     path = Path(settings.tls_certificate)
     try:
@@ -210,7 +209,9 @@ def _refuse_unusable(settings: Settings) -> None:
         certificate = load_pem_x509_certificates(pem)[0]
         load_pem_private_key(pem, password=None)
     except (OSError, TypeError, ValueError) as error:
-        raise RefusedInputError(f"{given} does not hold a certificate and its key (PEM, no pass phrase).") from error
+        raise RefusedInputError(
+            f"{given} does not hold a certificate and its key (PEM, no pass phrase): {MAKE_NEW}."
+        ) from error
     if path.stat().st_mode & ANYBODY_READS:
         raise RefusedInputError(
             f"{given} can be read by every user of this machine, and its key lets them run programs here: chmod 600 it."

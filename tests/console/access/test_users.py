@@ -62,7 +62,7 @@ def _create(session: Session, actor: Actor, **changes: object) -> User:
         ({"printed_name": "Ana\ud800"}, RefusedInputError, "U\\+D800"),
         ({"printed_name": "Ana\u0378"}, RefusedInputError, "U\\+0378"),
         ({"printed_name": "x" * 101}, RefusedInputError, "shorten it to 100"),
-        ({"roles": ["wizard"]}, RefusedInputError, "no role wizard; the roles are viewer"),
+        ({"roles": ["wizard"]}, RefusedInputError, "no role wizard"),
         ({"roles": ["administrator", "approver"]}, RefusedInputError, "administrator cannot sign"),
         ({"roles": "viewer"}, RefusedInputError, "no role viewer"),
     ],
@@ -229,7 +229,7 @@ def test_a_keys_secret_is_shown_once_and_works(site):
 
 def test_a_refused_key_says_why_and_a_revoked_one_stays_in_the_list_as_revoked(site, read):
     visitor = site.visitor("ada")
-    for form, sentence in (({"label": " "}, "needs a label"), ({"label": "x", "days": "soon"}, "not a number of days")):
+    for form, sentence in (({"label": " "}, "has no label"), ({"label": "x", "days": "soon"}, "not a number of days")):
         answer = visitor.post("/users/keys", **form)
         assert (answer.status_code, sentence in read(answer.text)) == (422, True)
     visitor.post("/users/keys", label="old one")
@@ -323,9 +323,9 @@ def test_a_key_makes_no_key(session, key):
 @pytest.mark.parametrize(
     ("choices", "says"),
     [
-        ({"label": "x", "scopes": ["everything"]}, "no scope everything; the scopes are"),
-        ({"label": "  "}, "needs a label"),
-        ({"label": "x", "expires_days": 0}, "lasts 1 to 3650 days"),
+        ({"label": "x", "scopes": ["everything"]}, "no scope everything"),
+        ({"label": "  "}, "has no label"),
+        ({"label": "x", "expires_days": 0}, "does not last 0 days"),
     ],
 )
 def test_a_key_that_cannot_be_is_refused(session, people, choices, says):

@@ -170,7 +170,7 @@ def test_a_wrong_password_signs_nothing(engine, people, submit_request):
 @pytest.mark.parametrize(
     ("decision", "changes", "error", "says"),
     [
-        ("PERHAPS", {}, RefusedInputError, "APPROVE or REFUSE, not 'PERHAPS'"),
+        ("PERHAPS", {}, RefusedInputError, "no decision 'PERHAPS'"),
         ("APPROVE", {"meaning": " "}, RefusedInputError, "what your signature means"),
         ("REFUSE", {"comment": " "}, RefusedInputError, "why you refuse"),
         ("APPROVE", {"seen_version": None}, PreconditionRequiredError, "If-Match"),

@@ -109,7 +109,7 @@ def test_a_page_that_does_not_exist_says_what_to_do_inside_the_frame(site, read)
     assert "Ada Analyst" in answer.text
     answer = site.visitor("ada").send("GET", "/sensors/99", headers={"accept": "text/html"})
     assert answer.status_code == 404
-    assert "There is no sensor 99." in read(answer.text)
+    assert "There is no sensor 99" in read(answer.text)
 
 
 def test_nobody_is_sent_to_the_log_in_and_back(site):

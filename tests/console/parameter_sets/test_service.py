@@ -56,7 +56,7 @@ def test_a_document_is_read_whoever_wrote_it_and_a_damaged_one_is_refused_by_mem
             assert getattr(found, name) == document[name]
     old = parse_parameter_set({"camera_model": "inverted_wang", "parameters": made["parameters"]})
     assert (old.sigma, old.alignment, old.residual_spline) == (None, None, None)
-    with pytest.raises(RefusedInputError, match=r"document is damaged: parameters\.f_m"):
+    with pytest.raises(RefusedInputError, match=r"document is damaged \(parameters\.f_m"):
         parse_parameter_set(made | {"parameters": {"f_m": "long"}})
 
 
@@ -81,7 +81,7 @@ def test_the_same_run_makes_one_set_and_numbers_follow_one_another(engine, peopl
 @pytest.mark.parametrize(
     ("made", "error", "says"),
     [
-        ({"state": "FAILED"}, ConflictError, r"is FAILED; a parameter set is made of a run that SUCCEEDED"),
+        ({"state": "FAILED"}, ConflictError, r"is FAILED"),
         ({"state": "RUNNING"}, ConflictError, r"is RUNNING"),
         (
             {"status": "diverged", "advice": ["Use more stars."]},
@@ -307,9 +307,21 @@ def test_a_set_and_a_run_are_downloaded_as_another_program_s_file_or_refused_abo
         assert "-opencv.yaml" in answer.headers["content-disposition"]
         for query in ({"to": "fits-sip"}, {"to": "none"}, {"to": "cedar", "allow_px": "0"}):
             assert victor.send("GET", f"{address}/camera-file", params=query).status_code == 422
+
+
+def test_a_run_s_page_downloads_a_camera_or_says_above_its_own_content_why_it_cannot(site):
+    victor = site.visitor("victor")
     page = victor.get("/runs/1")
-    assert "/api/v1/runs/1/camera-file?to=giant-owen" in page
+    assert "/runs/1/camera-file?to=giant-owen" in page
     assert "camera-file?to=fits-sip" not in page
+    written = victor.send("GET", "/runs/1/camera-file", params={"to": "opencv"})
+    assert written.status_code == 200
+    assert written.content == victor.send("GET", "/api/v1/runs/1/camera-file", params={"to": "opencv"}).content
+    for refused in ("cedar", "fits-sip", "none"):
+        answer = victor.send("GET", "/runs/1/camera-file", params={"to": refused})
+        assert (answer.status_code, answer.headers["location"].split("?")[0]) == (303, "/runs/1")
+        detail = victor.send("GET", "/api/v1/runs/1/camera-file", params={"to": refused}).json()["detail"]
+        assert detail in unescape(victor.get(answer.headers["location"]))
 
 
 @pytest.mark.parametrize("model", sorted(CAMERA_MODELS))

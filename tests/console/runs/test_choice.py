@@ -57,7 +57,7 @@ def test_a_choice_is_queued_with_the_data_of_its_run_and_is_the_same_when_asked_
 def test_a_choice_that_failed_is_made_anew(site, state):
     first = ask(site, 1)
     answer(site, first, None, state, reason="The disk is full.")
-    with open_reading(site.engine) as session, pytest.raises(ConflictError, match=f"ended {state}: The disk is full"):
+    with open_reading(site.engine) as session, pytest.raises(ConflictError, match=rf"ended {state} \(The disk is full"):
         choices.get_choice(session, site.blobs, 1)
     assert ask(site, 1) > first
 

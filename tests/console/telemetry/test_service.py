@@ -203,5 +203,5 @@ def test_a_quality_report_is_read_as_it_was_written_and_one_that_says_less_as_fa
     assert {"verdict", "findings", "stars_per_exposure", "detector_coverage", "radial_coverage"} <= said.keys()
     assert said == {name: quality[name] for name in said}
     assert parse_quality({}) == QualityReport()
-    with pytest.raises(RefusedInputError, match=r"report is damaged: temperature_c\.largest"):
+    with pytest.raises(RefusedInputError, match=r"report is damaged \(temperature_c\.largest"):
         parse_quality({"temperature_c": {"smallest": 1.0}})

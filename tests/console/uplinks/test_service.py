@@ -67,8 +67,13 @@ def test_active_is_never_reached_but_from_verified(states):
 @pytest.mark.parametrize(
     ("state", "source", "error", "says"),
     [
-        ("LOADED", "x", ConflictError, "PS-ST16-1-0 is NOT SENT on board; next can be SENT, not LOADED"),
-        ("FLYING", "x", RefusedInputError, "no on-board state 'FLYING'; the states are NOT SENT, SENT"),
+        (
+            "LOADED",
+            "x",
+            ConflictError,
+            "PS-ST16-1-0 is NOT SENT on board, from which LOADED does not follow; record SENT",
+        ),
+        ("FLYING", "x", RefusedInputError, "no on-board state 'FLYING'"),
         ("SENT", "  ", RefusedInputError, "Say where this is known from"),
     ],
 )

@@ -41,7 +41,7 @@ from boresight.calibration.choice.search import Between, bic, find_least, fit_la
 from boresight.calibration.corrections import put_right
 from boresight.calibration.estimate import Parameters, never
 from boresight.calibration.evaluation import bootstrap
-from boresight.calibration.matching.match_report import Estimation, identification_advice
+from boresight.calibration.matching.match_report import Estimation
 from boresight.calibration.matching.matched import Dataset, Matched
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.telemetry_pieces import JUDGED_STARS, StoredTable, TelemetryFile, is_large
@@ -62,11 +62,10 @@ NO_FIT = (
 
 @dataclass(frozen=True)
 class _Stars:
-    """A matched set: its arcs, not whitened, under which camera it was matched (None: as given), and what to say of it."""
+    """A matched set: its arcs, not whitened, and under which camera it was matched (None: as given)."""
 
     arcs: ArcSet
     matched_with: str | None
-    advice: tuple[str, ...]
 
 
 def choose(  # noqa: PLR0913 - what is chosen from, and six choices of the caller by name
@@ -144,7 +143,7 @@ def choose(  # noqa: PLR0913 - what is chosen from, and six choices of the calle
         frames=fits.arcs.n_frames,
         stars=fits.arcs.n_stars,
         arcs=fits.arcs.n_arcs,
-        advice=[*advice, *stars.advice],
+        advice=list(advice),
     )
     answer = replace(answer, sufficiency=_judge(answer))
     tell("done", 1.0)
@@ -263,8 +262,7 @@ def _common_stars(
     if stars.matched_with not in {None, richest.camera.name}:
         under = _matched_under(telemetry, fits, richest, catalogue, settings, context)
         if under.problem.arcs.n_exposures:
-            advice = tuple(identification_advice(under.unidentified))
-            stars = _Stars(under.problem.arcs.whole(), richest.camera.name, advice)
+            stars = _Stars(under.problem.arcs.whole(), richest.camera.name)
     fits, richest = _fitted(stars.arcs, richest.camera, richest.x, sensor, context)
     return fits, stars, richest
 
@@ -291,22 +289,15 @@ def _matched(
     everything = Parameters(np.arange(len(sensor.initial), dtype=np.int64), sensor.typical_sigma)
     sets = Dataset(telemetry, sensor, catalogue, everything, chosen, context.cache_folder)
     first = sets.at_start()
-    unidentified = tuple(identification_advice(first.unidentified))
     if first.problem.arcs.n_exposures == 0:
         raise RefusedInputError(
-            "No exposure has four stars that can be used: "
-            + (
-                unidentified[0]
-                if unidentified
-                else "check identities, times and the sensor file with `boresight check`."
-            )
+            "No exposure has four stars that can be used: check identities, times and the sensor file with `boresight check`."
         )
     ended = Estimation(sets, first, everything, chosen, lambda *_: None, context.cancelled).run()
     last = first if ended.estimate.status == "diverged" else ended.matched
     return _Stars(
         last.problem.arcs.whole(),
         None if sets.is_given else sensor.camera_model,
-        tuple(identification_advice(last.unidentified)),
     )
 
 

@@ -43,7 +43,6 @@ from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import Role
 from boresight.estimation.attitude import conjugate, rotation_vector, to_matrix, triad
 from boresight.estimation.attitude import product as turn
-from boresight.sky import identification
 from boresight.sky.apparent import apparent_directions
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.identification import FEWEST_STARS, FIELD_ERROR, Recognised
@@ -550,7 +549,7 @@ class _Search:
             sensor_document=sensor_document(best.hypothesis.mend(self.bench.sensor)) if mended else None,
             mapping=mapping.document() if mended and mapping.changes else None,
         )
-        return replace(found, sentence=say(found, best, self.bench.sensor, installed=identification.available()))
+        return replace(found, sentence=say(found, best, self.bench.sensor))
 
 
 def _without(hypothesis: Hypothesis, name: str) -> tuple[str, ...]:

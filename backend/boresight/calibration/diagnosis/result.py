@@ -101,5 +101,11 @@ IN_SENSOR: Final = frozenset({"parity", "focal_length", "magnitude_limit", "j200
 def parse_diagnosis(document: Mapping[str, Any]) -> Diagnosis:
     """Read a diagnosis; a member that is not known here is dropped."""
     if document.get("schema") != SCHEMA:
-        raise RefusedInputError(f"This is no diagnosis: its schema is {document.get('schema')!r}, expected {SCHEMA!r}.")
-    return parse_part(Diagnosis, document, lambda fault: RefusedInputError(f"A diagnosis is damaged: {fault}."))
+        raise RefusedInputError(
+            f"This is no diagnosis, its schema is {document.get('schema')!r}, not {SCHEMA!r}: diagnose the set again."
+        )
+    return parse_part(
+        Diagnosis,
+        document,
+        lambda fault: RefusedInputError(f"A diagnosis is damaged ({fault}): diagnose the set again."),
+    )

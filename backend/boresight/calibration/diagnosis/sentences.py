@@ -8,7 +8,6 @@ from boresight.calibration.diagnosis.result import CAUSES, Diagnosis
 from boresight.calibration.diagnosis.trials import Hypothesis, Trial
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import Role
-from boresight.sky.identification import HOW_TO_INSTALL
 from boresight.telemetry.sensors import Sensor
 
 MM_PER_M = 1e3
@@ -48,7 +47,7 @@ def _shift(seconds: float) -> str:
     return f"{seconds:+,.0f} s ({years:+.1f} years)"
 
 
-def say(found: Diagnosis, best: Trial, sensor: Sensor, *, installed: bool) -> str:
+def say(found: Diagnosis, best: Trial, sensor: Sensor) -> str:
     """Say in a sentence what is wrong, how surely, and what to do."""
     looked = f"{found.exposures:,} exposures"
     if found.of_exposures > found.exposures:
@@ -56,7 +55,7 @@ def say(found: Diagnosis, best: Trial, sensor: Sensor, *, installed: bool) -> st
     if found.fits:
         return f"Sensor file and telemetry fit each other: {found.exposures_solved:,} of {looked} match as they stand."
     if "unknown" in found.names:
-        return _say_unknown(found, looked, installed=installed)
+        return _say_unknown(found, looked)
     parts = [_clause(name, best, sensor) for name in found.names]
     others = [CAUSES[cause.name] for cause in found.causes if cause.alternative]
     told = "; ".join(parts)
@@ -68,7 +67,7 @@ def say(found: Diagnosis, best: Trial, sensor: Sensor, *, installed: bool) -> st
     return f"{told[0].upper()}{told[1:]}: so {found.exposures_solved:,} of {looked} match, {before}."
 
 
-def _say_unknown(found: Diagnosis, looked: str, *, installed: bool) -> str:
+def _say_unknown(found: Diagnosis, looked: str) -> str:
     known = [CAUSES[name] for name in found.names if name != "unknown"]
     told = f"{'; '.join(known)}. ".capitalize() if known else ""
     short = " (the time limit ended the search)" if found.cut_short else ""
@@ -76,8 +75,6 @@ def _say_unknown(found: Diagnosis, looked: str, *, installed: bool) -> str:
         f"Nothing that was tried makes enough of {looked} match ({found.exposures_solved_before:,} do as they stand), not parity, "
         f"exchanged or flipped axes, focal lengths from -40 to +67 %, or the magnitude limit{short}"
     )
-    if not installed:
-        return f"{told}. {HOW_TO_INSTALL}"
     return (
         f"{told}: check that the centroids are stars (at least 4 an exposure, in pixels), and that sensor and telemetry are of one "
         "camera."

@@ -35,7 +35,6 @@ from boresight.calibration.options import CalibrationSettings
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import Role
 from boresight.errors import RefusedInputError
-from boresight.sky import identification
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.identification import FIELD_ERROR, FIELDS_DEG, Recognised, field_of_view_deg, recognise
 from boresight.telemetry.mapping import TelemetryMapping
@@ -161,7 +160,7 @@ class Bench:
         if camera.blind_corner(sensor.initial, sensor.rows, sensor.columns, pitch) is not None:
             return nothing
         field_deg = field_of_view_deg(camera, sensor.initial, sensor.rows, sensor.columns, pitch)
-        if not FIELDS_DEG[0] <= field_deg <= FIELDS_DEG[1] or not identification.available():
+        if not FIELDS_DEG[0] <= field_deg <= FIELDS_DEG[1]:
             return nothing
         s_d = camera.directions(sensor.initial, telemetry.row_px, telemetry.col_px, pitch)
         found = nothing

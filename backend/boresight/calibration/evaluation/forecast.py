@@ -30,7 +30,6 @@ from boresight.calibration.calibrate import choose_match_mode, select_free_param
 from boresight.calibration.calibration import Observability
 from boresight.calibration.corrections import with_directions
 from boresight.calibration.estimate import Estimate, Parameters, covariance, never, run_batch
-from boresight.calibration.matching.match_report import identification_advice
 from boresight.calibration.matching.matched import Dataset
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
@@ -122,8 +121,8 @@ def forecast(
     names = [problem.camera.parameter_names[p] for p in parameters.free]
     typical = dict(zip(names, parameters.scale.tolist(), strict=True))
     if problem.arcs.n_exposures == 0:
-        why = [*identification_advice(start.unidentified), *too_few(problem, settings.minimum_stars)]
-        return forecast_nothing(why[0], typical, sample.frames, sample.frames_in_set)
+        why, *_ = too_few(problem, settings.minimum_stars)
+        return forecast_nothing(why, typical, sample.frames, sample.frames_in_set)
     foreseen = _predict(sample, problem, parameters, settings)
     if not np.isfinite(foreseen.A).all():
         sentence = "The camera model cannot be evaluated at the present parameters: check the sensor's initial values."

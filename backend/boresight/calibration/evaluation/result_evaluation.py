@@ -39,7 +39,6 @@ from boresight.calibration.evaluation.alignment import alignment_view
 from boresight.calibration.evaluation.evaluate import evaluate_matched_frames, shadow_view
 from boresight.calibration.matching.match_report import (
     CyclesEnd,
-    identification_advice,
     list_refused_names,
     matching_view,
     names_advice,
@@ -242,7 +241,6 @@ def validate(
     if last.problem.arcs.n_exposures == 0:
         return with_advice(
             calibration,
-            *identification_advice(last.unidentified),
             f"The validation set has no exposure with {settings.minimum_stars} usable stars: nothing was checked by it.",
         )
     scores, shadow = _flown(validation, first, last, estimate.x, settings)

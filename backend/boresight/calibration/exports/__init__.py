@@ -23,6 +23,17 @@ def find_format(name: str) -> ExportFormat:
     return EXPORT_FORMATS[name]
 
 
+def find_camera_format(name: str) -> ExportFormat:
+    """Return a format of the camera alone; refuse one with something for each exposure, which takes telemetry."""
+    form = find_format(name)
+    if form.needs_attitudes:
+        raise RefusedInputError(
+            f"{form.name} has a header for each exposure, whose attitude its stars tell: write it from the telemetry with "
+            f"`boresight convert PARAMETERS --sensor FILE --telemetry FILE --to {form.name} --out FILE`."
+        )
+    return form
+
+
 __all__ = [
     "EXPORT_FORMATS",
     "Export",
@@ -31,5 +42,6 @@ __all__ = [
     "Source",
     "export",
     "export_document",
+    "find_camera_format",
     "find_format",
 ]

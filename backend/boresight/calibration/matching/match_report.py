@@ -37,7 +37,6 @@ from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.sequence import finished, run_sequential, standing_frames
 from boresight.estimation.metrics import rms
 from boresight.sky.guide_stars import DOUBLE, UNRELIABLE
-from boresight.sky.identification import HOW_TO_INSTALL
 from boresight.sky.matching import EXPOSURE_REASONS, LEFT_OUT, ROW_REASONS, STARTS
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
@@ -211,10 +210,7 @@ def match_report(
         "kept": int(np.sum((given > 0) & (star_id == given))),
         "changed": int(np.sum((given > 0) & (star_id > 0) & (star_id != given))),
         "added": int(np.sum((given == 0) & (star_id > 0))),
-        "advice": [
-            *names_advice(int(np.sum(given > 0)), int(np.sum((given > 0) & (star_id == given)))),
-            *identification_advice(matches.unidentified),
-        ],
+        "advice": names_advice(int(np.sum(given > 0)), int(np.sum((given > 0) & (star_id == given)))),
         "removed": int(removed.sum()),
         "matched": int(np.sum(star_id > 0)),
         "removed_reasons": _counted(why, removed),
@@ -237,11 +233,6 @@ def names_advice(given: int, kept: int) -> list[str]:
         "probably not those of this telemetry; attitudes and matches found in spite of that deserve no trust."
     )
     return [sentence]
-
-
-def identification_advice(unidentified: int) -> list[str]:
-    """What to do about exposures that only lost-in-space identification could tell the attitude of, where it is not installed."""
-    return [f"{unidentified:,} exposures: {HOW_TO_INSTALL}"] if unidentified else []
 
 
 def _counted(why: list[str], rows: BoolArray) -> dict[str, int]:

@@ -278,13 +278,9 @@ class MatchingPlan:
 
 @dataclass(frozen=True)
 class MatchedRange:
-    """A range as matched under some state: its rows with their matches, and where it is in files its arcs.
-
-    `unidentified` of its exposures want the lost-in-space extra, which is not installed.
-    """
+    """A range as matched under some state: its rows with their matches, and where it is in files its arcs."""
 
     held: MatchedRows | tuple[FrameRange, Columns]
-    unidentified: int = 0
     ordered: OrderedPiece | None = None
 
     def rows(self) -> MatchedRows:
@@ -303,7 +299,7 @@ def match_range(how: MatchingPlan, of: FrameRange, under: MatchingState, path: s
     arrays = {name: getattr(matches, name) for name in _MATCHES} | {"kept": rows.kept}
     problem = build_problem(rows.named(), how.sensor, read_catalogue(how.catalogue), how.settings.minimum_stars)
     ordered = write_ordered(problem, begins, Path(f"{path}-arcs"), timeless)
-    return MatchedRange((of, write_columns(Path(f"{path}-matches"), arrays)), matches.unidentified, ordered)
+    return MatchedRange((of, write_columns(Path(f"{path}-matches"), arrays)), ordered)
 
 
 def matched_range(how: MatchingPlan, telemetry: Telemetry, under: MatchingState) -> tuple[MatchedRows, Matches, int]:
@@ -386,11 +382,6 @@ class Matched:
     folder: Path | None = None
     refused: Refusals = NONE
     verification: Verification | None = None
-
-    @property
-    def unidentified(self) -> int:
-        """Exposures that want the lost-in-space extra, which is not installed."""
-        return sum(part.unidentified for part in self.ranges)
 
     @cached_property
     def telemetry(self) -> Telemetry:
@@ -580,9 +571,8 @@ class Dataset:
         return matched_rows(self.telemetry, joined_matches(parts), under.x, self.sensor, self.settings)
 
     def _of_rows(self, rows: MatchedRows) -> Matched:
-        unidentified = rows.matches.unidentified if isinstance(rows.matches, Matches) else 0
         problem = build_problem(rows.named(), self.sensor, self.catalogue, self.settings.minimum_stars)
-        return Matched(problem, (MatchedRange(rows, unidentified),))
+        return Matched(problem, (MatchedRange(rows),))
 
     def _latest(self, first: int, last: int, state: FilterState) -> ArcSet:
         """Arcs of the frames first <= k < last, matched with the state of a filter."""

@@ -178,11 +178,6 @@ class Matches:
         return np.asarray(self.reason == 0)
 
     @property
-    def unidentified(self) -> int:
-        """Exposures that only lost-in-space identification could have told the attitude of, where it is not installed."""
-        return int(np.sum(self.reason == matching.NOT_INSTALLED))
-
-    @property
     def matched(self) -> IntArray:
         """(n_exposures,) matched stars."""
         return np.asarray(np.add.reduceat(self.star_id > 0, self.exposure_start[:-1], dtype=np.int64))
@@ -292,13 +287,11 @@ class Rematcher:
             quaternion=self._quaternion[exposures],
             time_s=self._time_s[k0:k1],
         )
-        identify = self._identifier(detections, x, rows, e0) if identification.available() else None
+        identify = self._identifier(detections, x, rows, e0)
         answer = matching.match(
             detections, self._stars, self._motion[exposures], cone_rad(self._sensor, x),
             self._settings.minimum_stars, identify,
         )  # fmt: skip
-        if identify is None and not identification.available():
-            answer.reason[self._identifiable(answer, detections)] = matching.NOT_INSTALLED
         return self._matches(answer, detections, exposures, self._off[rows])
 
     def _identifier(
@@ -327,15 +320,6 @@ class Rematcher:
             return identification.identify(detections.s[of], bright, 1, field_deg, self._cache_folder)
 
         return identify
-
-    @staticmethod
-    def _identifiable(answer: matching.Association, detections: Detections) -> NDArray[np.bool_]:
-        """Exposures (n_exposures,) of unsolved frames that only lost-in-space identification could start."""
-        of_solved_frame = np.repeat(
-            np.logical_or.reduceat(answer.reason == 0, detections.frame_start[:-1]), np.diff(detections.frame_start)
-        )
-        enough = np.diff(detections.row_start) >= identification.FEWEST_STARS
-        return np.asarray((answer.reason == matching.NOTHING_TO_START_FROM) & ~of_solved_frame & enough)
 
     def _matches(
         self, answer: matching.Association, detections: Detections, exposures: slice, off: NDArray[np.bool_]

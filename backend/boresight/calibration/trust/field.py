@@ -190,7 +190,7 @@ def residual_distribution(fitted: FittedSet, found: StarResiduals) -> ResidualDi
     """Histogram before and after, quantiles after, and the verdict on the tails."""
     z = found.z[found.known].ravel()
     if len(z) < FEWEST:
-        raise Unavailable(f"A distribution needs {FEWEST} residuals; there are {len(z)}.")
+        raise Unavailable(f"A distribution needs {FEWEST} residuals, and there are {len(z)}: add frames.")
     p = ndtr(DEVIATES)
     seen = np.minimum(p, 1 - p) * len(z) >= 0.5  # no sample quantile is beyond the sample
     density = np.exp(-(DEVIATES[seen] ** 2) / 2) / np.sqrt(2 * np.pi)

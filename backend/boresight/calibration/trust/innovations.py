@@ -52,7 +52,9 @@ def whiteness(fitted: FittedSet) -> Whiteness:
     """Autocorrelation of the least white score, and the test over all of them."""
     n = fitted.arcs.n_frames
     if n < FEWEST_FRAMES:
-        raise Unavailable(f"A series needs {FEWEST_FRAMES} frames before it can be told from noise; there are {n}.")
+        raise Unavailable(
+            f"A series needs {FEWEST_FRAMES} frames before it can be told from noise, and there are {n}: add frames."
+        )
     y = np.ascontiguousarray((fitted.sums.scores / np.sqrt(np.maximum(fitted.sums.squares, np.finfo(float).tiny))).T)
     lags = min(MOST_LAGS, n // 5)
     tests = [ljung_box(series, min(TESTED_LAGS, lags)) for series in y]
@@ -127,7 +129,7 @@ def _series(fitted: FittedSet) -> tuple[NDArray[np.int64], FloatArray, FloatArra
     if history is not None and updated is not None:
         took = history.dof > 0  # an update whose measurements were all left out says nothing
         if not took.any():
-            raise Unavailable("The filter took no frame in.")
+            raise Unavailable("The filter took no frame in: look at sensor and matches.")
         return updated[took], history.nis[took], history.dof[took].astype(float)
     if fitted.sums.dof.min() < 1:
         raise Unavailable(

@@ -176,7 +176,7 @@ class Optimum:
 def drop_one(ground: FittedSet) -> list[DroppedParameter]:
     """One entry a free parameter, in parameter order."""
     if len(ground.names) < 2:
-        raise Unavailable("Only one parameter is free, so there is no other to fit without it.")
+        raise Unavailable("Only one parameter is free, so there is no other to fit without it: free more.")
     if not ground.determined:
         raise Unavailable("The data leave a direction of the parameters open already: hold some fixed and run again.")
     arcs = ground.thinned(min(MOST_FRAMES, -(-MOST_ARCS * ground.arcs.n_frames // ground.arcs.n_arcs)))

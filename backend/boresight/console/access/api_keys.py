@@ -29,12 +29,12 @@ def create_key(
     """Make a key for the person who asks; without scopes it can only read."""
     user_id = require_person(actor, "make an API key")
     if unknown := sorted(set(scopes) - set(SCOPES)):
-        raise RefusedInputError(f"There is no scope {', '.join(unknown)}; the scopes are {', '.join(SCOPES)}.")
+        raise RefusedInputError(f"There is no scope {', '.join(unknown)}; choose from {', '.join(SCOPES)}.")
     refuse_control_characters(label=label)
     if not label.strip():
-        raise RefusedInputError("The key needs a label that says what uses it.")
+        raise RefusedInputError("The key has no label; say in it what uses the key.")
     if expires_days is not None and not 1 <= expires_days <= LONGEST_DAYS:
-        raise RefusedInputError(f"A key lasts 1 to {LONGEST_DAYS} days, not {expires_days}.")
+        raise RefusedInputError(f"A key does not last {expires_days} days; give 1 to {LONGEST_DAYS}.")
     prefix, random = secrets.token_hex(4), secrets.token_urlsafe(32)
     secret = f"bs_{prefix}_{random}"
     key = ApiKey(
@@ -91,7 +91,7 @@ def revoke_key(session: Session, actor: Actor, key_id: int) -> ApiKey:
     refuse_key(actor, "revoke a key")
     key = session.get_known(ApiKey, key_id)
     if key.user_id != actor.user_id and "administrator" not in actor.roles:
-        raise ForbiddenError("Only its owner or an administrator may revoke this API key.")
+        raise ForbiddenError("Only its owner or an administrator may revoke this API key; ask one of them.")
     if key.revoked_utc is None:
         key.revoked_utc = utc_now()
         audit.append(

@@ -100,7 +100,7 @@ def end_session(session: Session, actor: Actor, session_id: int) -> LoginSession
     row = session.get(LoginSession, session_id)
     own = row is not None and row.user_id == own_id
     if row is None or not (own or "administrator" in actor.roles):
-        raise NotFoundError(f"There is no log-in {session_id} of yours.")
+        raise NotFoundError(f"There is no log-in {session_id} of yours; choose one of the list.")
     if row.ended_utc is None:
         row.ended_utc, row.ended_because = utc_now(), "ended" if own else "ended_by_administrator"
         audit.append(session, actor, "ended a log-in of", f"users/{row.user_id}", None, {"log_in": row.id})
@@ -150,4 +150,6 @@ def _bounds(limits: SessionLimits, grace_s: float) -> dict[str, str]:
 
 def _require_administrator(actor: Actor) -> None:
     if "administrator" not in actor.roles:
-        raise ForbiddenError("Only the person themselves or an administrator may see these log-ins.")
+        raise ForbiddenError(
+            "Only the person themselves or an administrator may see these log-ins; ask an administrator."
+        )

@@ -30,7 +30,7 @@ def known_roles(roles: Collection[str]) -> list[str]:
     """Return the roles in the table's order, each once."""
     if isinstance(roles, str) or (unknown := sorted(set(roles) - set(ROLES))):
         named = roles if isinstance(roles, str) else ", ".join(unknown)
-        raise RefusedInputError(f"There is no role {named}; the roles are {', '.join(ROLES)}.")
+        raise RefusedInputError(f"There is no role {named}; choose from {', '.join(ROLES)}.")
     if {"administrator", "approver"} <= set(roles):
         raise RefusedInputError("An administrator cannot sign; give the role approver to another person.")
     return [role for role in ROLES if role in roles]

@@ -154,7 +154,7 @@ def gallery_page(request: Request, part: str = "figures", of: str = "one") -> HT
 def gallery_figure(name: str, of: str = "one") -> Response:
     """Send a figure of the example as Plotly JSON."""
     if of == "broken":
-        raise RefusedInputError("This figure fails on purpose, to show how its panel says why; Retry asks again.")
+        raise RefusedInputError("This figure fails on purpose, to show how its panel says why; choose another.")
     traces = make_example_traces(_find_traces(name, of))
     return Response(figure_json(FIGURES[name].draw(traces)), media_type="application/json")
 

@@ -93,7 +93,9 @@ def shelve(session: Session, actor: Actor, alarm_id: int, until: str, reason: st
     row = _take_to_handle(session, actor, alarm_id, seen_version, "shelve an alarm")
     until_utc = read_time(until)
     if not utc_now() < until_utc <= utc_after(MOST_DAYS * DAY_S):
-        raise RefusedInputError(f"An alarm is shelved until a time to come, {MOST_DAYS:.0f} days from now at most.")
+        raise RefusedInputError(
+            f"An alarm is shelved until a time to come; give one at most {MOST_DAYS:.0f} days from now."
+        )
     row.shelved_until_utc = until_utc
     record_step(session, actor, row, "SHELVED", _said(reason, needed="reason why it may wait"), until_utc=until_utc)
     return row
@@ -103,7 +105,7 @@ def unshelve(session: Session, actor: Actor, alarm_id: int, seen_version: int | 
     """Take an alarm from the shelf before its time."""
     row = _take_to_handle(session, actor, alarm_id, seen_version, "unshelve an alarm")
     if row.shelved_until_utc is None:
-        raise ConflictError(f"Alarm {row.id} is not shelved.")
+        raise ConflictError(f"Alarm {row.id} is not shelved; there is nothing to unshelve.")
     row.shelved_until_utc = None
     record_step(session, actor, row, "UNSHELVED", "")
     return row
@@ -114,7 +116,7 @@ def assign(session: Session, actor: Actor, alarm_id: int, user_id: int | None, s
     row = _take_to_handle(session, actor, alarm_id, seen_version, "assign an alarm")
     person = None if user_id is None else session.get(User, user_id)
     if user_id is not None and (person is None or person.disabled_utc is not None):
-        raise NotFoundError(f"There is no user {user_id} who could take care of it.")
+        raise NotFoundError(f"There is no user {user_id} who could take care of it; choose a person from the list.")
     row.assigned_to = None if person is None else person.id
     record_step(session, actor, row, "ASSIGNED", "to nobody" if person is None else f"to {person.printed_name}")
     return row

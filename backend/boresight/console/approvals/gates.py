@@ -264,7 +264,7 @@ def get_report(session: Session, parameter_set_id: int, sha256: str | None = Non
             f"{row.name} (parameter set {row.id}) has no gate report {sha256}; leave sha256 out for the newest."
         )
     if report is None:
-        raise NotFoundError(f"{row.name} (parameter set {row.id}) has no gate report; POST :assess.")
+        raise NotFoundError(f"{row.name} (parameter set {row.id}) has no gate report; ask for one with POST :assess.")
     return report
 
 
@@ -368,14 +368,16 @@ def _checked(gate: str, code: str, reason: str, expires_utc: str) -> str:
     """Check a waiver, and return its expiry as the store writes it."""
     refuse_control_characters(reason=reason)
     if gate not in GATES:
-        raise RefusedInputError(f"There is no gate {gate!r}; the gates are {', '.join(GATES)}.")
+        raise RefusedInputError(f"There is no gate {gate!r}; choose from {', '.join(GATES)}.")
     if code not in CODES:
         raise RefusedInputError(f"There is no reason code {code!r}; choose from {', '.join(CODES)}.")
     if len(reason.strip()) < LEAST_LETTERS:
         raise RefusedInputError(f"Give the reason in at least {LEAST_LETTERS} letters: the approvers must judge it.")
     until = read_time(expires_utc)
     if not utc_now() < until <= utc_after(LONGEST_DAYS * DAY_S):
-        raise RefusedInputError(f"The waiver must expire in the future and within {LONGEST_DAYS} days, not at {until}.")
+        raise RefusedInputError(
+            f"The waiver cannot expire at {until}; give a time to come, within {LONGEST_DAYS} days."
+        )
     return until
 
 

@@ -79,7 +79,7 @@ class Decision:
     def check(self) -> None:
         """Check that the decision is complete."""
         if self.decision not in DECISIONS:
-            raise RefusedInputError(f"The decision is APPROVE or REFUSE, not {self.decision!r}.")
+            raise RefusedInputError(f"There is no decision {self.decision!r}; choose APPROVE or REFUSE.")
         if not self.meaning.strip():
             raise RefusedInputError("Say what your signature means, such as: I approve this set for baseline.")
         if self.decision == "REFUSE" and not self.comment.strip():
@@ -177,12 +177,14 @@ def _refuse_decided(session: Session, approval: Approval, decision: str) -> None
     """Refuse to decide on a decided request, except to reject one that is approved and not yet promoted."""
     if approval.state == "STALE":
         raise StaleError(
-            f"Request {approval.id} is STALE: {describe_last_change(session, approval)}. The set must be submitted again."
+            f"Request {approval.id} is STALE: {describe_last_change(session, approval)}. Submit the set again."
         )
     parameter_set = session.get_one(ParameterSet, approval.parameter_set_id)
     can_block = approval.state == "APPROVED" and parameter_set.ground_state == "APPROVED"
     if approval.state != "OPEN" and not (decision == "REFUSE" and can_block):
-        raise ConflictError(f"Request {approval.id} is {approval.state}: {describe_last_change(session, approval)}.")
+        raise ConflictError(
+            f"Request {approval.id} is {approval.state}: {describe_last_change(session, approval)}. Choose one that is OPEN."
+        )
 
 
 def _sign(
@@ -265,7 +267,9 @@ def assign(
     approval = session.get_known(Approval, approval_id)
     require_seen(session, approval, seen_version)
     if approval.state != "OPEN":
-        raise ConflictError(f"Request {approval.id} is {approval.state}: {describe_last_change(session, approval)}.")
+        raise ConflictError(
+            f"Request {approval.id} is {approval.state}: {describe_last_change(session, approval)}. Choose one that is OPEN."
+        )
     named = None if user_id is None else _get_signer(session, approval, user_id, policy)
     approval.assigned_to = None if named is None else named.id
     asked = "nobody in particular" if named is None else named.printed_name
@@ -294,7 +298,9 @@ def add_remark(session: Session, actor: Actor, approval_id: int, text: str) -> R
     approval = session.get_known(Approval, approval_id)
     refuse_control_characters(remark=text)
     if not text.strip() or len(text) > LONGEST_REMARK:
-        raise RefusedInputError(f"A remark has 1 to {LONGEST_REMARK} characters; this one has {len(text.strip())}.")
+        raise RefusedInputError(
+            f"A remark of {len(text.strip())} characters cannot be kept; write 1 to {LONGEST_REMARK}."
+        )
     row = Remark(
         approval_id=approval.id,
         user_id=user_id,
@@ -339,7 +345,9 @@ def promote(
     require_seen(session, row, seen_version)
     approval = rows.find_latest_approval(session, row.id, "APPROVED")
     if row.ground_state != "APPROVED" or approval is None:
-        raise ConflictError(f"{row.name} is {row.ground_state}, not APPROVED: {describe_last_change(session, row)}.")
+        raise ConflictError(
+            f"{row.name} is {row.ground_state}, not APPROVED: {describe_last_change(session, row)}. Promote a set that is APPROVED."
+        )
     refuse_expired(session, approval, row)
     refuse_changed_binding(session, actor, approval, row)
     refuse_blocked(session, row)
@@ -415,7 +423,8 @@ def _get_submittable(
     require_seen(session, row, seen_version)
     if row.ground_state not in SUBMITTABLE:
         raise ConflictError(
-            f"{row.name} is {row.ground_state}: {describe_last_change(session, row)}. It cannot be submitted."
+            f"{row.name} is {row.ground_state}: {describe_last_change(session, row)}. "
+            f"Submit a set that is {' or '.join(SUBMITTABLE)}."
         )
     return row
 

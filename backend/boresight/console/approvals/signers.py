@@ -62,7 +62,7 @@ def refuse_who_never_signs(session: Session, actor: Actor) -> int:
     """Refuse whoever may sign no request at all, with the reason; returns the person's number."""
     user_id = require_person(actor, "sign")
     if "administrator" in actor.roles:
-        raise ForbiddenError("An administrator cannot sign; an approver who is no administrator must.")
+        raise ForbiddenError("An administrator cannot sign; ask an approver who is no administrator.")
     require_role(actor, "approver")
     if session.get_one(User, user_id).must_change_password:
         raise ForbiddenError("Somebody else set your password; set your own first, then sign.")
@@ -74,9 +74,11 @@ def refuse_signer(session: Session, actor: Actor, approval: Approval, policy: Po
     user_id = refuse_who_never_signs(session, actor)
     own = [part for part in list_parts(session, approval) if part.user_id == user_id] if policy.four_eyes else []
     if own:
-        raise ForbiddenError(f"You {_listed(own)}; another approver must sign.")
+        raise ForbiddenError(f"You {_listed(own)}; ask another approver to sign.")
     if (earlier := rows.find_signature(session, approval.id, user_id)) is not None:
-        raise ConflictError(f"You signed this request already, at {earlier.signed_utc}; its submitter can withdraw it.")
+        raise ConflictError(
+            f"You signed this request already, at {earlier.signed_utc}; ask its submitter to withdraw it if it is wrong."
+        )
 
 
 def _listed(parts: Sequence[SetPart]) -> str:

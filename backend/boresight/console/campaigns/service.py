@@ -297,7 +297,7 @@ def relaunch_failed(session: Session, actor: Actor, campaign_id: int) -> Campaig
 
 def get_campaign(session: Session, campaign_id: int) -> Campaign:
     """Return a campaign."""
-    return session.get_known(Campaign, campaign_id, "; choose one of the list")
+    return session.get_known(Campaign, campaign_id)
 
 
 def read_campaign(session: Session, campaign_id: int) -> CampaignView:

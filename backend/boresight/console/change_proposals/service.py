@@ -232,7 +232,7 @@ def list_proposals(
     """Return proposals, newest first: all, or a page, the next of which starts before the last one's id."""
     for asked, known in ((kind, PROPOSAL_KINDS), (state, PROPOSAL_STATES)):
         if asked is not None and asked not in known:
-            raise RefusedInputError(f"{asked!r} is none of {', '.join(known)}.")
+            raise RefusedInputError(f"{asked!r} cannot be asked for; choose from {', '.join(known)}.")
     return lists.list_newest(
         session, ChangeProposal, before_id=before_id, limit=limit, sensor=sensor_id, kind=kind, state=state
     )
@@ -266,7 +266,7 @@ def _refuse_decider(session: Session, actor: Actor, row: ChangeProposal) -> None
     user_id = require_person(actor, "confirm or refuse a change")
     require_role(actor, *MAY_CONFIRM[row.kind])
     if user_id == row.proposed_by:
-        raise ForbiddenError("You proposed this change; another person must confirm or refuse it.")
+        raise ForbiddenError("You proposed this change; have another person confirm or refuse it.")
     if session.get_one(User, user_id).must_change_password:
         raise ForbiddenError("Somebody else set your password; set your own first, then decide.")
 

@@ -203,7 +203,7 @@ def render(
 
 
 def redirect(location: str, *, flash: str = "", level: str = "normal") -> RedirectResponse:
-    """Answer a POST: send the browser to a page by GET, with one line to show there."""
+    """Send the browser to a page by GET, with one line to show there."""
     response = RedirectResponse(location, status_code=303)
     if flash:
         value = quote(json.dumps([level, flash]))
@@ -263,7 +263,7 @@ SENTENCE = {404: "There is no page at this address.", 405: "This address does no
 ADVICE = {
     400: "Go back, reload the page and send its form again.",
     403: "Go back; if it is a role that you lack, ask for it.",
-    404: "It may have another number, or the address was copied incompletely.",
+    404: "It may have another number, or the address was copied incompletely: find it by the navigation.",
     405: "Open the page by a link or by the navigation, and use its buttons.",
     409: "Read the thing again to see its state now, then decide anew.",
     412: "Somebody changed it after you opened the page. Go back, reload, and look at what is there now.",

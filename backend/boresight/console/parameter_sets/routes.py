@@ -126,7 +126,10 @@ def get_parameter_set_camera_file(
         bool, Query(description="Follow the residual spline of its calibration too, where that is beyond the noise.")
     ] = False,
 ) -> Response:
-    """Write the camera of this set for another program, or say why not; FITS, which needs telemetry, is the command's."""
+    """Write the camera of this set for another program, or say why not.
+
+    FITS has a header for each exposure, which takes telemetry: `boresight convert` writes it.
+    """
     content, name = conversions.export_parameter_set(session, parameter_set_id, to, allow_px, with_residual=residual)
     return CameraFile(content, headers={"Content-Disposition": f'attachment; filename="{name}"'})
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from boresight.calibration.calibration import Calibration, Trust, parse_calibration, to_plain
 from boresight.calibration.conversion import converted
-from boresight.calibration.exports import Source, export_document, find_format
+from boresight.calibration.exports import Source, export_document, find_camera_format
 from boresight.cameras import CAMERA_MODELS
 from boresight.console.approvals.tables import Approval
 from boresight.console.fleet.tables import Sensor
@@ -114,7 +114,7 @@ def _get_succeeded_run(session: Session, run_id: int) -> Run:
     refuse_choice(run)
     if run.state != "SUCCEEDED" or run.result_sha256 is None:
         why = f": {run.reason}" if run.reason else ""
-        raise ConflictError(f"Run {run_id} is {run.state}{why}; a parameter set is made of a run that SUCCEEDED.")
+        raise ConflictError(f"Run {run_id} is {run.state}{why}; make a parameter set of a run that SUCCEEDED.")
     return run
 
 
@@ -126,7 +126,9 @@ def _refuse_unusable(run_id: int, result: Calibration) -> None:
     names = CAMERA_MODELS[result.camera_model].parameter_names
     known = {name for name, value in result.parameters.items() if value is not None and math.isfinite(value)}
     if bad := [name for name in names if name not in known]:
-        raise RefusedInputError(f"Run {run_id} has no number for {', '.join(bad)}, which makes no parameter set.")
+        raise RefusedInputError(
+            f"Run {run_id} has no number for {', '.join(bad)}, which makes no parameter set; calibrate again."
+        )
 
 
 def _add(
@@ -183,7 +185,7 @@ def export_parameter_set(
 ) -> tuple[bytes, str]:
     """Write a set as another program's file, as `calibration.exports` does: its bytes and its name."""
     row = session.get_known(ParameterSet, parameter_set_id)
-    found = find_format(form)
+    found = find_camera_format(form)
     source = Source(row.name, row.sha256, parse_sensor(session.get_known(Sensor, row.sensor_id).document))
     content, _ = export_document(found, row.document, source, residual=with_residual, allowed_px=allowed_px)
     return content, f"{row.name}-{found.name}{found.suffixes[0]}"

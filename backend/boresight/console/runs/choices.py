@@ -85,8 +85,10 @@ def get_choice(session: Session, blobs: BlobStore, run_id: int) -> Choice:
     if asked.result_sha256 is not None:
         return read_choice(blobs, asked.result_sha256, run_id)
     if asked.state in TERMINAL_RUN_STATES:
-        why = f": {asked.reason}" if asked.reason else "."
-        raise ConflictError(f"Run {asked.id}, which chooses a camera for run {run_id}, ended {asked.state}{why}")
+        why = f" ({asked.reason.rstrip('.')})" if asked.reason else ""
+        raise ConflictError(
+            f"Run {asked.id}, which chooses a camera for run {run_id}, ended {asked.state}{why}; ask for the camera again."
+        )
     raise ConflictError(f"Run {asked.id}, which chooses a camera for run {run_id}, is {asked.state}; wait for its end.")
 
 

@@ -65,7 +65,7 @@ def check_run_request(
     label: str = "",
 ) -> RunRequest:
     """Check the choices of a run for consistency."""
-    sensor = session.get_known(Sensor, sensor_id, "; choose one of the list")
+    sensor = session.get_known(Sensor, sensor_id)
     telemetry = _get_set(session, sensor, telemetry_set_id)
     validation = None if validation_set_id is None else _get_set(session, sensor, validation_set_id)
     if validation is not None and validation.id == telemetry.id:
@@ -86,7 +86,7 @@ def refuse_label(label: str) -> None:
 
 
 def _get_set(session: Session, sensor: Sensor, set_id: int) -> TelemetrySet:
-    found = session.get_known(TelemetrySet, set_id, "; choose one of the list")
+    found = session.get_known(TelemetrySet, set_id)
     if found.sensor_id != sensor.id:
         raise RefusedInputError(f"{found.name} is telemetry of another sensor; choose a set of {sensor.name}.")
     if found.archived_utc is not None:

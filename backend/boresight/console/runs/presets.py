@@ -107,7 +107,7 @@ def get_offer(session: Session, key: str) -> OfferedPreset:
 
 def get_preset(session: Session, preset_id: int) -> Preset:
     """Return a saved version."""
-    return session.get_known(Preset, preset_id, "; choose one of the list")
+    return session.get_known(Preset, preset_id)
 
 
 def list_presets(

@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping
 from typing import Any
 
 from boresight.calibration.calibration import Calibration, parse_calibration
-from boresight.calibration.exports import Source, export_document, find_format
+from boresight.calibration.exports import Source, export_document, find_camera_format
 from boresight.console import list_queries as lists
 from boresight.console.fleet.tables import Sensor
 from boresight.console.runs import queries
@@ -142,9 +142,9 @@ def export_run(
     with_residual: bool = False,
 ) -> tuple[bytes, str]:
     """Write the camera that a run found as another program's file, as `calibration.exports` does: its bytes and its name."""
-    document, run, found = get_final_result(session, blobs, run_id), get_run(session, run_id), find_format(form)
+    document, run, found = get_final_result(session, blobs, run_id), get_run(session, run_id), find_camera_format(form)
     described = run.sensor_document or session.get_one(Sensor, run.sensor_id).document
-    source = Source(f"run {run_id}", run.result_sha256, parse_sensor(described))
+    source = Source(f"Run {run_id}", run.result_sha256, parse_sensor(described))
     content, _ = export_document(found, document, source, residual=with_residual, allowed_px=allowed_px)
     return content, f"run-{run_id}-{found.name}{found.suffixes[0]}"
 

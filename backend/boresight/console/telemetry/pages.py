@@ -406,9 +406,12 @@ def telemetry_set_page(request: Request, session: Reading, actor: Who, set_id: i
 def figure_csv(session: Reading, set_id: int, name: str) -> Response:
     """Give a figure's numbers as CSV."""
     row = session.get_known(TelemetrySet, set_id)
-    drawing = next((it for it in make_drawings(find_quality(row.quality)) if it.name == name), None)
+    drawings = {drawing.name: drawing for drawing in make_drawings(find_quality(row.quality))}
+    drawing = drawings.get(name)
     if drawing is None:
-        raise NotFoundError(f"The quality report of telemetry set {set_id} has no figure {name}.")
+        raise NotFoundError(
+            f"The quality report of telemetry set {set_id} has no figure {name}; choose from {', '.join(drawings)}."
+        )
     text = io.StringIO()
     writer = csv.writer(text)
     writer.writerow([drawing.x_title, drawing.y_title])

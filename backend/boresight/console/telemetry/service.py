@@ -261,11 +261,11 @@ def hold_mapped(
     """Read a set as its diagnosis says that it is to be read, checked like an upload, without the database."""
     found = get_diagnosis(row)
     if found.mapping is None:
-        raise ConflictError(f"{row.name} is to be read as it stands; its diagnosis mends the sensor file.")
+        raise ConflictError(f"{row.name} is to be read as it stands; mend the sensor file.")
     table = StoredTable(table_path(sources.blobs, row.table_sha256), row.table_sha256)
     if table.large():
         raise RefusedInputError(
-            f"{row.name} is too large to be rewritten here: `boresight diagnose --out-telemetry` does it."
+            f"{row.name} is too large to be rewritten here: have `boresight diagnose --out-telemetry` do it."
         )
     mapped = parse_mapping(found.mapping).apply(table.read(), parse_sensor(document))
     with tempfile.TemporaryDirectory() as folder:
@@ -363,7 +363,7 @@ def _refuse_upload(actor: Actor, purpose: str) -> None:
     """Refuse who may not upload, and a purpose that does not exist."""
     _refuse_analysis(actor)
     if purpose not in PURPOSES:
-        raise RefusedInputError(f"The purpose is calibration or validation, not {purpose!r}.")
+        raise RefusedInputError(f"There is no purpose {purpose!r}; choose calibration or validation.")
 
 
 def _sha256_of_file(path: Path) -> str:
@@ -402,7 +402,7 @@ def draw_image(session: Session, blobs: BlobStore, set_id: int, frame: int, limi
 
     row = session.get_known(TelemetrySet, set_id)
     if not has_images(session, set_id):
-        raise NotFoundError(f"Telemetry set {set_id} was not extracted from images.")
+        raise NotFoundError(f"Telemetry set {set_id} was not extracted from images; choose one that was.")
     sensor = parse_sensor(session.get_known(SensorRow, row.sensor_id).document)
     with tempfile.TemporaryDirectory() as folder:
         return archive.draw_image(blobs.path(row.original_sha256), sensor, frame, limits, Path(folder))

@@ -20,7 +20,9 @@ from boresight.telemetry.quality.report import QualityReport
 def parse_quality(document: Mapping[str, Any]) -> QualityReport:
     """Read the quality report in a set's row, whatever version wrote it."""
     return parse_part(
-        QualityReport, document, lambda fault: RefusedInputError(f"A quality report is damaged: {fault}.")
+        QualityReport,
+        document,
+        lambda fault: RefusedInputError(f"A quality report is damaged ({fault}): restore the store from a backup."),
     )
 
 

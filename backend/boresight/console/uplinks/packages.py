@@ -172,7 +172,7 @@ def build(
     if row.ground_state not in EXPORTED:
         raise ConflictError(
             f"{row.name} is {row.ground_state}: {describe_last_change(session, row)}. "
-            "Only an approved set or the baseline is exported."
+            f"Export a set that is {' or '.join(EXPORTED)}."
         )
     _refuse_unsigned(session, actor, row)
     definition = rows.find_definition_in_force(session, row.sensor_id)
@@ -209,7 +209,9 @@ def _refuse_other_versions(
         return
     sensor = session.get_one(Sensor, row.sensor_id)
     if definition is None:
-        raise ConflictError(f"{sensor.name} has no table definition, so nothing can be exported for {_listed(asked)}.")
+        raise ConflictError(
+            f"{sensor.name} has no table definition, so nothing can be exported for {_listed(asked)}: set one first."
+        )
     wrong = [key for key in asked if definition.document[key] != asked[key]]
     if wrong:
         raise ConflictError(

@@ -157,7 +157,7 @@ def activate(
     """Record that a verified set is what the sensor runs with: an entry signed by a person who gives the password again."""
     require_person(actor, "sign that a set is active")
     if "administrator" in actor.roles:
-        raise ForbiddenError("An administrator cannot sign; an operator who is no administrator must.")
+        raise ForbiddenError("An administrator cannot sign; ask an operator who is no administrator.")
     if users.must_change_password(session, actor):
         raise ForbiddenError("Somebody else set your password; set your own first, then sign.")
     row = get_set_for_entry(session, actor, parameter_set_id, source, seen_version)
@@ -196,7 +196,7 @@ def _refuse_statement(actor: Actor, row: ParameterSet, onboard_state: str) -> No
     if onboard_state == "ACTIVE":
         require_person(actor, "sign that a set is active")
         raise ConflictError(
-            f"ACTIVE is not recorded by statement: an operator signs it for {row.name} with password and meaning, "
+            f"ACTIVE is not recorded by statement: have an operator sign it for {row.name} with password and meaning, "
             "by `:activate`."
         )
 
@@ -211,10 +211,12 @@ def _refuse_unread(session: Session, row: ParameterSet) -> None:
 def _refuse_step(row: ParameterSet, onboard_state: str) -> None:
     """Refuse a step that is not allowed from the current state."""
     if onboard_state not in NEXT:
-        raise RefusedInputError(f"There is no on-board state {onboard_state!r}; the states are {', '.join(NEXT)}.")
+        raise RefusedInputError(f"There is no on-board state {onboard_state!r}; choose from {', '.join(NEXT)}.")
     if onboard_state not in NEXT[row.onboard_state]:
         steps = ", ".join(NEXT[row.onboard_state])
-        raise ConflictError(f"{row.name} is {row.onboard_state} on board; next can be {steps}, not {onboard_state}.")
+        raise ConflictError(
+            f"{row.name} is {row.onboard_state} on board, from which {onboard_state} does not follow; record {steps}."
+        )
     if onboard_state == "SENT" and row.ground_state != "BASELINE":
         raise ConflictError(
             f"{row.name} is {row.ground_state}; only the baseline is sent. Have it approved and promote it."

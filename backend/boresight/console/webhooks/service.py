@@ -99,7 +99,7 @@ def create_webhook(
     _require_administrator(actor)
     refuse_control_characters(label=label, url=url)
     if not label.strip():
-        raise RefusedInputError("The webhook needs a label that says who listens there.")
+        raise RefusedInputError("The webhook has no label; say in it who listens there.")
     parsed(url.strip())
     secret = new_secret()
     row = Webhook(
@@ -123,7 +123,9 @@ def renew_secret(
     """Give a webhook a new secret, and return both; the former one signs beside it for some hours more."""
     row = get_webhook(session, actor, webhook_id)
     if not 0.0 <= overlap_hours <= LONGEST_OVERLAP_HOURS:
-        raise RefusedInputError(f"The former secret may sign for 0 to {LONGEST_OVERLAP_HOURS:g} hours more.")
+        raise RefusedInputError(
+            f"The former secret cannot sign for so long; give 0 to {LONGEST_OVERLAP_HOURS:g} hours."
+        )
     overlaps = overlap_hours > 0.0 and box.open(row.secret) is not None
     row.previous_secret = row.secret if overlaps else None
     row.previous_until_utc = utc_after(overlap_hours * HOUR_S) if overlaps else None

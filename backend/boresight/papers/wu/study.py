@@ -104,7 +104,7 @@ class Plan:
 def run(plan: Plan, catalogue_folder: Path | None, say: Report = keep_silent) -> dict[str, Any]:
     """Run the study; returns its document, schema `boresight.reproduction/1`."""
     if plan.frames <= FIRST_FRAMES:
-        raise RefusedInputError(f"{plan.frames} images are too few: the study needs more than {FIRST_FRAMES}.")
+        raise RefusedInputError(f"{plan.frames} images are too few: give more than {FIRST_FRAMES}.")
     found = run_all(
         run_trial, plan.trials(plan.sets), catalogue_folder, plan.processes,
         lambda trial, share: say(f"set {trial.index + 1} of {plan.sets}", SETS_SHARE * share),

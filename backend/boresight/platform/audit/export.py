@@ -37,7 +37,7 @@ def verifier() -> str:
 def write_export(session: Session, stream: IO[bytes], form: str, policy: Policy) -> None:
     """Write the whole log to a stream, as a `zip` with its verifier or as `jsonl` alone."""
     if form not in FORMS:
-        raise RefusedInputError(f"An export is a zip or jsonl, not {form!r}.")
+        raise RefusedInputError(f"There is no export as {form!r}; choose {' or '.join(FORMS)}.")
     if form == "jsonl":
         stream.writelines(_lines(session, policy))
         return

@@ -65,7 +65,9 @@ def read_head(file: Path) -> ExternalHead | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        raise RefusedInputError(f"The kept head of the audit log {file} cannot be read: {error.strerror}.") from error
+        raise RefusedInputError(
+            f"The kept head of the audit log {file} cannot be read ({error.strerror}): let this process read it."
+        ) from error
     for line in reversed(lines):
         if (head := _head_in(line)) is not None:
             return head

@@ -124,7 +124,7 @@ def get_record(session: Session, record_id: int) -> AuditRecord:
     """Return a record."""
     record = rows.record(session, record_id)
     if record is None:
-        raise NotFoundError(f"There is no audit record {record_id}.")
+        raise NotFoundError(f"There is no audit record {record_id}; choose one of the list.")
     return record
 
 

@@ -154,7 +154,7 @@ class BackupManifest:
         return manifest
 
 
-NO_MANIFEST = "This file is no backup of Boresight: it has no manifest that can be read."
+NO_MANIFEST = "This file is no backup of Boresight: it has no manifest that can be read. Use another file."
 
 
 def _is_address(value: object) -> bool:
@@ -307,7 +307,7 @@ def _opened(archive: Path) -> Iterator[zipfile.ZipFile]:
         with zipfile.ZipFile(archive) as backup:
             yield backup
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError) as error:
-        raise RefusedInputError(f"{archive} cannot be read as a backup: {error}.") from error
+        raise RefusedInputError(f"{archive} cannot be read as a backup ({error}); use another file.") from error
 
 
 def is_of_now(archive: Path, engine: Engine) -> bool:
@@ -354,19 +354,20 @@ def _manifest(backup: zipfile.ZipFile) -> BackupManifest:
         packed = stored or (member.compress_type == zipfile.ZIP_DEFLATED and not BLOB.fullmatch(member.filename))
         if member.flag_bits & 1 or not packed:
             raise RefusedInputError(
-                f"This file is no backup as Boresight writes it: its member {member.filename[:80]!r} is encrypted or compressed."
+                f"This file is no backup as Boresight writes it: its member {member.filename[:80]!r} is encrypted or compressed. "
+                "Use the file as it was written."
             )
     if MANIFEST not in names:
         raise RefusedInputError(NO_MANIFEST)
     if backup.getinfo(MANIFEST).file_size > MANIFEST_BYTES:
         raise RefusedInputError(
             f"This file is no backup of Boresight: its manifest would be {backup.getinfo(MANIFEST).file_size / 1e6:.0f} MB, "
-            f"at most {MANIFEST_BYTES / 1e6:.0f} MB are read."
+            f"at most {MANIFEST_BYTES / 1e6:.0f} MB are read. Use another file."
         )
     with backup.open(MANIFEST) as packed_manifest:
         manifest = BackupManifest.from_json(packed_manifest.read(MANIFEST_BYTES))
     if DATABASE not in names:
-        raise RefusedInputError("This file is no backup of Boresight: it holds no database.")
+        raise RefusedInputError("This file is no backup of Boresight: it holds no database. Use another file.")
     return manifest
 
 
@@ -420,7 +421,9 @@ def _lay_down_database(backup: zipfile.ZipFile, sha256: str, database: Path | No
         try:
             _registered(written)
         except sqlite3.Error as error:
-            raise RefusedInputError(f"The database in the backup is none of Boresight: {error}.") from error
+            raise RefusedInputError(
+                f"The database in the backup is none of Boresight ({error}); use another backup."
+            ) from error
         written.chmod(0o600)
         if database is None:
             _copy_rows(f"sqlite:///{written}", url)

@@ -62,13 +62,17 @@ def open_engine(url: str) -> Engine:
     try:
         address = sa.make_url(url)
     except sa.exc.ArgumentError as error:
-        raise RefusedInputError(f"The database address {url!r} cannot be read; expected sqlite:///path.") from error
+        raise RefusedInputError(
+            f"The database address {url!r} cannot be read; give one such as sqlite:///path."
+        ) from error
     backend = address.get_backend_name()
     if backend == "sqlite" and address.database:
         return _open_sqlite(address)
     if backend in {"postgresql", "postgres"}:
         return _open_postgresql(address)
-    raise RefusedInputError(f"The database address {url!r} names neither a SQLite file nor a PostgreSQL database.")
+    raise RefusedInputError(
+        f"The database address {url!r} names neither a SQLite file nor a PostgreSQL database; give one such as sqlite:///path."
+    )
 
 
 def _open_sqlite(address: sa.URL) -> Engine:

@@ -63,11 +63,11 @@ _ONE_MIGRATION = threading.Lock()  # Alembic's context belongs to the process
 class Session(OrmSession):
     """A transaction on the store; its commit seals in the audit log what it changed."""
 
-    def get_known(self, table: type[R], row_id: int, advice: str = "") -> R:
+    def get_known(self, table: type[R], row_id: int) -> R:
         """Return a row by its id; refuse an unknown one."""
         row = self.get(table, row_id)
         if row is None:
-            raise NotFoundError(f"There is no {table.noun} {row_id}{advice}.")
+            raise NotFoundError(f"There is no {table.noun} {row_id}; choose one of the list.")
         return row
 
     def put(self, row: T) -> T:
@@ -170,7 +170,9 @@ def _changing_schema(engine: Engine) -> Iterator[sa.Connection]:
                 be_the_only_writer(connection, wait_s=MIGRATION_WAIT_S)
                 yield connection
                 if sqlite and (broken := connection.exec_driver_sql("PRAGMA foreign_key_check").fetchall()):
-                    raise ConflictError(f"The migration would leave rows that refer to nothing: {broken[:3]}.")
+                    raise ConflictError(
+                        f"The migration would leave rows that refer to nothing, {broken[:3]}, and was not made: restore a backup."
+                    )
         except CommandError as error:
             raise ConflictError(
                 f"The database is of a newer version of Boresight ({error}); install that version or restore a backup."

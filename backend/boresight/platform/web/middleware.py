@@ -203,7 +203,7 @@ def with_allow(request: Request, error: Exception) -> Exception:
     if not isinstance(error, HTTPException) or error.status_code != NOT_ALLOWED:
         return error
     takes = ", ".join(allowed(request))
-    sentence = f"This address does not take {request.method}; it takes {takes}."
+    sentence = f"This address does not take {request.method}; use {takes}."
     return HTTPException(NOT_ALLOWED, sentence, headers={"Allow": takes})
 
 

@@ -51,6 +51,7 @@ KINDS: Mapping[type[Exception], ProblemKind] = {
     errors.CancelledError: ProblemKind(409, "Cancelled"),
 }
 UNFORESEEN = ProblemKind(500, "Unforeseen error")
+UNKNOWN_ADDRESS = "There is nothing at this address; look it up in /api/v1/openapi.json."
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,8 @@ def make_problem(error: Exception) -> Problem:
     if isinstance(error, RequestValidationError):
         return _malformed(error)
     if isinstance(error, HTTPException):
-        return Problem(_find_kind(error.status_code), str(error.detail), headers=error.headers)
+        detail = UNKNOWN_ADDRESS if error.detail == HTTPStatus.NOT_FOUND.phrase else str(error.detail)
+        return Problem(_find_kind(error.status_code), detail, headers=error.headers)
     if isinstance(error, OSError) and (of_disk := storage_error(error)) is not None:
         error = of_disk
     for kind in type(error).__mro__:
@@ -104,7 +106,9 @@ def _malformed(error: RequestValidationError) -> Problem:
     first = places[0] if places else {"pointer": "", "where": "body", "detail": "it cannot be read"}
     place = first["pointer"] or first["where"]
     return Problem(
-        ProblemKind(422, "Malformed request"), f"The request is malformed at {place}: {first['detail']}.", places
+        ProblemKind(422, "Malformed request"),
+        f"The request is malformed at {place}: {first['detail']}; correct it and send it again.",
+        places,
     )
 
 

@@ -142,7 +142,7 @@ async def _checked(scope: Scope, receive: Receive) -> Receive:
     if NUL in scope["path"]:
         raise HTTPException(HTTPStatus.NOT_FOUND)
     if b"\0" in unquote_to_bytes(scope["query_string"]):
-        raise _malformed("query", "A parameter holds a NUL character; leave it out")
+        raise _malformed("query", "A parameter holds a NUL character")
     told = Headed()
     told["content-type"] = Headers(scope=scope).get("content-type", "")
     if str(told.get_param("charset", CHARSETS[0])).lower() not in CHARSETS:
@@ -191,11 +191,11 @@ def _refuse_unkeepable(document: Any) -> None:
     level, depth = [document], 0
     while level:
         if depth > DEEPEST:
-            raise _malformed("body", f"It is nested more than {DEEPEST} deep; nothing here is")
+            raise _malformed("body", f"It is nested more than {DEEPEST} deep")
         texts = [one for one in level if isinstance(one, str)]
         keys = [key for one in level if isinstance(one, dict) for key in one]
         if any(NUL in text for text in (*texts, *keys)):
-            raise _malformed("body", "A text holds a NUL character; leave it out")
+            raise _malformed("body", "A text holds a NUL character")
         objects = [value for one in level if isinstance(one, dict) for value in one.values()]
         level = [*objects, *(value for one in level if isinstance(one, list) for value in one)]
         depth += 1

@@ -104,7 +104,7 @@ class WebhookTargets:
         if (form := _carried(address)) is not None:
             return f"an IPv4 address in {form} form, which is not allowed: give the IPv4 address itself"
         if _within(address, METADATA):
-            return "where a cloud tells its machines their secrets, which is not allowed"
+            return "where a cloud tells its machines their secrets, which is not allowed: give another address"
         if _within(address, LOCAL) or address in self._own():
             hint = "set BORESIGHT_WEBHOOKS_LOCAL=1 where that is wanted"
             return None if self.local else f"an address of this machine or its link, which is not allowed: {hint}"
@@ -112,7 +112,7 @@ class WebhookTargets:
             hint = "set BORESIGHT_WEBHOOKS_PRIVATE=1 where receivers are in it"
             return None if self.private else f"an address of a private network, which is not allowed: {hint}"
         if _within(address, RESERVED) or (address.version == 6 and address not in GLOBAL_UNICAST):
-            return "an address that no receiver on the internet has, which is not allowed"
+            return "an address that no receiver on the internet has, which is not allowed: give another address"
         return None
 
     def _own(self) -> frozenset[Address]:
@@ -182,7 +182,7 @@ def parsed(url: str) -> tuple[str, int]:
     if "@" in parts.netloc or parts.fragment:
         raise RefusedInputError("A webhook's address carries no name, password or #part; give it without.")
     if len(url) > LONGEST_URL:
-        raise RefusedInputError(f"The address has {len(url)} characters; at most {LONGEST_URL} can be kept.")
+        raise RefusedInputError(f"The address has {len(url)} characters; shorten it to {LONGEST_URL}.")
     try:
         parts.hostname.encode("idna")
     except UnicodeError:  # an empty label, or one that is too long

@@ -206,5 +206,5 @@ BUILT_IN: Final = {profile.name: profile for profile in _PROFILES}
 def find_built_in(name: str) -> Profile:
     """Return the built-in profile of a name."""
     if name not in BUILT_IN:
-        raise NotFoundError(f"There is no built-in profile {name}: there are {', '.join(BUILT_IN)}; or give a file.")
+        raise NotFoundError(f"There is no built-in profile {name}: choose from {', '.join(BUILT_IN)}, or give a file.")
     return BUILT_IN[name]

@@ -315,7 +315,7 @@ def _piece(name: str, segment: Segment) -> _Piece:
     metadata = segment.metadata
     if metadata.get("CENTER_NAME", "").upper() not in {"EARTH", "EARTH BARYCENTER"}:
         raise RefusedInputError(
-            f"{name} is about {metadata.get('CENTER_NAME', 'no body')}: velocity is wanted about the Earth, CENTER_NAME = EARTH."
+            f"{name} is about {metadata.get('CENTER_NAME', 'no body')}: give velocities about the Earth, CENTER_NAME = EARTH."
         )
     frame = metadata.get("REF_FRAME", "").upper()
     if frame not in {*_INERTIAL, "TEME"}:
@@ -337,9 +337,7 @@ def read_aem(path: Path, name: str, longest_gap_s: float) -> Attitudes:
         metadata = segment.metadata
         kind = metadata.get("ATTITUDE_TYPE", "").upper()
         if not kind.startswith("QUATERNION"):
-            raise RefusedInputError(
-                f"{name}: ATTITUDE_TYPE {kind or 'is missing'}: quaternions are read, write it as QUATERNION."
-            )
+            raise RefusedInputError(f"{name}: ATTITUDE_TYPE {kind or 'is missing'}: write it as QUATERNION.")
         time_utc, values = _numbers(name, segment, 4)
         begins, ends = _span(name, metadata, time_utc)
         inside = (time_utc >= begins) & (time_utc <= ends)
@@ -368,7 +366,7 @@ def _leads_to_body(name: str, metadata: Mapping[str, str]) -> bool:
     first, second = metadata.get("REF_FRAME_A", "").upper(), metadata.get("REF_FRAME_B", "").upper()
     if (first in _INERTIAL) == (second in _INERTIAL):
         raise RefusedInputError(
-            f"{name}: REF_FRAME_A {first or 'is missing'} and REF_FRAME_B {second or 'is missing'}: attitudes are read between one "
-            f"of {', '.join(_INERTIAL)} and a body."
+            f"{name}: REF_FRAME_A {first or 'is missing'} and REF_FRAME_B {second or 'is missing'}: write one of them as "
+            f"{' or '.join(_INERTIAL)}, the other as a body."
         )
     return (first in _INERTIAL) == (metadata.get("ATTITUDE_DIR", "A2B").upper() == "A2B")

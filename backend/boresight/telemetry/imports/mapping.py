@@ -164,7 +164,9 @@ def import_files(
     if not 1 <= len(files) <= MOST_FILES:
         raise RefusedInputError(f"{len(files):,} files were given: import 1 to {MOST_FILES:,} at a time.")
     if profile.row is None:
-        raise RefusedInputError(f"The profile {profile.name} has no centroids: it is of attitudes beside another file.")
+        raise RefusedInputError(
+            f"The profile {profile.name} has no centroids: give it as the attitude of another file, or choose one that has."
+        )
     wanted = profile if time is None else replace(profile, time=_constant_time(profile, time))
     added = _Added(
         None if orbit is None else read_orbit(orbit.path, orbit.name),
@@ -302,7 +304,7 @@ def _of_detector(values: FloatArray, turned: Quaternion, faults: Faults | None =
         faults.add_entries(
             np.abs(length - 1) > 0.01,
             turned.columns[0],
-            lambda entry: f"the quaternion's length is {length[entry]:.4g}, not 1",
+            lambda entry: f"the quaternion's length is {length[entry]:.4g}, not 1: give a unit quaternion",
         )
     with np.errstate(invalid="ignore", divide="ignore"):
         q = q / length[:, None]
@@ -476,7 +478,7 @@ class _Reading:
         """Return (n_entries,) rows and columns, and find which cells are stars."""
         row, col = self.profile.row, self.profile.col
         if row is None or col is None:
-            raise RefusedInputError(f"The profile {self.profile.name} has no centroids.")
+            raise RefusedInputError(f"The profile {self.profile.name} has no centroids: give it row and col.")
         rows, cols = self.numbers(row.column), self.numbers(col.column)
         if rows.shape != cols.shape:
             raise RefusedInputError("The profile has {n} in one of row and col: write it in both, or in neither.")
@@ -493,7 +495,7 @@ class _Reading:
         self.faults.refuse()
         self.rows, self.places = np.nonzero(present)
         if not len(self.rows):
-            raise RefusedInputError(f"{self.table.name} has no star: no row has both {row.column} and {col.column}.")
+            raise RefusedInputError(f"{self.table.name} has no star: give both {row.column} and {col.column} in a row.")
         without = int(np.count_nonzero(~present.any(axis=1)))
         if without:
             self.notes.append(f"{without:,} rows hold no star.")
@@ -603,7 +605,9 @@ class _Reading:
             )
         unknown = np.zeros(len(self.table), dtype=np.bool_)
         unknown[self.rows] = np.isnat(moments)
-        self.faults.add_entries(unknown, time.column, lambda _: "the cell is empty, and frames are numbered by time")
+        self.faults.add_entries(
+            unknown, time.column, lambda _: "the cell is empty, and frames are numbered by time: give it"
+        )
         self.meanings.append(Meaning("frame", time.column or "", "a number for each time, from 0"))
         return np.unique(moments, return_inverse=True)[1].astype(np.int64)
 
@@ -613,7 +617,7 @@ class _Reading:
         values, absent = integers(pa.chunked_array([self.table.columns[found]]), found, self.faults)
         missing = np.zeros(len(self.table), dtype=np.bool_)
         missing[self.rows] = absent[self.rows]
-        self.faults.add_entries(missing, found, lambda _: "the cell is empty: every star needs a number here")
+        self.faults.add_entries(missing, found, lambda _: "the cell is empty: give every star a number here")
         self.tell(name, column, "as it stands")
         return np.asarray(values[self.rows])
 

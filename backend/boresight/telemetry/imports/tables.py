@@ -124,7 +124,7 @@ def read_source(
         case _:
             table = _read_votable(path, name, layout, limits)
     if not len(table):
-        raise RefusedInputError(f"{name} has no rows: there is nothing to import.")
+        raise RefusedInputError(f"{name} has no rows: give a file that has.")
     return _chosen(table, layout)
 
 
@@ -227,7 +227,7 @@ def _read_text_table(path: Path, name: str, form: str, layout: Layout, limits: L
     has_header = form == "ecsv" or (form == "text" and layout.header)
     data = rows[1:] if has_header else rows
     if not data:
-        raise RefusedInputError(f"{name} has no rows: there is nothing to import.")
+        raise RefusedInputError(f"{name} has no rows: give a file that has.")
     width = max(len(_split(lines[row - 1], separator)) for row in rows[:2])
     _refuse_cells(name, len(data), width, limits)
     names = _sextractor_names(name, lines, rows) if form == "sextractor" else None
@@ -403,13 +403,15 @@ def _place_indexed(
         values, places = document.get(key), document.get(by)
         if not isinstance(values, list) or not isinstance(places, list) or len(values) != len(places):
             if values is not None or places is not None:
-                faults.add(f"is not as long as {by}, which says whose its entries are", row=row, column=key)
+                faults.add(
+                    f"is not as long as {by}, which says whose its entries are: give one for each", row=row, column=key
+                )
             continue
         for value, place in zip(values, places, strict=True):
             if isinstance(place, int) and 0 <= place < len(stars):
                 stars[place].update(_flat(key, value))
             else:
-                faults.add(f"{place!r} is the number of no star, they are 0 to {len(stars) - 1}", row=row, column=by)
+                faults.add(f"{place!r} is the number of no star: give 0 to {len(stars) - 1}", row=row, column=by)
 
 
 def _flat(key: str, value: Any) -> Iterator[tuple[str, Any]]:
@@ -535,7 +537,7 @@ def _read_votable(path: Path, name: str, layout: Layout, limits: Limits) -> Sour
         named = enumerate(tables)
         tables = [table for number, table in named if layout.extension in {number, table.ID, table.name}]
     if not tables:
-        raise RefusedInputError(f"{name} holds no table with rows: there is nothing to import.")
+        raise RefusedInputError(f"{name} holds no table with rows: give a file that has one.")
     table = tables[0]
     rows = len(table.array)
     _refuse_cells(name, rows, len(table.fields), limits)

@@ -580,7 +580,7 @@ def scale_quaternions(telemetry: Telemetry) -> None:
 def _complete(cells: tuple[Values, BoolArray], name: str, faults: Faults) -> Values:
     """Return the values of a column in which no cell may be absent."""
     values, absent = cells
-    faults.add_entries(absent, name, lambda _: "the cell is empty: every row needs a number here")
+    faults.add_entries(absent, name, lambda _: "the cell is empty: give every row a number here")
     return values
 
 

@@ -177,7 +177,7 @@ def read_json(path: Path, name: str) -> Any:
     with _opened(path) as file:
         if file.seek(0, 2) > LONGEST_DOCUMENT_BYTES:
             raise RefusedInputError(
-                f"{name} is over {LONGEST_DOCUMENT_BYTES / 1e6:,.0f} MB: this is no document that is read here, check the name."
+                f"{name} is over {LONGEST_DOCUMENT_BYTES / 1e6:,.0f} MB, as no document that is read here: check the name."
             )
     return parse_json(read_text(name, read_bytes(path, name)))
 
@@ -421,7 +421,7 @@ def csv_tables(path: Path, name: str, limits: Limits = LIMITS, *, as_text: bool 
     if not rows:
         rows = next(pieces, b"")
     if not rows and header:
-        raise RefusedInputError(f"{name} has a header but no rows: there is nothing to calibrate from.")
+        raise RefusedInputError(f"{name} has a header but no rows: export it again, with its stars.")
     return Tables(
         columns=tuple(header),
         first_row=FIRST_CSV_ROW,

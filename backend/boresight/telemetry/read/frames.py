@@ -37,7 +37,7 @@ class FrameIndex:
         place = int(np.searchsorted(self.frame, frame))
         if place == len(self.frame) or self.frame[place] != frame:
             raise NotFoundError(
-                f"The telemetry has no frame {frame}; its {len(self)} frames are numbered from {self.frame[0]} "
+                f"The telemetry has no frame {frame}; choose from its {len(self)}, which are numbered from {self.frame[0]} "
                 f"to {self.frame[-1]}."
             )
         return place

@@ -63,7 +63,7 @@ def iterate_chunks(tables: Tables, name: str, frames: int, limits: Limits = LIMI
         if not cells.count:
             yield from _sound(waiting.whole_frames(part), checks)
     if not rows:
-        absent.add("there are no rows: there is nothing to calibrate from")
+        absent.add("there are no rows: export it again, with its stars")
     for faults in (tables.form, absent, cells):
         faults.refuse()
     yield from _sound(waiting.rest(), checks)

@@ -79,7 +79,7 @@ def parse_profile(document: Mapping[str, Any]) -> Profile:
         if key not in {"schema", "gates"}:
             raise RefusedInputError(f"A gate profile has no key {key!r}: give `gates`, a list.")
     if document.get("schema", SCHEMA) != SCHEMA:
-        raise RefusedInputError(f"The profile's schema is {document['schema']!r}, expected {SCHEMA!r}.")
+        raise RefusedInputError(f"The profile's schema is {document['schema']!r}: write {SCHEMA!r}, or leave it out.")
     given = _by_name(document.get("gates", []))
     return Profile(tuple(_threshold(entry, given.get(entry["name"], {})) for entry in DEFAULT_PROFILE["gates"]))
 
@@ -91,7 +91,7 @@ def _by_name(entries: Any) -> dict[str, Mapping[str, Any]]:
     for entry in entries:
         name = entry.get("name")
         if not isinstance(name, str) or name not in GATES:
-            raise RefusedInputError(f"There is no gate {name!r}; the gates are {', '.join(GATES)}.")
+            raise RefusedInputError(f"There is no gate {name!r}; choose from {', '.join(GATES)}.")
         if name in given:
             raise RefusedInputError(f"The gate {name} is given twice: give it once.")
         given[name] = entry
@@ -102,7 +102,7 @@ def _threshold(default: Mapping[str, Any], given: Mapping[str, Any]) -> Threshol
     """Join what is given with the default, and check it."""
     for key in given:
         if key not in default:
-            raise RefusedInputError(f"Gate {default['name']} has no key {key!r}; its keys are {', '.join(default)}.")
+            raise RefusedInputError(f"Gate {default['name']} has no key {key!r}; choose from {', '.join(default)}.")
     threshold = Threshold(**{**default, **given})
     gate = GATES[threshold.name]
     _check_fixed(gate, threshold)
@@ -120,7 +120,7 @@ def _check_fixed(gate: Gate, threshold: Threshold) -> None:
     """Refuse another direction than the gate's, and a number for what has none."""
     if threshold.direction != gate.direction:
         raise RefusedInputError(
-            f"{gate.name}: direction is {threshold.direction!r}; it is always {gate.direction!r}, leave it out."
+            f"{gate.name}: direction is {threshold.direction!r}, and always {gate.direction!r}; leave it out."
         )
     if gate.direction == "met" and (threshold.limit, threshold.marginal) != (None, None):
         raise RefusedInputError(

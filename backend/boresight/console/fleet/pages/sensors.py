@@ -131,9 +131,11 @@ def read_document(text: str) -> dict[str, Any]:
         document = parse_json(text)
     except json.JSONDecodeError as error:
         fault = Fault(error.lineno, str(error.colno), f"{error.msg}; correct the JSON here.")
-        raise RefusedInputError(f"This is not JSON at line {error.lineno}: {error.msg}.", (fault,)) from error
+        raise RefusedInputError(
+            f"This is not JSON at line {error.lineno} ({error.msg}); correct it.", (fault,)
+        ) from error
     if not isinstance(document, dict):
-        raise RefusedInputError("A sensor file is one JSON object, in braces; this is something else.")
+        raise RefusedInputError("This is no sensor file; write one JSON object, in braces.")
     return document
 
 

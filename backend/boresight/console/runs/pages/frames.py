@@ -204,7 +204,7 @@ def _asked_frame(text: str | None) -> str | None:
 def _first(session: Session, blobs: Any, run: Run, worst: Sequence[FrameLine]) -> str:
     lines = worst or frames.list_frames(session, blobs, run.id, limit=1)
     if not lines:
-        raise NotFoundError("The telemetry has no frames.")
+        raise NotFoundError("The telemetry of this run has no frames; choose another run.")
     return str(lines[0].frame)
 
 

@@ -17,13 +17,14 @@ from boresight.calibration.options import CalibrationSettings
 from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading, Who, csrf, get_server
 from boresight.console.pages.formats import seconds_since
-from boresight.console.pages.rendering import make_change, read_texts, render
+from boresight.console.pages.rendering import make_change, read_texts, redirect, render
 from boresight.console.runs import queries as run_queries
 from boresight.console.runs import service as runs
 from boresight.console.runs.tables import Run, RunEvent, parse_progress
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import RefusedInputError
 from boresight.platform.db.sessions import Session
+from boresight.platform.web.media import CameraFile
 from boresight.verdicts.numbers import count, duration, fixed, percent
 
 LAST_LINES = 5
@@ -258,3 +259,13 @@ def sensor_file(session: Reading, run_id: int) -> JSONResponse:
     """Give the sensor file that the run was made with, whatever has been edited since."""
     run = runs.get_run(session, run_id)
     return JSONResponse(run.sensor_document, headers=_attachment(f"run-{run_id}.sensor.json"))
+
+
+@run_file_router.get("/runs/{run_id:int}/camera-file")
+def camera_file(request: Request, session: Reading, run_id: int, to: str) -> Response:
+    """Give the camera as a file of another program, or go back to the run's page and say why not."""
+    try:
+        content, name = runs.export_run(session, get_server(request).blobs, run_id, to)
+    except RefusedInputError as refusal:
+        return redirect(f"/runs/{run_id}", flash=str(refusal), level="serious")
+    return CameraFile(content, headers=_attachment(name))

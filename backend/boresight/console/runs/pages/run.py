@@ -504,6 +504,7 @@ def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: 
         tabs=list_tabs(run_id, part, result, note_queries.count_notes(session, "runs", run_id)),
         advice=result.advice if result else [],
         camera_formats=[form for form in EXPORT_FORMATS.values() if not form.needs_attitudes],
+        exposure_formats=[form.name for form in EXPORT_FORMATS.values() if form.needs_attitudes],
         no_result=review.why_nothing,
         wide=WIDE,
         **PARTS[part].gather(review),
