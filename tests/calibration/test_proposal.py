@@ -16,15 +16,12 @@ from boresight.images.extraction import extract, sensor_of_images
 from boresight.images.limits import ImageSource
 from boresight.simulation.images import simulate_images
 from boresight.simulation.scenes import calibration_scenario, simulate
-from boresight.sky.identification import available
 from boresight.telemetry.data_sheets import LensAndDetector
 from boresight.telemetry.read.readers import read_telemetry
 from boresight.telemetry.schema import select_rows
 from boresight.telemetry.sensors import parse_sensor, sensor_document
 from tests.effort import few_of
 from tests.images.files import write_fits
-
-pytestmark = pytest.mark.skipif(not available(), reason="lost in space is an extra")
 
 ROWS, COLUMNS, PITCH_M = 480, 640, 15e-6
 #: Electrons of a star of magnitude 0, by focal length: a longer lens sees fewer stars, and has a larger opening.

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
-from boresight.sky.identification import available
 from tests.images.conftest import folder, hard_images, night  # noqa: F401 - fixtures
 
 NUMBERS = ("--rows", "768", "--columns", "1024", "--pixel-pitch-um", "6.9", "--focal-length-mm", "35")
@@ -57,7 +56,6 @@ def test_the_real_field_calibrates_by_a_data_sheet_alone(boresight, real_sky, tm
     assert abs(document["parameters"]["f_m"] - 0.0353) < 2e-5
 
 
-@pytest.mark.skipif(not available(), reason="lost in space is an extra")
 def test_images_alone_make_a_sensor_file_that_calibrates(boresight, folder, night, tmp_path):  # noqa: F811 - a fixture
     images, out, found = sorted(folder.glob("*.fits")), tmp_path / "sensor.json", tmp_path / "found.json"
     done = boresight("sensor", "new", "--images", *images, "--processes", "1", "--out", out)

@@ -55,11 +55,9 @@ from boresight.images.extraction import run_apart
 from boresight.sky.catalogue import Catalogue, load_catalogue
 from boresight.sky.identification import (
     FEWEST_STARS,
-    HOW_TO_INSTALL,
     NARROWEST,
     WIDEST,
     Recognised,
-    available,
     field_of_view_deg,
     identify,
     recognise,
@@ -162,8 +160,6 @@ def propose(
     RefusedInputError
         When the numbers given make no sense, or no exposure is recognised: with what was tried and what to do.
     """
-    if not available():
-        raise RefusedInputError(HOW_TO_INSTALL)
     given = complete(known or LensAndDetector(), subject)
     sample, of_exposures = sample_exposures(telemetry)
     rows, columns, measured = _detector(telemetry, given)

@@ -44,7 +44,6 @@ from boresight.platform.blobs.tables import Blob
 from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing, utc_now
 from boresight.simulation.scenes import calibration_scenario, simulate
-from boresight.sky.identification import available
 from boresight.telemetry.sensors import parse_sensor
 from tests.stores import open_migrated, url_in
 
@@ -103,7 +102,6 @@ def counts(site):
         ]
 
 
-@pytest.mark.skipif(not available(), reason="lost in space is an extra")
 def test_uploaded_stars_fill_the_form_and_store_nothing(site, catalogue, catalogue_folder):
     own = site.settings.catalogue_folder
     shutil.rmtree(own, ignore_errors=True)

@@ -57,7 +57,7 @@ def find_profile(session: Session, key: str) -> Profile:
 
 def get_profile(session: Session, profile_id: int) -> ImportProfile:
     """Return a saved version."""
-    return session.get_known(ImportProfile, profile_id, "; choose one of the list")
+    return session.get_known(ImportProfile, profile_id)
 
 
 def list_profiles(

@@ -175,7 +175,7 @@ def get_telemetry_source(telemetry_set_id: Id, session: Reading, blobs: Blobs) -
     """Download the file that a set was imported from, as it came."""
     row = session.get_known(TelemetrySet, telemetry_set_id)
     if row.source_sha256 is None or row.import_record is None:
-        raise NotFoundError(f"{row.name} was uploaded as telemetry; its file is what there is.")
+        raise NotFoundError(f"{row.name} was uploaded as telemetry: download its file.")
     name = row.import_record["sources"][0]["name"]
     return StoredFile(blobs.path(row.source_sha256), filename=name, headers={"ETag": f'"{row.source_sha256}"'})
 
