@@ -135,6 +135,7 @@ ROW_REASONS = (
     "too few other stars of its exposure were matched",
     "left out as a double or for its unreliable astrometry",
     "its centroid is off the detector",
+    "left out because a neighbour within the width of its image draws its centroid",
 )
 STARTS = (
     "none",
@@ -153,6 +154,7 @@ EXPOSURE_REASONS = (
 )
 NOTHING_TO_START_FROM, NO_TIME, NOT_INSTALLED = 1, 3, 4
 LEFT_OUT = ROW_REASONS.index("left out as a double or for its unreliable astrometry")
+BLENDED = ROW_REASONS.index("left out because a neighbour within the width of its image draws its centroid")
 OFF_DETECTOR = ROW_REASONS.index("its centroid is off the detector")
 OTHER_EXPOSURE, QUATERNION, NEIGHBOUR, LOST = (
     STARTS.index(name) for name in ("other exposure", "quaternion", "neighbouring frame", "lost in space")
