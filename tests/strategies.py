@@ -84,6 +84,7 @@ def telemetry_tables(draw):
         sigma_px=draw(st.none() | _cells(n, 1e-3, 5.0)),
         star_id=draw(st.none() | st.permutations(range(1, n + 1)).map(lambda ids: np.array(ids, dtype=np.int64))),
         temperature_c=draw(st.none() | _cells(n, -80.0, 80.0)),
+        psf_sigma_px=draw(st.none() | _cells(n, 0.3, 12.0)),
         unknown=draw(_unknown_columns(n)),
         **draw(_directions(n)),
         **draw(_quaternions(n)),

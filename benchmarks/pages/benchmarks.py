@@ -231,26 +231,33 @@ def _images(found: Found) -> str:
         ]
     )
     night = found["night"]
+    of_ways = [name for name in ("as_it_comes", "blends_kept", "without_doubles", "site_unknown") if name in night]
     ways = [
         [name.replace("_", " "), _with_interval(night[name], "rmse_over_bound", "rmse_over_bound_interval"),
          f"{night[name]['nees']:.3f}", "{:.3f} to {:.3f}".format(*night[name]["nees_bounds"]), f"{night[name]['chi2_per_dof']:.3f}",
          f"{night[name]['converged']} of {found['sets']}"]
-        for name in ("without_doubles", "as_it_comes")
+        for name in of_ways
     ]  # fmt: skip
+    through_air = "refraction, " if "site_unknown" in of_ways else ""
+    explained = (
+        " *As it comes*: the sensor file has the site, and stars that a neighbour in the catalogue draws by over 0.4 of their "
+        "sigma take no part. *Blends kept*: they do. *Without doubles*: with `--leave-out-doubles`. *Site unknown*: the sensor "
+        "file has no site."
+        if through_air
+        else ""
+    )
     return (
         f"{found['stars']} stars alone, by the ratio of their brightest pixel to the sky's noise: error over the Cramér-Rao bound. "
         "`sep` is the product. The last row is how far a camera is off over the detector, RMS, by the same "
         f"{found['calibration_sets']} clean nights of {found['frames']} images.\n\n"
         + table(("ratio", "bound, px", *(name.replace("_", " ") for name in names)), rows)
-        + f"\n{found['sets']} hard nights of {found['frames']} images (clouds over a third, trails, "
+        + f"\n{found['sets']} hard nights of {found['frames']} images ({through_air}clouds over a third, trails, "
         f"{night['bad_pixels']:.0f} hot and dead "
         f"pixels, a mirrored sky), from images to parameters, lost in space: {night['stars_per_frame']:.0f} stars an image, "
         f"{number(night['extraction_ms_per_frame'])} ms of one processor for {night['megapixels']:.2f} megapixels. "
         "The bound is that of the "
-        "extractor's own sigmas.\n\n"
-        + table(
-            ("doubles", "error / bound", "NEES", "its 95 % bounds", "chi² per degree of freedom", "converged"), ways
-        )
+        f"extractor's own sigmas.{explained}\n\n"
+        + table(("nights", "error / bound", "NEES", "its 95 % bounds", "chi² per degree of freedom", "converged"), ways)
     )
 
 

@@ -21,7 +21,13 @@ from boresight.calibration.matching.match_report import (
 )
 from boresight.calibration.matching.matched import Dataset, Matched, MatchedRange
 from boresight.calibration.matching.matched_frames import read_given_matches
-from boresight.calibration.matching.rematch import Rematcher, ground_covariance, matched_telemetry
+from boresight.calibration.matching.rematch import (
+    Rematcher,
+    centroid_sigma_px,
+    ground_covariance,
+    matched_telemetry,
+    pixel_rad,
+)
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.telemetry_pieces import MatchedRows
 from boresight.cameras.inverted_wang import INVERTED_WANG
@@ -29,8 +35,8 @@ from boresight.estimation.filters.history import start
 from boresight.estimation.statistics.consistency import chi_square
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_truth
-from boresight.sky.guide_stars import DOUBLE, UNRELIABLE
-from boresight.sky.matching import EXPOSURE_REASONS, LEFT_OUT, ROW_REASONS, STARTS
+from boresight.sky.guide_stars import DOUBLE, UNRELIABLE, pulls_of
+from boresight.sky.matching import BLENDED, EXPOSURE_REASONS, LEFT_OUT, ROW_REASONS, STARTS
 from boresight.telemetry.read.readers import read_telemetry
 from boresight.telemetry.sensors import read_sensor
 from tests.calibration.sets import SENSORS, Score, Sky, sky
@@ -184,6 +190,28 @@ def test_double_stars_are_left_out_when_asked_and_say_so(catalogue):
     assert (fewer.row_reason[gone] == LEFT_OUT).all()
     assert np.isnan(fewer.s_i[gone]).all()
     assert not (every.row_reason == LEFT_OUT).any()
+
+
+def test_stars_that_a_neighbour_draws_are_left_out_where_the_width_of_an_image_is_known_unless_they_are_to_be_kept(
+    catalogue,
+):
+    field = sky(catalogue, 3, 20, start="refined")
+    bare = field.blanked(0.5)
+    wide = replace(bare, psf_sigma_px=np.full(len(bare), 4.0))
+    every, fewer, kept = field.match(bare), field.match(wide), field.match(wide, blends="keep")
+    np.testing.assert_array_equal(kept.star_id, every.star_id)
+    assert not (every.row_reason == BLENDED).any()
+    gone = (every.star_id > 0) & (fewer.star_id == 0)
+    np.testing.assert_array_equal(gone, fewer.row_reason == BLENDED)
+    pixel = pixel_rad(field.sensor, field.sensor.initial)
+    place = catalogue.find_index(every.star_id[every.star_id > 0])
+    pull_px = pulls_of(catalogue, place, 4.0 * pixel) / pixel
+    sigma_px = centroid_sigma_px(wide, field.sensor)[every.star_id > 0]
+    assert 0 < gone.sum() < 0.5 * len(gone)
+    np.testing.assert_array_equal(gone[every.star_id > 0], pull_px > 0.4 * sigma_px)
+    assert view(field, wide, fewer)["flagged"]["blended"] == gone.sum()
+    unknown = replace(bare, psf_sigma_px=np.full(len(bare), np.nan))
+    np.testing.assert_array_equal(field.match(unknown).star_id, every.star_id)
 
 
 def test_the_order_of_the_frames_does_not_matter_and_no_exposure_has_a_star_twice(catalogue):

@@ -1,6 +1,6 @@
 """Centroids with the covariance that truth has, bad pixels from the set itself, trails and clouds without a false star."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -10,6 +10,8 @@ from boresight.errors import RefusedInputError
 from boresight.images.detection import DetectionOptions, detect, learn, subtract_sky
 from boresight.images.psf import centroid_covariance, cut_patches, make_window, pixel_shares
 from boresight.simulation.images import Optics, draw_stars, simulate_images
+from boresight.sky.catalogue import Catalogue
+from boresight.sky.guide_stars import pulls_of
 from tests.effort import effort
 
 ONE_IN_A_MILLION = 1e-6
@@ -131,7 +133,7 @@ def test_trails_give_no_star_and_their_pixels_are_counted(night, catalogue):
 
 
 def test_saturated_stars_are_flagged_and_widened(night, catalogue):
-    optics = Optics(zero_magnitude_e=3e6, bits=12, gain_e_per_dn=4.0)
+    optics = Optics(zero_magnitude_e=8e6, bits=12, gain_e_per_dn=4.0)
     images = list(simulate_images(night, optics, np.random.default_rng(7), catalogue))
     options = DetectionOptions(gain_e_per_dn=4.0)
     common = learn(pixels(images), options, None)
@@ -150,3 +152,20 @@ def test_images_without_stars_are_refused():
     rng = np.random.default_rng(8)
     with pytest.raises(RefusedInputError):
         learn([np.rint(rng.normal(100, 10, (128, 160)))], DetectionOptions(), None)
+
+
+@pytest.mark.parametrize("apart_px", [1.0, 2.0, 3.0, 4.0, 5.0])
+@pytest.mark.parametrize("ratio", [0.05, 0.2])
+def test_a_neighbour_draws_a_centroid_by_what_matching_takes_it_to(apart_px, ratio):
+    sep = pytest.importorskip("sep")
+    pixel, width = np.arange(41), 1.1
+    rows, star, other = (pixel_shares(pixel, np.array([c]), width)[0] for c in (20.2, 20.3, 20.3 + apart_px))
+    window = np.hypot(width, np.sqrt(1.0 / 12.0))  # of the pixels too
+    image = np.ascontiguousarray(1e5 * np.outer(rows, star + ratio * other))
+    x, _, _ = sep.winpos(image, [20.3], [20.2], [window])
+    zero = np.zeros(2)
+    arrays = {one.name: zero for one in fields(Catalogue)}
+    places = {"ra_rad": np.array([0.0, apart_px * 1e-5]), "magnitude": np.array([5.0, 5.0 - 2.5 * np.log10(ratio)])}
+    pair = Catalogue(**arrays | places)
+    expected = pulls_of(pair, np.array([0]), window * 1e-5)[0] / 1e-5
+    assert x[0] - 20.3 == pytest.approx(expected, rel=0.15)

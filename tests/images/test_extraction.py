@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from dataclasses import replace
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -14,6 +15,7 @@ from boresight.errors import RefusedInputError
 from boresight.images.detection import DetectionOptions
 from boresight.images.extraction import IMAGE_COLUMNS, extract
 from boresight.images.limits import ImageLimits, ImageSource
+from boresight.sky.matching import BLENDED, ROW_REASONS
 from boresight.telemetry.read.readers import read_telemetry
 from tests.cli.conftest import accepted, assert_refused, boresight, data_folder  # noqa: F401 - fixtures
 from tests.images.files import write_fits
@@ -86,6 +88,33 @@ def test_one_command_leads_from_a_hard_night_to_a_calibration(boresight, folder,
     nees = e @ np.linalg.solve(np.array(found["covariance"]["matrix"]), e)
     assert nees < stats.chi2.ppf(1 - 1e-5, len(FREE))
     assert found["chi2_per_dof"] < 1.3
+    assert found["matching"]["flagged"]["blended"] > 0
+
+
+def test_a_night_is_seen_through_the_air_of_the_sensor_s_site_and_without_the_site_its_camera_is_wrong(
+    folder, images, night
+):
+    extracted = bs.extract(images, folder / "camera.json", processes=1, progress=False)
+    scores = {}
+    for site in (night.sensor.site, None):
+        found = bs.calibrate(extracted.telemetry, replace(night.sensor, site=site), progress=False)
+        e = np.array([found.parameters[name] for name in FREE]) - night.truth[: len(FREE)]
+        scores[site is None] = e @ np.linalg.solve(np.array(found.covariance.matrix), e)
+    assert scores[False] < stats.chi2.ppf(1 - 1e-5, len(FREE)) < 0.1 * scores[True]
+
+
+def test_stars_that_the_catalogue_knows_to_blend_in_these_images_take_no_part_unless_they_are_to(folder, images):
+    extracted = bs.extract(images, folder / "camera.json", processes=1, progress=False)
+    width = extracted.to_dict()["star_sigma_px"]
+    assert (extracted.telemetry.psf_sigma_px == width).all()
+    few, all_of_them = (
+        bs.match(extracted.telemetry, folder / "camera.json", blends=one, progress=False)
+        for one in ("leave-out", "keep")
+    )
+    gone = (all_of_them.telemetry.star_id > 0) & (few.telemetry.star_id == 0)
+    assert 0 < gone.sum() < 0.2 * (all_of_them.telemetry.star_id > 0).sum()
+    assert few.to_dict()["unmatched_reasons"][ROW_REASONS[BLENDED]] == gone.sum()
+    assert ROW_REASONS[BLENDED] not in all_of_them.to_dict()["unmatched_reasons"]
 
 
 def test_match_takes_images(boresight, folder, images, tmp_path):  # noqa: F811 - a fixture

@@ -34,6 +34,7 @@ from boresight.sky.guide_stars import (
     guide_stars,
     observer_motion,
     phrases,
+    pulls_of,
     star_flags,
 )
 from boresight.sky.identification import field_of_view_deg, identify
@@ -486,6 +487,19 @@ def test_the_flags_are_those_of_a_search_through_all_pairs(seed, n, blend_arcsec
     np.testing.assert_array_equal((flags & UNRELIABLE) > 0, stars.solution_type != SINGLE_STAR)
     some = rng.permutation(n)[: n // 2]
     np.testing.assert_array_equal(flags_of(stars, some, blend_arcsec * ARCSEC), flags[some])
+
+
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 30), psf_arcsec=st.floats(1.0, 300.0))
+def test_what_neighbours_draw_is_the_sum_of_a_search_through_all_pairs(seed, n, psf_arcsec):
+    rng = np.random.default_rng(seed)
+    stars = made(0.005 * rng.random(n), 0.005 * rng.random(n), rng.uniform(0, 10, n))
+    c = np.cos(stars.dec_rad)
+    s = np.column_stack([c * np.cos(stars.ra_rad), c * np.sin(stars.ra_rad), np.sin(stars.dec_rad)])
+    d = np.linalg.norm(s[:, None] - s[None], axis=2)
+    ratio = 10 ** (0.4 * (stars.magnitude[:, None] - stars.magnitude[None]))
+    drawn = np.where(d <= 8 * psf_arcsec * ARCSEC, ratio * d * np.exp(-((d / (psf_arcsec * ARCSEC)) ** 2) / 4), 0)
+    some = rng.permutation(n)[: n // 2]
+    np.testing.assert_allclose(pulls_of(stars, some, psf_arcsec * ARCSEC), drawn.sum(axis=1)[some], rtol=1e-9)
 
 
 def test_a_companion_of_a_much_brighter_star_is_a_double_and_few_bright_ones_are(catalogue):

@@ -20,7 +20,14 @@ from boresight.telemetry.read.limits import Limits
 from boresight.telemetry.read.readers import read_chunks, read_telemetry, rows_in, stretches, write_csv, write_parquet
 from boresight.telemetry.sampling import exposure_keys, shared_exposures
 from boresight.telemetry.schema import Telemetry, joined, select_rows
-from boresight.telemetry.working_table import WorkingTable, WorkingTableParts, is_working_table, write_working_table
+from boresight.telemetry.working_table import (
+    FrameImage,
+    WorkingTable,
+    WorkingTableParts,
+    find_image,
+    is_working_table,
+    write_working_table,
+)
 from tests.calibration.conftest import telemetry as simulated
 from tests.effort import effort
 from tests.strategies import telemetry_tables
@@ -152,6 +159,31 @@ def test_every_array_comes_back_bit_for_bit_whatever_the_parts(tmp_path, frames)
     assert len(table) == len(full())
     assert_same_bits(table.read(), full())
     assert_same_bits(table.rows(20, 90), select_rows(full(), slice(20, 90)))
+
+
+@pytest.mark.parametrize("frames", [1, 7, 1000])
+def test_which_image_a_frame_is_comes_back_and_other_columns_of_the_file_s_own_do_not(tmp_path, frames):
+    whole = full()
+    names = [f"night-{frame}.fits" for frame in whole.frame]
+    hashes = [f"{frame:064x}" for frame in whole.frame]
+    texts = pa.chunked_array([pa.array(names).dictionary_encode()])
+    unknown = {"image": texts, "image_sha256": pa.chunked_array([hashes]), "flux_dn": texts}
+    path = in_parts(replace(whole, unknown=unknown), tmp_path / "table", frames)
+    read = WorkingTable(path).read()
+    assert {name: cells.to_pylist() for name, cells in read.unknown.items()} == {"image": names, "image_sha256": hashes}
+    assert_same_bits(read, whole)
+    index = frame_index(path)
+    assert find_image(index.read(2), 0) == FrameImage("night-16.fits", f"{16:064x}")
+    assert len(index.read(2).unknown["image"]) == ROWS
+
+
+def test_a_table_that_names_no_images_reads_as_before(tmp_path):
+    write_working_table(full(), tmp_path / "table")
+    read = WorkingTable(tmp_path / "table").read()
+    assert read.unknown == {}
+    assert find_image(read, 0) is None
+    columns = pa.ipc.open_file(str(tmp_path / "table")).schema.names
+    assert not {"image", "image_sha256"} & set(columns)
 
 
 def test_writing_into_mapped_arrays_leaves_the_file_alone_and_other_bytes_than_its_address_are_refused(tmp_path):

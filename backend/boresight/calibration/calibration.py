@@ -449,11 +449,12 @@ class Tolerance:
 
 @dataclass(frozen=True, kw_only=True)
 class FlaggedStars:
-    """Matched stars that the catalogue calls double or unreliable, and rows left out for it."""
+    """Matched stars that the catalogue calls double or unreliable, and rows left out for it or as blended."""
 
     doubles: int = 0
     unreliable: int = 0
     left_out: int = 0
+    blended: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -33,7 +33,7 @@ the star that the file names would be: how far away that is says why it was reje
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -61,6 +61,7 @@ from boresight.sky.matching import EXPOSURE_REASONS, OFF_DETECTOR, ROW_REASONS, 
 from boresight.telemetry.quality.detector import on_detector
 from boresight.telemetry.schema import Telemetry, select_rows, time_text
 from boresight.telemetry.sensors import Sensor
+from boresight.telemetry.working_table import find_image
 
 #: Frames on either side that are matched too where a frame alone gives nothing to start from.
 NEIGHBOURS = 10
@@ -337,6 +338,7 @@ def frame_view(states: RunStates, read: Read, catalogue: Catalogue, cache_folder
         "frame": int(part.frame[0]),
         "time_utc": time_text(part, 0),
         "temperature_c": None if part.temperature_c is None else _number(part.temperature_c[0]),
+        "image": None if (image := find_image(part, 0)) is None else asdict(image),
         "match": states.settings.match,
         "why_no_new": None
         if states.new is not None

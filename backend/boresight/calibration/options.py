@@ -276,6 +276,12 @@ class CalibrationSettings:
         "Matching", "Leave out doubles and unreliable stars",
         "Leave out double stars and stars with unreliable astrometry.", cell=(2, 2), default=False, flag="--leave-out-doubles",
     )  # fmt: skip
+    blends: str = option(
+        "Matching", "Blended stars",
+        "Stars whose centroid a neighbour in the catalogue draws by over 0.4 sigma, where psf_sigma_px is known, as of images.",
+        cell=(3, 2), default="leave-out", flag="--blends",
+        words={"leave-out": "Leave out, where the width of a star's image is known", "keep": "Keep"},
+    )  # fmt: skip
     noise_model: str = option(
         "Method", "Centroid noise", "Noise of centroids: as stated, or with what the data show of it beyond chance.",
         cell=(3, 1), default="stated", flag="--noise-model",
@@ -443,6 +449,7 @@ class Choices(TypedDict, total=False):
     match_rule: str
     flight_tolerance_urad: float | None
     leave_out_doubles: bool
+    blends: str
     noise_model: str
     minimum_stars: int
     max_iterations: int

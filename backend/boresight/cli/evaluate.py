@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     help="File to write: .csv, .jsonl or .parquet; - is standard output, CSV.",
 )
 @setting_option("leave_out_doubles")
+@setting_option("blends")
 @click.option("--flight", is_flag=True, help="Keep only what the simulated check of the flight code accepts.")
 @extraction_options
 @profile_option
@@ -79,6 +80,7 @@ def match(
             place_sensor(sensor_file, site),
             parameters=parameters,
             leave_out_doubles=bool(choices["leave_out_doubles"]),
+            **chosen({"blends": choices["blends"]}),
             flight=choices["flight"],
             progress=report,
         )

@@ -378,7 +378,7 @@ def match_facts(matching: Matching) -> list[tuple[str, str]]:
     rest = "the matches rested" if matching.rested else "the matches had not rested"
     said = (
         f"{count(flagged.doubles)} doubles, {count(flagged.unreliable)} of unreliable astrometry, "
-        f"{count(flagged.left_out)} left out"
+        f"{count(flagged.left_out)} left out; {count(flagged.blended)} left out as blended"
         if flagged
         else MISSING
     )

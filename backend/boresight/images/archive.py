@@ -6,6 +6,7 @@ the same images make the same bytes. Beside them `telemetry.parquet` says which 
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 import zipfile
 from collections.abc import Sequence
@@ -13,13 +14,14 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from boresight.errors import NotFoundError, RefusedInputError
+from boresight.errors import CorruptFileError, NotFoundError, RefusedInputError
 from boresight.images.extraction import Extraction
 from boresight.images.limits import ImageLimits, ImageSource, is_image
 from boresight.images.picture import make_picture
 from boresight.images.reading import read_image
 from boresight.telemetry.read.readers import read_telemetry, write_parquet
 from boresight.telemetry.sensors import Sensor
+from boresight.telemetry.working_table import FrameImage, find_image
 
 TELEMETRY = "telemetry.parquet"
 #: ZIP knows no earlier time.
@@ -95,25 +97,52 @@ def pack(sources: Sequence[ImageSource], extraction: Extraction, place: Path) ->
         table.unlink()
 
 
-def draw_image(path: Path, sensor: Sensor, frame: int, limits: ImageLimits, folder: Path) -> bytes:
+def draw_image(
+    path: Path, sensor: Sensor, frame: int, limits: ImageLimits, folder: Path, known: FrameImage | None = None
+) -> bytes:
     """Return the image of a frame of an archive as a PNG of 8 bits, stretched so that sky and faint stars are seen.
+
+    Parameters
+    ----------
+    folder
+        Where files may be put meanwhile.
+    known
+        Which image the frame is; the archive's own telemetry says it where left out.
 
     Raises
     ------
     NotFoundError
         When the archive has no image of this frame.
+    CorruptFileError
+        When the image's bytes are not those that its stars were extracted from.
     """
     with zipfile.ZipFile(path) as archive:
-        if TELEMETRY not in archive.namelist():
-            raise NotFoundError("This set holds no images of its frames; choose one that was extracted from images.")
-        table = folder / TELEMETRY
-        table.write_bytes(archive.read(TELEMETRY))
-        telemetry = read_telemetry(table)
-        rows = np.flatnonzero(telemetry.frame == frame)
-        if not len(rows):
+        image = known or _find_packed(archive, frame, folder)
+        if image.name not in archive.namelist():
             raise NotFoundError(f"There is no image of frame {frame}; choose a frame of this set.")
-        name = str(telemetry.unknown["image"][int(rows[0])].as_py())
         place = folder / "image"
-        with archive.open(name) as packed, place.open("wb") as file:
+        with archive.open(image.name) as packed, place.open("wb") as file:
             shutil.copyfileobj(packed, file, COPIED_BYTES)
-    return make_picture(read_image(place, sensor, name=name, limits=limits).dn)
+    with place.open("rb") as file:
+        found = hashlib.file_digest(file, "sha256").hexdigest()
+    if found != image.sha256:
+        raise CorruptFileError(
+            f"{image.name} is not the image that the stars of frame {frame} were extracted from (SHA-256 {found[:12]}, expected "
+            f"{image.sha256[:12]}), so it is not drawn: restore the set from a backup, or upload the images again.",
+            image.sha256,
+        )
+    return make_picture(read_image(place, sensor, name=image.name, limits=limits).dn)
+
+
+def _find_packed(archive: zipfile.ZipFile, frame: int, folder: Path) -> FrameImage:
+    """Return which image a frame is by the telemetry in an archive."""
+    if TELEMETRY not in archive.namelist():
+        raise NotFoundError("This set holds no images of its frames; choose one that was extracted from images.")
+    table = folder / TELEMETRY
+    table.write_bytes(archive.read(TELEMETRY))
+    telemetry = read_telemetry(table)
+    rows = np.flatnonzero(telemetry.frame == frame)
+    image = find_image(telemetry, int(rows[0])) if len(rows) else None
+    if image is None:
+        raise NotFoundError(f"There is no image of frame {frame}; choose a frame of this set.")
+    return image

@@ -41,6 +41,7 @@ from boresight.images.psf import (
     find_slopes,
     make_window,
 )
+from boresight.sky.guide_stars import LARGEST_PULL
 
 BOX_PX = 32
 #: What clipping at three sigmas leaves of a Gaussian's sigma: the background's noise is estimated that way.
@@ -511,7 +512,7 @@ def _judge(  # noqa: PLR0913, PLR0917 - what a judgement rests on
 
 
 def _is_blended(x: FloatArray, y: FloatArray, stars: Detections, window: Window) -> BoolArray:
-    """Tell which objects (n,) a detected neighbour draws by over 0.4 of their sigma.
+    """Tell which objects (n,) a detected neighbour draws by over `LARGEST_PULL` of their sigma.
 
     Of a star of flux F a neighbour of flux G at distance d draws the centroid by G d exp(-d^2 / 4 s^2) / (2 F k), both Gaussians
     of the window's width s.
@@ -526,7 +527,7 @@ def _is_blended(x: FloatArray, y: FloatArray, stars: Detections, window: Window)
             d = np.hypot(x[i] - x[j], y[i] - y[j])
             with np.errstate(divide="ignore", invalid="ignore"):
                 pull = stars.flux_dn[j] / stars.flux_dn[i] * d * np.exp(-((d / s) ** 2) / 4.0) / (2.0 * window.slope)
-            blended[i[pull > 0.4 * stars.sigma_px[i]]] = True
+            blended[i[pull > LARGEST_PULL * stars.sigma_px[i]]] = True
     return blended
 
 

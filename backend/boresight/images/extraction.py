@@ -3,6 +3,7 @@
 Each image is a frame of one exposure; frames are numbered from 0 in the order of time where every image has one, else in the
 order in which they were given. The rows carry beside the contract's columns what the image says of each star: flux and its
 sigma, peak, background, whether it is saturated, the covariance of its centroid, the image's name and the SHA-256 of its bytes.
+`psf_sigma_px` is the width of the set's window: matching leaves out stars whose neighbours in the catalogue blend with them.
 
 The magnitude is the instrument's: -2.5 log10(flux) plus one number for the whole set, such that its faintest stars have the
 sensor's magnitude limit. It orders stars by brightness and finds false matches; it is no photometry.
@@ -298,7 +299,7 @@ def assemble(found: list[FoundStars], sensor: Sensor, common: Common) -> Extract
         raise RefusedInputError(
             "No image shows a star above the threshold: lower --threshold, or look at an image (--picture) for clouds and focus."
         )
-    telemetry = _make_telemetry(found, sensor)
+    telemetry = _make_telemetry(found, sensor, common)
     return Extraction(telemetry, images, common, _sentences(found, images, common, timed))
 
 
@@ -316,7 +317,7 @@ def _describe(frame: int, one: FoundStars) -> ExtractedImage:
     )
 
 
-def _make_telemetry(found: list[FoundStars], sensor: Sensor) -> Telemetry:
+def _make_telemetry(found: list[FoundStars], sensor: Sensor, common: Common) -> Telemetry:
     counts = [len(one.stars) for one in found]
     frame = np.repeat(np.arange(len(found), dtype=np.int64), counts)
     flux = _joined(found, "flux_dn")
@@ -342,6 +343,7 @@ def _make_telemetry(found: list[FoundStars], sensor: Sensor) -> Telemetry:
         magnitude=magnitude,
         sigma_px=_joined(found, "sigma_px"),
         temperature_c=None if np.isnan(temperatures).all() else np.repeat(temperatures, counts),
+        psf_sigma_px=np.full(len(frame), common.window.sigma_px),
         unknown=texts,
     )
 

@@ -242,6 +242,7 @@ def match(
     *,
     parameters: ParameterSource | None = None,
     leave_out_doubles: bool = False,
+    blends: str = "leave-out",
     flight: bool = False,
     progress: Wanted = None,
 ) -> Matches:
@@ -255,13 +256,15 @@ def match(
         A calibration, or parameters by name, to match with; the sensor's own where left out.
     leave_out_doubles
         Leave out double stars and stars with unreliable astrometry.
+    blends
+        "leave-out" or "keep" stars whose centroid neighbours draw, where `psf_sigma_px` is known.
     flight
         Keep only what the simulated check of the flight code accepts.
     """
     from boresight.library.inputs import read_any_parameters, read_any_sensor
     from boresight.library.results import Matches, parse_report
 
-    chosen = CalibrationSettings(match="rematch", leave_out_doubles=leave_out_doubles)
+    chosen = CalibrationSettings.parse({"match": "rematch", "leave_out_doubles": leave_out_doubles, "blends": blends})
     with _prepared(progress, "reading the telemetry") as prepared:
         from boresight.calibration.corrections import put_right
         from boresight.calibration.matching.match_report import match_report, matched_stars
@@ -561,8 +564,8 @@ def _find_residuals(found: Matches, sensor: Sensor, x: FloatArray) -> FloatArray
 
     from boresight.cameras import CAMERA_MODELS
     from boresight.estimation.attitude import to_matrix
-    from boresight.sky.apparent import apparent_directions
     from boresight.sky.catalogue import load_catalogue
+    from boresight.sky.ground import observed_directions
 
     telemetry = found.telemetry
     away = np.full((len(telemetry), 2), np.nan)
@@ -576,7 +579,7 @@ def _find_residuals(found: Matches, sensor: Sensor, x: FloatArray) -> FloatArray
             continue
         star = catalogue.find_index(telemetry.star_id[rows])
         time = np.datetime64("1991-04-02", "us") if telemetry.time_utc is None else telemetry.time_utc[rows[0]]
-        s_i = apparent_directions(catalogue, star, np.repeat(time, len(rows)), np.zeros((len(rows), 3)))
+        s_i = observed_directions(catalogue, star, np.repeat(time, len(rows)), None, telemetry.site)
         s_d = s_i @ to_matrix(np.array(exposure["quaternion"])).T
         s_d[:, 1] *= sensor.parity
         row, col = CAMERA_MODELS[sensor.camera_model].project(x, s_d, sensor.pixel_pitch_m)

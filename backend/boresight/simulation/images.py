@@ -13,17 +13,16 @@ image of the set. Then
 
     DN = round(bias + (Poisson(electrons) + read noise) / gain),   held within 0 and the white level.
 
-Seen from the ground, an image has a zenith, and the air lifts a star at zenith distance z by A tan z + B tan^3 z (`erfa.refco`).
-The site's own motion is in the aberration. Not modelled: the smear of stars during an exposure, scintillation.
+A sensor with a `site` stands on the ground: its scenario's fields stand over the horizon, and the air of the site lifts their stars
+(`simulation.scenes`). Not modelled: the smear of stars during an exposure, scintillation.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-import erfa
 import numpy as np
 from scipy.ndimage import zoom
 
@@ -42,25 +41,6 @@ FAINTEST_PEAK = 0.1
 HOT_MEAN_E = 4000.0
 CLOUD_CELLS = 6
 CLOUD_EDGE = 0.15
-EARTH_RATE_RAD_S = 7.292115e-5
-
-
-@dataclass(frozen=True)
-class Site:
-    """Where on Earth a camera stands, and its air.
-
-    Fields are drawn uniformly in azimuth and in the sine of the elevation between two elevations. `refraction` False takes
-    the air's bending away, and leaves the rest.
-    """
-
-    latitude_deg: float
-    longitude_deg: float
-    elevation_deg: tuple[float, float] = (30.0, 80.0)
-    pressure_hpa: float = 1010.0
-    temperature_c: float = 10.0
-    humidity: float = 0.5
-    wavelength_um: float = 0.6
-    refraction: bool = True
 
 
 @dataclass(frozen=True)
@@ -85,8 +65,6 @@ class Optics:
         Share of an image under cloud, and how much of a star's light passes there.
     exposure_s
         Time of exposure.
-    site
-        Where the camera stands; None in orbit.
     """
 
     psf_sigma_px: float = 1.1
@@ -104,7 +82,6 @@ class Optics:
     cloud_share: float = 0.0
     cloud_transmission: float = 0.1
     exposure_s: float = 0.5
-    site: Site | None = None
 
     @property
     def white_dn(self) -> int:
@@ -151,14 +128,12 @@ def simulate_images(
 ) -> Iterator[SimulatedImage]:
     """Simulate the images of a scenario, one an exposure.
 
-    Of the scenario its sensor, truth, orbit, motion and numbers of frames and exposures count; noise, limit and false stars come
-    of the optics. With a `site` the orbit gives the time alone, and every frame is another field of the night sky.
+    Of the scenario its sensor, truth, orbit or site, motion and numbers of frames and exposures count; noise, limit and false stars
+    come of the optics.
     """
-    exposures = expose(scenario) if optics.site is None else _nights(scenario, optics.site, rng)
+    exposures = expose(scenario)
     faintest = _faintest(optics)
     index, star, s_i = visible_stars(scenario, exposures, catalogue, faintest)
-    if optics.site is not None and optics.site.refraction:
-        s_i = _refracted(s_i, _zenith(optics.site, exposures)[index], optics.site)
     row_px, col_px = read_out(scenario, exposures, index, s_i)
     pixels = _draw_pixels(scenario, optics, rng)
     reach = _reach_px(optics)
@@ -300,62 +275,3 @@ def _add_trail(electrons: FloatArray, optics: Optics, rng: np.random.Generator) 
     across = (np.arange(rows)[:, None] - r) * d_col - (np.arange(columns)[None, :] - c) * d_row
     electrons += optics.trail_e * np.exp(-0.5 * (across / optics.psf_sigma_px) ** 2)
     return float(r), float(c), float(d_row), float(d_col)
-
-
-def _nights(scenario: Scenario, site: Site, rng: np.random.Generator) -> SimulatedExposures:
-    """Point a camera on the ground at random fields, one a frame."""
-    n, m = scenario.frames, scenario.exposures
-    t = (np.arange(n)[:, None] * scenario.sample_period_s + np.arange(m) * scenario.exposure_interval_s).ravel()
-    placed = SimulatedExposures(
-        frame=np.repeat(np.arange(n, dtype=np.int64), m),
-        exposure=np.tile(np.arange(m, dtype=np.int64), n),
-        t_s=t,
-        time_utc=scenario.orbit.times_utc(t),
-        attitude=np.zeros((n * m, 3, 3)),
-        velocity_m_s=np.zeros((n * m, 3)),
-        temperature_c=np.full(n * m, site.temperature_c),
-    )
-    low, high = np.sin(np.radians(site.elevation_deg))
-    sine, azimuth = rng.uniform(low, high, n), rng.uniform(0.0, 2.0 * np.pi, n)
-    roll = rng.uniform(0.0, 2.0 * np.pi, n)
-    up = _zenith(site, placed)
-    north_pole = np.array([0.0, 0.0, 1.0])
-    east = _unit(np.cross(north_pole, up))
-    north = np.cross(up, east)
-    of = placed.frame
-    cosine = np.sqrt(1.0 - sine**2)
-    z = (cosine * np.cos(azimuth))[of, None] * north + (cosine * np.sin(azimuth))[of, None] * east + sine[of, None] * up
-    across = _unit(np.cross(up, z))
-    x = np.cos(roll)[of, None] * across + np.sin(roll)[of, None] * np.cross(z, across)
-    radius = 6_378_137.0 * np.cos(np.radians(site.latitude_deg))
-    return replace(
-        placed, attitude=np.stack([x, np.cross(z, x), z], axis=1), velocity_m_s=EARTH_RATE_RAD_S * radius * east
-    )
-
-
-def _zenith(site: Site, exposures: SimulatedExposures) -> FloatArray:
-    """Directions (n_exposures, 3) of the zenith, GCRS axes; UT1 is taken as UTC, which is right to 14 arcsec."""
-    days = (exposures.time_utc - np.datetime64("2000-01-01T12:00:00", "us")).astype(np.int64) / 86_400e6
-    to_earth = erfa.c2t06a(2451545.0, days + 69.184 / 86_400.0, 2451545.0, days, 0.0, 0.0)
-    latitude, longitude = np.radians(site.latitude_deg), np.radians(site.longitude_deg)
-    up = np.array([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)])
-    return np.asarray(np.einsum("nji,j->ni", to_earth, up))
-
-
-def _refracted(s_i: FloatArray, up: FloatArray, site: Site) -> FloatArray:
-    """Lift stars (n, 3) towards the zenith (n, 3) as the air does; below five degrees the formula ends and nothing is seen."""
-    A, B = erfa.refco(site.pressure_hpa, site.temperature_c, site.humidity, site.wavelength_um)
-    cosine = np.clip(np.einsum("ni,ni->n", s_i, up), np.sin(np.radians(5.0)), 1.0)
-    tangent = np.sqrt(1.0 - cosine**2) / cosine
-    # observed zenith distance enters the formula, so the true one is lowered by one step of it first
-    z = np.arctan(tangent)
-    observed = z - A * tangent - B * tangent**3
-    lift = A * np.tan(observed) + B * np.tan(observed) ** 3
-    towards = up - cosine[:, None] * s_i
-    length = np.linalg.norm(towards, axis=1, keepdims=True)
-    towards = np.divide(towards, length, out=np.zeros_like(towards), where=length > 0)
-    return np.asarray(np.cos(lift)[:, None] * s_i + np.sin(lift)[:, None] * towards)
-
-
-def _unit(vectors: FloatArray) -> FloatArray:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))

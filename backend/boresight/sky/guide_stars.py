@@ -14,6 +14,14 @@ Two stars nearer than the blend radius make one image, with its centroid between
 fainter, at separation d, pulls it by d / (1 + 10^(0.4 m)): beyond `FAINTER_MAG` = 3 by less than d / 16, and the star is left in
 peace. The brighter of a pair is flagged only by a companion that close in brightness, the fainter always.
 
+Where the width of a star's image is known more can be said. A centroid under a Gaussian window of the width s of the image itself
+rests, to first order in a neighbour's flux G beside its own F, at
+
+    pull = (G / F) d exp(-d^2 / 4 s^2)
+
+from its star towards the neighbour at distance d, which counts from nothing (they melt into one) to some 6 s (they stand apart). A
+star that is drawn by more than `LARGEST_PULL` of its own sigma is blended; faint stars bear a neighbour that bright ones do not.
+
 A Hipparcos solution of another type than 5 (single star, five parameters) says that the star moves in another way: types 7 and 9
 accelerate, type 3 moves its light between components, type 1 scatters more than its errors say.
 """
@@ -176,6 +184,10 @@ def observer_motion(
 
 
 FAINTER_MAG = 3.0
+#: A neighbour may draw a centroid by so many of its sigmas, and counts within so many widths of an image.
+LARGEST_PULL, REACH_WIDTHS = 0.4, 8.0
+#: Pairs that are looked at in one go.
+PAIRS = 1_000_000
 UNRELIABLE, DOUBLE = 1, 2
 #: Bits of `star_flags` and what they mean.
 FLAGS = {UNRELIABLE: "unreliable astrometry", DOUBLE: "double"}
@@ -211,6 +223,37 @@ def flags_of(catalogue: Catalogue, star: IntArray, blend_rad: float) -> NDArray[
     flags = _unreliable(catalogue.solution_type[star])
     flags[of[near & matters]] |= DOUBLE
     return flags
+
+
+def pulls_of(catalogue: Catalogue, star: IntArray, psf_rad: float) -> FloatArray:
+    """Return by how much its neighbours draw the centroid of each of some stars, as the module says.
+
+    Parameters
+    ----------
+    star
+        (n,) places in the catalogue, which holds stars `FAINTER_MAG` fainter than any of them.
+    psf_rad
+        Width of a star's image, one sigma.
+
+    Returns
+    -------
+    (n,) rad, the sum over neighbours within `REACH_WIDTHS`.
+    """
+    order, dec = catalogue.by_declination
+    reach = REACH_WIDTHS * psf_rad
+    first, last = (np.searchsorted(dec, catalogue.dec_rad[star] + edge * reach) for edge in (-1.01, 1.01))
+    pull = np.zeros(len(star))
+    for part in np.array_split(np.arange(len(star)), 1 + int((last - first).sum()) // PAIRS):
+        count = last[part] - first[part]
+        of = np.repeat(part, count)
+        other = order[np.arange(len(of)) + np.repeat(first[part] - np.append(0, np.cumsum(count)[:-1]), count)]
+        chord = _place(catalogue, other) - _place(catalogue, star)[of]
+        d = np.sqrt(np.sum(chord * chord, axis=1))
+        near = (d <= reach) & (other != star[of])
+        of, other, d = of[near], other[near], d[near]
+        ratio = 10.0 ** (0.4 * (catalogue.magnitude[star[of]] - catalogue.magnitude[other]))
+        pull += np.bincount(of, ratio * d * np.exp(-((d / psf_rad) ** 2) / 4.0), len(star))
+    return pull
 
 
 def _unreliable(solution_type: IntArray) -> NDArray[np.int8]:

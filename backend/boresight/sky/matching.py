@@ -135,6 +135,7 @@ ROW_REASONS = (
     "too few other stars of its exposure were matched",
     "left out as a double or for its unreliable astrometry",
     "its centroid is off the detector",
+    "left out because a neighbour within the width of its image draws its centroid",
 )
 STARTS = (
     "none",
@@ -152,6 +153,7 @@ EXPOSURE_REASONS = (
 )
 NO_TIME = EXPOSURE_REASONS.index("no time, so that no catalogue star has a direction")
 LEFT_OUT = ROW_REASONS.index("left out as a double or for its unreliable astrometry")
+BLENDED = ROW_REASONS.index("left out because a neighbour within the width of its image draws its centroid")
 OFF_DETECTOR = ROW_REASONS.index("its centroid is off the detector")
 OTHER_EXPOSURE, QUATERNION, NEIGHBOUR, LOST = (
     STARTS.index(name) for name in ("other exposure", "quaternion", "neighbouring frame", "lost in space")

@@ -10,6 +10,7 @@ The contract's columns and their meaning::
     q_x q_y q_z q_w           ICRS to detector, scalar last
     vx_km_s vy_km_s vz_km_s   satellite velocity, GCRS
     temperature_c
+    psf_sigma_px              width of a star's image, one sigma
 
 Absent columns are None; an absent cell in a present float column is NaN, in `star_id` it is 0 and in `time_utc` NaT.
 
@@ -45,6 +46,7 @@ OPTIONAL_COLUMNS = (
     "vy_km_s",
     "vz_km_s",
     "temperature_c",
+    "psf_sigma_px",
 )
 
 INTEGER_COLUMNS = ("frame", "exposure", "star_id")
@@ -71,7 +73,7 @@ class Telemetry:
         (n_rows,) centroid in pixels.
     time_utc
         (n_rows,) datetime64[us], or None.
-    magnitude, sigma_px, temperature_c
+    magnitude, sigma_px, temperature_c, psf_sigma_px
         (n_rows,) or None.
     star_id
         (n_rows,) HIP number, 0 = unmatched, or None when the file names no stars.
@@ -102,6 +104,7 @@ class Telemetry:
     quaternion: FloatArray | None = None
     velocity_m_s: FloatArray | None = None
     temperature_c: FloatArray | None = None
+    psf_sigma_px: FloatArray | None = None
     unknown: dict[str, pa.ChunkedArray] = field(default_factory=dict)
     first_row: int = 2
     site: Site | None = None

@@ -1,4 +1,8 @@
-"""The stored table of a set: the arrays of `Telemetry` in SI, checked once when they came, mapped whenever they are used."""
+"""The stored table of a set: the arrays of `Telemetry` in SI, checked once when they came, mapped whenever they are used.
+
+Of the columns that the contract does not name it keeps those that say which image a frame is; a table without them reads as one of
+a set that came as a file.
+"""
 
 from __future__ import annotations
 
@@ -25,6 +29,25 @@ _VERSION = b"1"
 #: The arrays there may be, in the order of the file's columns.
 ARRAYS = tuple(item.name for item in fields(Telemetry) if item.name not in {"unknown", "first_row", "site"})
 
+#: The further columns that are kept: name and SHA-256 of the image that a row's frame is.
+KEPT_TEXTS = ("image", "image_sha256")
+
+
+@dataclass(frozen=True)
+class FrameImage:
+    """The image that a frame is: the name it came under, and the SHA-256 of its bytes."""
+
+    name: str
+    sha256: str
+
+
+def find_image(telemetry: Telemetry, row: int) -> FrameImage | None:
+    """Return which image the frame of a row is; None where the telemetry does not say it."""
+    if not set(KEPT_TEXTS) <= set(telemetry.unknown):
+        return None
+    name, sha256 = (str(telemetry.unknown[column][row].as_py() or "") for column in KEPT_TEXTS)
+    return FrameImage(name, sha256) if name and sha256 else None
+
 
 def is_working_table(path: Path) -> bool:
     """Whether a stored table is one of these; those stored before are Parquet in the units of the upload."""
@@ -50,8 +73,9 @@ class WorkingTableParts:
 
     def write(self, part: Telemetry) -> None:
         """Write the next rows, whole frames; they have the columns of the first part."""
-        arrays = {name: _arrow(values) for name in ARRAYS if (values := getattr(part, name)) is not None}
-        batch = pa.record_batch(list(arrays.values()), names=list(arrays))
+        columns = {name: _arrow(values) for name in ARRAYS if (values := getattr(part, name)) is not None}
+        columns |= {name: _plain(part.unknown[name]) for name in KEPT_TEXTS if name in part.unknown}
+        batch = pa.record_batch(list(columns.values()), names=list(columns))
         if self._writer is None:
             said = {_KIND: _VERSION, _FIRST_ROW: str(part.first_row).encode()}
             self._writer = pa.ipc.new_file(str(self._path), batch.schema.with_metadata(said))
@@ -91,11 +115,11 @@ class WorkingTable:
         """Map one part; what is written into its arrays stays with this process (the compiled loops take writable ones)."""
         mapped, reader = self._mapped()
         base, batch = pa.py_buffer(mapped).address, reader.get_batch(number)
-        arrays: dict[str, Any] = {
-            name: _array(mapped, base, column) for name, column in zip(batch.schema.names, batch.columns, strict=True)
-        }
+        columns = dict(zip(batch.schema.names, batch.columns, strict=True))
+        texts = {name: pa.chunked_array([columns.pop(name)]) for name in KEPT_TEXTS if name in columns}
+        arrays: dict[str, Any] = {name: _array(mapped, base, column) for name, column in columns.items()}
         first_row = int(reader.schema.metadata[_FIRST_ROW]) + int(self.row_start[number])
-        return Telemetry(**arrays, first_row=first_row)
+        return Telemetry(**arrays, unknown=texts, first_row=first_row)
 
     def parts(self) -> Iterator[Telemetry]:
         """Map the parts one after the other."""
@@ -131,6 +155,12 @@ class WorkingTable:
         return RefusedInputError(
             f"The stored table {self.path.name[:12]} is damaged: restore it from a backup, or upload the telemetry again."
         )
+
+
+def _plain(cells: pa.ChunkedArray) -> pa.Array:
+    """Put texts into one array, each as often as it stands there: parts of a file cannot have dictionaries of their own."""
+    whole = cells.cast(pa.string()).combine_chunks()
+    return whole.combine_chunks() if isinstance(whole, pa.ChunkedArray) else whole
 
 
 def _arrow(values: NDArray[Any]) -> pa.Array:

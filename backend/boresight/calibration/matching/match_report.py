@@ -37,7 +37,7 @@ from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.sequence import finished, run_sequential, standing_frames
 from boresight.estimation.metrics import rms
 from boresight.sky.guide_stars import DOUBLE, UNRELIABLE
-from boresight.sky.matching import EXPOSURE_REASONS, LEFT_OUT, ROW_REASONS, STARTS
+from boresight.sky.matching import BLENDED, EXPOSURE_REASONS, LEFT_OUT, ROW_REASONS, STARTS
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
 
@@ -293,6 +293,7 @@ def matching_view(telemetry: Telemetry, sensor: Sensor, ended: CyclesEnd, evalua
             doubles=int((matches.flags & DOUBLE > 0).sum()),
             unreliable=int((matches.flags & UNRELIABLE > 0).sum()),
             left_out=int((matches.row_reason == LEFT_OUT).sum()),
+            blended=int((matches.row_reason == BLENDED).sum()),
         ),
         flight=FlightScores(
             tolerance_rad=evaluation.flight_tolerance_rad,

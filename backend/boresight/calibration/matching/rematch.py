@@ -24,7 +24,15 @@ from boresight.estimation.attitude import to_quaternion, triad
 from boresight.sky import identification, matching
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.directions import star_directions
-from boresight.sky.guide_stars import FAINTER_MAG, GuideStars, guide_stars, observer_motion, star_flags
+from boresight.sky.guide_stars import (
+    FAINTER_MAG,
+    LARGEST_PULL,
+    GuideStars,
+    guide_stars,
+    observer_motion,
+    pulls_of,
+    star_flags,
+)
 from boresight.sky.matching import Detections
 from boresight.telemetry.quality.detector import on_detector
 from boresight.telemetry.schema import Telemetry, find_exposures
@@ -212,11 +220,11 @@ def blend_rad(sensor: Sensor) -> float:
 class Rematcher:
     """A telemetry set ready to be matched under any parameters.
 
-    `telemetry`, `sensor`, `catalogue`: the set, whose it is, and the stars there are. `settings`: `minimum_stars` and
-    `leave_out_doubles` count here. `cache_folder`: where lost-in-space identification keeps its tables; None makes them anew in
-    every process. `sky`, `epoch`: where the telemetry is part of a set: the stars of the whole set, and the first time in it;
-    None takes those of the part. `identified`: (n_exposures, 4) attitudes that identification found beforehand, NaN where none;
-    None identifies frames without any other start when they come.
+    `telemetry`, `sensor`, `catalogue`: the set, whose it is, and the stars there are. `settings`: `minimum_stars`,
+    `leave_out_doubles` and `blends` count here. `cache_folder`: where lost-in-space identification keeps its tables; None makes
+    them anew in every process. `sky`, `epoch`: where the telemetry is part of a set: the stars of the whole set, and the first
+    time in it; None takes those of the part. `identified`: (n_exposures, 4) attitudes that identification found beforehand, NaN
+    where none; None identifies frames without any other start when they come.
     """
 
     def __init__(
@@ -256,6 +264,7 @@ class Rematcher:
         self._given_s = np.where(self._off[:, None], np.nan, self._given_s)
         self._own &= ~self._off
         self._stars, self._flagged, self._flags = sky.guides, sky.flagged, sky.flags
+        self._pull_px = np.full(len(self._flagged), np.nan)
 
     @property
     def n_frames(self) -> int:
@@ -292,7 +301,7 @@ class Rematcher:
             detections, self._stars, self._motion[exposures], cone_rad(self._sensor, x),
             self._settings.minimum_stars, identify,
         )  # fmt: skip
-        return self._matches(answer, detections, exposures, self._off[rows])
+        return self._matches(answer, detections, exposures, rows)
 
     def _identifier(
         self, detections: Detections, x: FloatArray, rows: slice, first_exposure: int
@@ -321,20 +330,22 @@ class Rematcher:
 
         return identify
 
-    def _matches(
-        self, answer: matching.Association, detections: Detections, exposures: slice, off: NDArray[np.bool_]
-    ) -> Matches:
+    def _matches(self, answer: matching.Association, detections: Detections, exposures: slice, rows: slice) -> Matches:
         """Flag the matched stars, leave out the flagged ones where asked, and name exposures and frames."""
-        index = self._flagged.find_index(answer.star_id)
+        index, off = self._flagged.find_index(answer.star_id), self._off[rows]
         flags = np.where((answer.star_id > 0) & (index >= 0), self._flags[index], 0).astype(np.int8)
         left_out = (flags > 0) & self._settings.leave_out_doubles
+        blended = self._blended(np.where(answer.star_id > 0, index, -1), rows) & ~left_out
+        gone = left_out | blended
         timeless = np.isnan(self._motion.years[exposures])
         return Matches(
-            star_id=np.where(left_out, 0, answer.star_id),
-            s_i=np.where(left_out[:, None], np.nan, answer.s_i),
-            row_reason=np.select([off, left_out], [matching.OFF_DETECTOR, matching.LEFT_OUT], answer.row_reason).astype(
-                np.int8
-            ),
+            star_id=np.where(gone, 0, answer.star_id),
+            s_i=np.where(gone[:, None], np.nan, answer.s_i),
+            row_reason=np.select(
+                [off, left_out, blended],
+                [matching.OFF_DETECTOR, matching.LEFT_OUT, matching.BLENDED],
+                answer.row_reason,
+            ).astype(np.int8),
             tolerance_rad=answer.tolerance_rad,
             exposure_start=detections.row_start,
             frame=self._exposures.frame[exposures],
@@ -345,6 +356,20 @@ class Rematcher:
             attitude_covariance=answer.covariance,
             flags=flags,
         )
+
+    def _blended(self, index: IntArray, rows: slice) -> NDArray[np.bool_]:
+        """Tell which rows show a star, by its place (n,) among the flagged, that neighbours draw too far; -1 is none."""
+        psf_px, blended = self._telemetry.psf_sigma_px, np.zeros(len(index), np.bool_)
+        if self._settings.blends == "keep" or psf_px is None or not np.isfinite(psf_px).any():
+            return blended
+        new = np.unique(index[index >= 0])
+        new = new[np.isnan(self._pull_px[new])]
+        pixel = pixel_rad(self._sensor, self._sensor.initial)
+        self._pull_px[new] = pulls_of(self._flagged, new, float(np.nanmedian(psf_px)) * pixel) / pixel
+        known = (index >= 0) & np.isfinite(psf_px[rows])
+        sigma_px = centroid_sigma_px(self._telemetry, self._sensor)[rows]
+        blended[known] = self._pull_px[index[known]] > LARGEST_PULL * sigma_px[known]
+        return blended
 
 
 def rematch(

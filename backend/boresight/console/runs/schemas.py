@@ -190,6 +190,13 @@ class FrameExposure(Shape):
     undetected: list[UndetectedStar]
 
 
+class FrameImage(Shape):
+    """The image that a frame was extracted from."""
+
+    name: str
+    sha256: str = Field(description="Of the image's bytes.")
+
+
 class RunFrame(Shape):
     """One frame of a run under its old and new parameters, computed for this answer."""
 
@@ -206,6 +213,9 @@ class RunFrame(Shape):
     frame: int
     time_utc: str | None
     temperature_c: float | None
+    image: FrameImage | None = Field(
+        description="The image that the frame was extracted from; null for other telemetry."
+    )
     match: str
     why_no_new: str | None
     why_nothing: str | None

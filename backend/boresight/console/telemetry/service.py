@@ -41,10 +41,11 @@ from boresight.telemetry.mapping import parse_mapping
 from boresight.telemetry.quality.detector import OffDetectorError
 from boresight.telemetry.quality.findings import Finding
 from boresight.telemetry.quality.report import QualityParts
+from boresight.telemetry.read.frames import frame_index
 from boresight.telemetry.read.limits import LIMITS, Limits
 from boresight.telemetry.read.readers import read_chunks, write_parquet
 from boresight.telemetry.sensors import Sensor, parse_sensor
-from boresight.telemetry.working_table import MEDIA_TYPE, WorkingTableParts
+from boresight.telemetry.working_table import MEDIA_TYPE, WorkingTableParts, find_image
 
 PURPOSES = ("calibration", "validation")
 MEDIA_TYPES = {".csv": "text/csv", ".jsonl": "application/x-ndjson", ".ndjson": "application/x-ndjson"}
@@ -397,15 +398,17 @@ def has_images(session: Session, set_id: int) -> bool:
 
 
 def draw_image(session: Session, blobs: BlobStore, set_id: int, frame: int, limits: ImageLimits) -> bytes:
-    """Return the image of a frame as PNG; refuses a set that has none."""
+    """Return the image of a frame as PNG; refuses a set that has none, and bytes that the frame was not extracted from."""
     from boresight.images import archive  # noqa: PLC0415 - of sets that are images alone
 
     row = session.get_known(TelemetrySet, set_id)
     if not has_images(session, set_id):
         raise NotFoundError(f"Telemetry set {set_id} was not extracted from images; choose one that was.")
     sensor = parse_sensor(session.get_known(SensorRow, row.sensor_id).document)
+    index = frame_index(table_path(blobs, row.table_sha256))
+    known = find_image(index.read(index.find_place(frame)), 0)
     with tempfile.TemporaryDirectory() as folder:
-        return archive.draw_image(blobs.path(row.original_sha256), sensor, frame, limits, Path(folder))
+        return archive.draw_image(blobs.path(row.original_sha256), sensor, frame, limits, Path(folder), known)
 
 
 def list_telemetry_sets(

@@ -283,19 +283,22 @@ def _check_velocities(telemetry: Telemetry, faults: Faults) -> None:
 
 
 def _check_noise(telemetry: Telemetry, faults: Faults) -> None:
-    """Find standard deviations that are none of a centroid's; of less, or more, no weight can be computed."""
-    sigma_px = telemetry.sigma_px
-    if sigma_px is None:
-        return
+    """Find standard deviations that are none of a centroid's or a star's image; of less, or more, no weight can be computed."""
+    for column in ("sigma_px", "psf_sigma_px"):
+        if (values := getattr(telemetry, column)) is not None:
+            _check_sigmas(values, column, faults)
+
+
+def _check_sigmas(sigma_px: FloatArray, column: str, faults: Faults) -> None:
     faults.add_entries(
         sigma_px <= 0.0,
-        "sigma_px",
+        column,
         lambda entry: f"{sigma_px[entry]:g} is not positive: give the standard deviation, or leave it empty",
     )
     low, high = _SIGMA_PX
     faults.add_entries(
         (sigma_px > 0.0) & ((sigma_px < low) | (sigma_px > high)),
-        "sigma_px",
+        column,
         lambda entry: (
             f"{sigma_px[entry]:g} is not between {low:g} and {high:g} pixels: check its unit, or leave it empty"
         ),
@@ -561,6 +564,7 @@ def make_arrays(table: pa.Table, faults: Faults) -> Telemetry:
         quaternion=_joined(table, ("q_x", "q_y", "q_z", "q_w"), faults),
         velocity_m_s=_velocity(table, faults),
         temperature_c=_optional_floats(table, "temperature_c", faults),
+        psf_sigma_px=_optional_floats(table, "psf_sigma_px", faults),
         unknown={name: texts(table[name]) for name in table.column_names if not is_known(name)},
         first_row=faults.first_row,
     )

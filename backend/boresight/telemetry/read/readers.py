@@ -351,4 +351,5 @@ def _optional_numbers(telemetry: Telemetry) -> dict[str, FloatArray | None]:
         **{f"q_{axis}": None if quaternion is None else quaternion[:, k] for k, axis in enumerate("xyzw")},
         **{f"v{axis}_km_s": None if velocity is None else velocity[:, k] / 1e3 for k, axis in enumerate("xyz")},
         "temperature_c": telemetry.temperature_c,
+        "psf_sigma_px": telemetry.psf_sigma_px,
     }
