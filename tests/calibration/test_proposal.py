@@ -69,7 +69,7 @@ def test_images_alone_tell_parity_and_focal_length_and_calibrate_from_there(
     found = propose(
         stars,
         catalogue,
-        LensAndDetector(pixel_pitch_um=PITCH_M * 1e6, rows=ROWS, columns=COLUMNS),
+        LensAndDetector(pixel_pitch_um=PITCH_M * 1e6, rows=ROWS, columns=COLUMNS, site=night.sensor.site),
         cache_folder=catalogue_folder,
     )
     sensor = found.described.sensor

@@ -179,15 +179,18 @@ def test_nothing_is_touched_where_nothing_is_declared_to_be_wrong(catalogue):
 
 
 def test_every_assumption_says_whether_it_was_declared_and_what_an_error_would_do(catalogue):
-    telemetry, sensor = made(catalogue, frames=20, readout=None)
+    telemetry, sensor = made(catalogue, frames=40, readout=None)
     undeclared = replace(sensor, declared=NOTHING_DECLARED)
     found = calibrate(replace(telemetry, velocity_m_s=None), undeclared, catalogue, CalibrationSettings())
     assert [(one.name, one.declared) for one in found.assumptions] == [
-        ("readout", False), ("satellite_velocity", False), ("directions", True), ("refraction", False),
+        ("readout", False), ("satellite_velocity", False), ("directions", True), ("decentring", False),
+        ("refraction", False),
     ]  # fmt: skip
     assert "px" in found.assumptions[0].sentence
     assert all("sensor file" in one.sentence for one in found.assumptions if not one.declared)
-    declared = replace(sensor, readout=Readout("global"), declared=Declared("given", "apparent", "uncorrected"))
+    declared = replace(
+        sensor, readout=Readout("global"), declared=Declared("given", "apparent", "uncorrected", None, "centred")
+    )
     made_of = {one.name: one for one in calibrate(telemetry, declared, catalogue, CalibrationSettings()).assumptions}
     assert all(one.declared for one in made_of.values())
     assert [name for name, one in made_of.items() if one.left_in] == ["refraction"]
