@@ -177,6 +177,7 @@ def test_intervals_stand_beside_what_they_belong_to(sequential_result):
 
 
 CHANGED = {
+    "blends": "keep",
     "method": "sqrf", "variant": "q", "free": ["f_m", "m0_px"], "match": "given", "match_parameters": "baseline",
     "match_rule": "flight", "flight_tolerance_urad": 300.0, "noise_model": "from-data", "leave_out_doubles": True,
     "minimum_stars": 5, "max_iterations": 20, "error": "cosine", "robust": "huber", "huber_threshold": 2.0,
