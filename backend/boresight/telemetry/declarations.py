@@ -291,7 +291,7 @@ def _refuse_unknown(key: str, value: Mapping[str, Any], known: tuple[str, ...], 
             meant = difflib.get_close_matches(str(name)[:40], known, 1, 0.6)
             faults.add(
                 f"{key}.{str(name)[:40]} is not a field: "
-                + (f"write {meant[0]}" if meant else f"choose from {', '.join(known)}")
+                + (f"did you mean {meant[0]}?" if meant else f"choose from {', '.join(known)}")
             )
 
 

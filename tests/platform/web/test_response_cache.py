@@ -129,8 +129,8 @@ def test_log_ins_of_one_person_share_the_making_of_a_page_and_each_has_its_own_t
     for client in (one, other, stranger):
         client.get("/sensors")
     made: list[str] = []
-    original = pages_of_sensors._page
-    monkeypatch.setattr(pages_of_sensors, "_page", lambda *given: (made.append(""), original(*given))[1])
+    original = pages_of_sensors.show_sensors
+    monkeypatch.setattr(pages_of_sensors, "show_sensors", lambda *given: (made.append(""), original(*given))[1])
 
     def asked() -> tuple[list[str], int]:
         before = len(made)
