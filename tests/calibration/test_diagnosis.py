@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.diagnosis import INPUTS, KNOWN, MISTAKES, ORBIT, Input, is_right, make_sets, mends_wrongly, spoil
+from benchmarks.images import make_night
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.diagnosis.diagnose import diagnose, find_consensus, sample_exposures
 from boresight.calibration.diagnosis.evidence import fit_directions
@@ -15,6 +16,7 @@ from boresight.calibration.diagnosis.result import parse_diagnosis
 from boresight.calibration.diagnosis.trials import Hypothesis
 from boresight.calibration.options import CalibrationSettings
 from boresight.errors import RefusedInputError
+from boresight.simulation.scenes import simulate
 from boresight.sky.apparent import apparent_directions
 from boresight.sky.identification import Recognised
 from boresight.telemetry.mapping import TelemetryMapping, parse_mapping
@@ -203,3 +205,12 @@ def test_a_hypothesis_mends_only_what_it_names(sets):
 def test_inputs_are_forty(sets):
     assert len(INPUTS) == 40
     assert isinstance(sets[ORBIT], Input)
+
+
+def test_neither_the_air_nor_an_aspect_that_is_held_passes_for_times_of_another_epoch(catalogue, catalogue_folder):
+    night = make_night(12, 5)
+    stars = simulate(night, np.random.default_rng(3), catalogue)
+    stars = replace(stars, star_id=None, ra_rad=None, dec_rad=None, quaternion=None, velocity_m_s=None)
+    sensor = replace(night.sensor, free=("f_m", "u0_px", "v0_px", "k1"))
+    found = diagnose(stars, sensor, catalogue, cache_folder=catalogue_folder)
+    assert "wrong_epoch" not in found.names

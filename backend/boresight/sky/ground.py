@@ -23,6 +23,7 @@ References: Urban & Seidelmann, Explanatory Supplement to the Astronomical Alman
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -147,7 +148,8 @@ def view_from(site: Site, time_utc: TimeArray) -> GroundView:
     """
     days_utc = (time_utc - _J2000).astype(np.int64) / _US_PER_DAY
     try:
-        tt = erfa.taitt(*erfa.utctai(_JD_J2000, days_utc))
+        with warnings.catch_warnings(action="ignore", category=erfa.ErfaWarning):  # of years without known leap seconds
+            tt = erfa.taitt(*erfa.utctai(_JD_J2000, days_utc))
     except erfa.ErfaError as error:
         raise RefusedInputError(
             "A camera on the ground needs times from 1960 on, in UTC: correct time_utc, or leave the site out."

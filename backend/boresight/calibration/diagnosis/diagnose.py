@@ -41,10 +41,12 @@ from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.telemetry_pieces import StoredTable, TelemetryFile, is_large, read_whole
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import Role
+from boresight.errors import RefusedInputError
 from boresight.estimation.attitude import conjugate, rotation_vector, to_matrix, triad
 from boresight.estimation.attitude import product as turn
 from boresight.sky.apparent import apparent_directions
 from boresight.sky.catalogue import Catalogue
+from boresight.sky.directions import star_directions
 from boresight.sky.identification import FEWEST_STARS, FIELD_ERROR, Recognised
 from boresight.telemetry.mapping import TelemetryMapping
 from boresight.telemetry.quality.detector import on_detector
@@ -345,7 +347,7 @@ class _Search:
         limit = round(faintest + 0.3, 1)
         mended = self._try(replace(given, limit=limit, names=(*given.names, "magnitude_limit")))
         gained = mended.stars - as_given.stars
-        if as_given.stars < BETTER * mended.stars and gained > 4 * np.sqrt(mended.stars):
+        if as_given.stars < BETTER * mended.stars and gained > 3 * np.sqrt(mended.stars):
             return mended
         return as_given
 
@@ -434,16 +436,23 @@ class _Search:
         return mended if mended.stars >= ALIKE * best.stars else best
 
     def _chi2_shifted(self, trial: Trial, shift_s: float) -> float:
-        """chi2 of the matched stars seen at another time."""
+        """chi2 of the matched stars seen at another time, through the air of a site where there is one.
+
+        Every parameter of the camera is free: what the file holds fixed and is not so would pass for another season's aberration.
+        """
         telemetry, matches = trial.telemetry, trial.matches
+        sensor = replace(trial.sensor, free=CAMERA_MODELS[trial.sensor.camera_model].parameter_names)
         times = (self.bench.times if telemetry.time_utc is None else telemetry.time_utc) + np.timedelta64(
             round(shift_s * 1e6), "us"
         )
-        index = np.where(matches.star_id > 0, self.bench.catalogue.find_index(matches.star_id), -1)
-        s_i = apparent_directions(self.bench.catalogue, index, times, telemetry.velocity_m_s)
+        named, velocity = np.maximum(matches.star_id, 0), telemetry.velocity_m_s
+        try:
+            s_i = star_directions(named, None, None, times, velocity, self.bench.catalogue, sensor.site)
+        except RefusedInputError:  # no camera stood on the ground then
+            return np.inf
         scale = self.bench.settings.initial_sigma_scale
         near = None if trial.agreement is None else trial.agreement.w
-        found = fit_directions(telemetry, trial.sensor, index >= 0, s_i, matches.exposure_start, scale, near)
+        found = fit_directions(telemetry, sensor, named > 0, s_i, matches.exposure_start, scale, near)
         return np.inf if found is None else found.chi2
 
     def _origin(self, best: Trial) -> Trial:

@@ -24,6 +24,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from boresight.calibration.calibration import TrustTest
+from boresight.calibration.estimate import covariance
 from boresight.calibration.trust.displacements import Score, ScoreSums
 from boresight.calibration.trust.field import two_sided
 from boresight.calibration.trust.fitted_set import FAMILY_LEVEL, FittedSet, probability
@@ -186,7 +187,8 @@ def _pull(examined: Examined, far: np.ndarray) -> float | None:
     e, H = fitted.e[arcs], fitted.H[arcs]
     try:
         d = np.linalg.solve(fitted.A - H.T @ H, H.T @ e)
-        return float(np.max(np.abs(d) / np.sqrt(np.diag(np.linalg.inv(fitted.A)))))
+        sigma = np.sqrt(np.diag(covariance(fitted.A)))
+        return float(np.max(np.abs(d[sigma > 0]) / sigma[sigma > 0])) if (sigma > 0).any() else None
     except np.linalg.LinAlgError:
         return None
 
