@@ -89,3 +89,10 @@ def test_images_without_stars_and_what_is_no_image_are_refused_in_a_sentence(bor
         assert done.exit_code == 1
         assert len([line for line in done.stderr.splitlines() if " ..." not in line]) == 1, done.stderr
         assert not out.exists()
+
+
+def test_a_sensor_file_is_called_json_and_nothing_else_is_written(boresight, tmp_path):
+    words = ("--rows", 960, "--columns", 1280, "--pixel-pitch-um", 3.75, "--focal-length-mm", 12)
+    refused = boresight("sensor", "new", *words, "--out", tmp_path / "camera.txt")
+    assert refused.exit_code == 1
+    assert list(tmp_path.iterdir()) == []

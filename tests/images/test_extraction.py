@@ -142,6 +142,20 @@ def test_the_command_writes_telemetry_and_refuses_a_mixture(boresight, folder, i
     assert_refused(boresight("calibrate", out, out, "--sensor", sensor))
 
 
+def test_an_image_goes_through_a_pipe_and_its_stars_come_out_of_one(boresight, folder, images, tmp_path):  # noqa: F811 - a fixture
+    piped = boresight("extract", "-", "--sensor", folder / "camera.json", "--out", "-", stdin=images[0].read_bytes())
+    assert piped.exit_code == 0, piped.stderr
+    named = accepted(
+        boresight("extract", images[0], "--sensor", folder / "camera.json", "--out", tmp_path / "stars.jsonl")
+    )
+    assert named
+    lines = (tmp_path / "stars.jsonl").read_text().splitlines()
+    assert len(piped.stdout.splitlines()) == 1 + len(lines) > 20
+    taken = boresight("import", "-", "--profile", "contract", "--out", "-", stdin=piped.stdout.encode())
+    assert taken.exit_code == 0, taken.stderr
+    assert len(taken.stdout.splitlines()) == 1 + len(lines)
+
+
 def test_a_header_says_the_gain_and_the_white_level(hard_images, folder, tmp_path):
     path = write_fits(tmp_path / "a.fits", hard_images[0], EGAIN=2.5, SATURATE=3000.0)
     found = bs.extract([path], folder / "camera.json", processes=1, progress=False).to_dict()

@@ -346,7 +346,7 @@ OTHERS = {
 def test_an_image_is_told_that_centroids_are_read_and_not_to_be_saved_as_utf8(read, kind, name):
     sentence = str(refused(read, IMAGES[kind], name))
     assert f"{kind} image" in sentence
-    assert "centroids, not images" in sentence
+    assert "boresight extract" in sentence
     assert "UTF-8" not in sentence
 
 

@@ -10,8 +10,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from boresight.cli.importing import read_by_profile
-from boresight.cli.output import FORMATS, check_writable, json_option, refuse_standard_output, tell, write_json
+from boresight.cli.importing import SUFFIXES, read_by_profile
+from boresight.cli.input import INPUT_FILE
+from boresight.cli.output import (
+    FORMATS,
+    STANDARD_OUTPUT,
+    check_one_stream,
+    check_writable,
+    json_option,
+    opened_for_writing,
+    tell,
+    write_json,
+)
 from boresight.errors import RefusedInputError
 from boresight.images.limits import is_image
 from boresight.library import functions as library
@@ -98,9 +108,11 @@ def telemetry_of(
 
 
 @click.command()
-@click.argument("images", type=FILE, nargs=-1, required=True)
-@click.option("--sensor", "sensor_file", type=FILE, required=True, help="Sensor file, JSON.")
-@click.option("--out", type=FILE, required=True, help="Telemetry to write: .csv or .parquet.")
+@click.argument("images", type=INPUT_FILE, nargs=-1, required=True)
+@click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Sensor file, JSON.")
+@click.option(
+    "--out", type=FILE, required=True, help="Telemetry to write: .csv, .jsonl or .parquet; - is standard output, CSV."
+)
 @extraction_options
 @pictures_option
 @json_option
@@ -113,19 +125,23 @@ def extract(
     whether the star is saturated, and the image's name and SHA-256. Hot and dead pixels are told from the set itself; trails,
     blended and misshapen objects are left out and counted.
     """
-    refuse_standard_output(out, "Telemetry of images")
     check_writable(json_file)
-    check_writable(out, FORMATS.get(out.suffix.lower(), ""))
-    if out.suffix.lower() not in {".csv", ".parquet"}:
-        raise RefusedInputError(f"{out.name} says no format: end the name with .csv or .parquet.")
+    check_one_stream(out, json_file)
+    if str(out) != STANDARD_OUTPUT:
+        check_writable(out, FORMATS.get(out.suffix.lower(), ""))
+        if out.suffix.lower() not in SUFFIXES:
+            raise RefusedInputError(f"{out.name} says no format: end the name with .csv, .jsonl or .parquet.")
+    from boresight.telemetry.read.readers import contract_table, write_table
+
     with progress("reading the images") as report:
         taken = take_extraction_choices(choices)
         found = library.extract(images, sensor_file, progress=report, **taken)
-        found.save(out)
+        with opened_for_writing(out) as stream:
+            write_table(contract_table(found.telemetry), stream, out.suffix.lower())
         if pictures is not None:
             library.draw_images(images, sensor_file, found, pictures, raw=taken["raw"])
     write_json(found.to_dict(), json_file)
-    if json_file != "-":
+    if json_file != STANDARD_OUTPUT:
         _tell(found, out)
 
 

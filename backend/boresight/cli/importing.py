@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.shell_completion import CompletionItem
 
+from boresight.cli.input import INPUT_FILE
 from boresight.cli.output import (
     FORMATS,
     STANDARD_OUTPUT,
@@ -29,10 +31,21 @@ if TYPE_CHECKING:
 SUFFIXES = (".csv", ".jsonl", ".ndjson", ".parquet")
 
 
+def _complete_profile(_: click.Context, __: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Offer the built-in profiles, and files beside them."""
+    from boresight.telemetry.imports.builtin import BUILT_IN
+
+    named = [CompletionItem(name) for name in BUILT_IN if name.startswith(incomplete)]
+    return named or [CompletionItem(incomplete, type="file")]
+
+
 def profile_option(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the option that reads telemetry by a mapping profile."""
     return click.option(
-        "--profile", metavar="NAME|FILE", help="Read TELEMETRY by a mapping profile, as `boresight import` does."
+        "--profile",
+        metavar="NAME|FILE",
+        shell_complete=_complete_profile,
+        help="Read TELEMETRY by a mapping profile, as `boresight import` does.",
     )(command)
 
 
@@ -44,8 +57,13 @@ def read_by_profile(telemetry: Path, profile: str | None, sensor: Path | None = 
 
 
 @click.command("import")
-@click.argument("files", nargs=-1, metavar="FILE...", type=click.Path(path_type=Path))
-@click.option("--profile", metavar="NAME|FILE", help="Built-in mapping profile, or the JSON file of one.")
+@click.argument("files", nargs=-1, metavar="FILE...", type=INPUT_FILE)
+@click.option(
+    "--profile",
+    metavar="NAME|FILE",
+    shell_complete=_complete_profile,
+    help="Built-in mapping profile, or the JSON file of one.",
+)
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
@@ -54,13 +72,11 @@ def read_by_profile(telemetry: Path, profile: str | None, sensor: Path | None = 
 @click.option(
     "--sensor",
     "sensor_file",
-    type=click.Path(path_type=Path),
+    type=INPUT_FILE,
     help="Sensor file, for its detector's size and pixel pitch.",
 )
-@click.option("--orbit", type=click.Path(path_type=Path), help="Two-line elements or OEM to take velocities from.")
-@click.option(
-    "--attitude", type=click.Path(path_type=Path), help="AEM, or table of quaternions, to take attitudes from."
-)
+@click.option("--orbit", type=INPUT_FILE, help="Two-line elements or OEM to take velocities from.")
+@click.option("--attitude", type=INPUT_FILE, help="AEM, or table of quaternions, to take attitudes from.")
 @click.option("--time", metavar="UTC", help="When the files were taken, where they do not say it (ISO 8601).")
 @click.option("--preview", is_flag=True, help="Show ten rows and what they mean, and write nothing.")
 @click.option("--print-profile", is_flag=True, help="Print the profile as JSON, to be copied and changed.")

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from boresight.cli.extract import extraction_options, take_extraction_choices
 from boresight.cli.input import INPUT_FILE
@@ -22,6 +23,12 @@ if TYPE_CHECKING:
     from boresight.library.results import NewSensor
     from boresight.site import Site
     from boresight.telemetry.sensors import Sensor
+
+
+def _complete_sheet(_: click.Context, __: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Offer the data sheets."""
+    return [CompletionItem(name) for name in DATA_SHEETS if name.casefold().startswith(incomplete.casefold())]
+
 
 site_option = click.option(
     "--site",
@@ -100,7 +107,12 @@ FILE = click.Path(path_type=Path)
     help="Centroids without names instead of images: CSV, JSON Lines, Parquet.",
 )
 @asked_options
-@click.option("--sheet", metavar="NAME", help="A data sheet that tells the rest: " + ", ".join(DATA_SHEETS) + ".")
+@click.option(
+    "--sheet",
+    metavar="NAME",
+    shell_complete=_complete_sheet,
+    help="A data sheet that tells the rest: " + ", ".join(DATA_SHEETS) + ".",
+)
 @click.option(
     "--model", "camera_model", metavar="NAME", help="Camera model; OpenCV's, or a fisheye's where the field is wide."
 )
@@ -127,6 +139,8 @@ def new(
     proposed as measured. A pixel pitch is only the scale of lengths; without one a pixel is taken as 5 micrometres.
     """
     check_writable(out_file)
+    if out_file != STANDARD_OUTPUT and Path(out_file).suffix.lower() != ".json":
+        raise RefusedInputError(f"{Path(out_file).name} is no name of a sensor file: end it with .json.")
     extraction = take_extraction_choices(choices)
     known = {name: value for name, value in choices.items() if value is not None}
     if site is not None:

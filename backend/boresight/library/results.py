@@ -391,9 +391,9 @@ def tabulate(telemetry: Telemetry) -> pa.Table:
 
 def save_telemetry(telemetry: Telemetry, path: Path) -> None:
     """Write telemetry by the ending of a file's name."""
-    from boresight.telemetry.read.readers import write_csv, write_parquet
+    from boresight.telemetry.read.readers import contract_table, write_table
 
-    writers = {".csv": write_csv, ".parquet": write_parquet}
-    if path.suffix.lower() not in writers:
-        raise RefusedInputError(f"{path.name} says no format: end the name with .csv or .parquet.")
-    writers[path.suffix.lower()](telemetry, path)
+    if path.suffix.lower() not in {".csv", ".jsonl", ".ndjson", ".parquet"}:
+        raise RefusedInputError(f"{path.name} says no format: end the name with .csv, .jsonl or .parquet.")
+    with path.open("wb") as stream:
+        write_table(contract_table(telemetry), stream, path.suffix.lower())

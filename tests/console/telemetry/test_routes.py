@@ -48,7 +48,7 @@ def test_an_image_under_another_name_is_told_that_centroids_are_read(house):
     )
     assert answer.status_code == 422
     assert "FITS image" in answer.json()["detail"]
-    assert "centroids, not images" in answer.json()["detail"]
+    assert "boresight extract" in answer.json()["detail"]
     assert _files_left(house) == []
 
 

@@ -225,9 +225,9 @@ def estimate_s(session: Session, requests: Sequence[RunRequest]) -> float:
 
 
 def recognised(telemetry: TelemetrySet) -> bool:
-    """Whether a diagnosis says that a set matches as it stands, whatever of it is named."""
+    """Whether a diagnosis says that most of a set matches as it stands, whatever of it is named."""
     found = find_diagnosis(telemetry.quality)
-    return found is not None and found.fits
+    return found is not None and (found.fits or 2 * found.exposures_solved_before > found.exposures)
 
 
 def _warnings(request: RunRequest, free: Sequence[str], pairs: int | None) -> list[str]:

@@ -36,8 +36,8 @@ _TAR_OFFSET = 257
 _FIRST_MEMBERS_BYTES = 4096
 
 _CENTROIDS = (
-    "Boresight reads star centroids, not images; find the stars with a centroiding program and write one row a star "
-    "(frame, exposure, row_px, col_px) as CSV, JSON Lines or Parquet"
+    "this takes star centroids: extract those of images by `boresight extract` first and give what it writes; `calibrate`, `match` "
+    "and the upload page do so by themselves"
 )
 _UNPACK = "unpack it and give the CSV, JSON Lines or Parquet file inside"
 _SAVE_SHEET = "save the sheet as CSV and give that"
