@@ -45,9 +45,9 @@ MOST_WHOLE, LONGEST_OFFSET_S = 1_000_000_000, 1e9
 
 
 class _Part:
-    """What every class here has: a member that is not known is refused."""
+    """What every class here has: a member that is not known is refused, and so is a number that JSON cannot hold."""
 
-    __pydantic_config__: ClassVar = {"extra": "forbid"}
+    __pydantic_config__: ClassVar = {"extra": "forbid", "allow_inf_nan": False}
 
 
 @dataclass(frozen=True, kw_only=True)
