@@ -285,6 +285,8 @@ def test_a_profile_says_no_more_than_it_must_and_its_hash_tells_what_it_says():
         {"row": {"column": "Y", "origin": "nan"}},
         {"quaternion": {"mounting": [0, 0, "inf", 1]}},
         {"detector": {"rows": 10**40}},
+        {"detector": {"columns": -5}},
+        {"detector": {"pixel_pitch_m": 5e-324}},
         {"layout": {"extension": 10**30}},
         {"sigma": {"columns": []}},
         {"description": "x" * 10_000},

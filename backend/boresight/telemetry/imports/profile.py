@@ -361,7 +361,7 @@ def _check(profile: Profile, name: str) -> None:
 def _troubles(profile: Profile) -> list[tuple[bool, str]]:
     """Return what may be wrong with a profile, and what to do."""
     layout, time, wide, turned = profile.layout, profile.time, profile.wide, profile.quaternion
-    columns = () if turned is None else turned.columns
+    columns, detector = () if turned is None else turned.columns, profile.detector
     texts = _texts(_told(profile))
     return [
         (not NAME.fullmatch(profile.name), "its name must be of small letters, digits, dots and dashes, at most 64"),
@@ -385,6 +385,11 @@ def _troubles(profile: Profile) -> list[tuple[bool, str]]:
         ),
         (time is not None and time.week_column is not None and time.system != "gps", "time.week_column goes with gps"),
         (time is not None and abs(time.offset_s) > LONGEST_OFFSET_S, f"time.offset_s is over {LONGEST_OFFSET_S:,.0f} seconds"),
+        (any(size is not None and size < 1 for size in (detector.rows, detector.columns)), "detector.rows and columns are from 1"),
+        (
+            detector.pixel_pitch_m is not None and not 1e-8 <= detector.pixel_pitch_m <= 1e-2,
+            "detector.pixel_pitch_m is 1e-8 to 0.01",
+        ),
         (len(columns) not in {0, 4}, "quaternion.columns are four"),
         (profile.sigma is not None and len(profile.sigma.columns) not in {1, 2}, "sigma.columns are one or two"),
         (wide is not None and not (1 <= wide.count <= 10_000 and 0 <= wide.first <= 10_000), "wide.count is 1 to 10000"),
