@@ -121,7 +121,38 @@ def colours_of_16_bits():
     return body[:16] + head + struct.pack(">I", zlib.crc32(b"IHDR" + head)) + body[33:]
 
 
+def written(dn, **header):
+    stream = io.BytesIO()
+    fits.PrimaryHDU(dn, fits.Header({key.replace("_", "-"): value for key, value in header.items()})).writeto(stream)
+    return stream.getvalue()
+
+
+def overfull_tile():
+    """A compressed image whose only tile expands to 60 MB."""
+    stream, packed = io.BytesIO(), gzip.compress(bytes(60_000_000))
+    tiled = fits.CompImageHDU(np.zeros((64, 64), np.int16), compression_type="GZIP_1", tile_shape=(64, 64))
+    fits.HDUList([fits.PrimaryHDU(), tiled]).writeto(stream)
+    with fits.open(io.BytesIO(stream.getvalue()), disable_image_compression=True) as file:
+        head, begin, after = file[1].header, file[1].fileinfo()["hdrLoc"], file[1].fileinfo()["datLoc"]
+        head["PCOUNT"] = len(packed)
+        row = struct.pack(">ii", len(packed), 0) + stream.getvalue()[after + 8 : after + head["NAXIS1"]]
+        body = row + packed
+        return stream.getvalue()[:begin] + head.tostring().encode() + body + bytes(-len(body) % 2880)
+
+
+def damaged_gzip():
+    packed = bytearray(gzip.compress(np.random.default_rng(1).integers(0, 9, 30_000).astype(np.uint8).tobytes()))
+    packed[20:400] = b"\xff" * 380
+    return bytes(packed)
+
+
+SMALL, BEGUN = np.zeros((4, 4), np.int16), "2026-11-24T22:01:05"
 WRONG = {
+    "tile.fits": overfull_tile(),
+    "damaged.gz": damaged_gzip(),
+    "long.fits": written(SMALL, DATE_OBS=BEGUN, EXPTIME=1e300),
+    "long-20261124T220105.fits": written(np.zeros((480, 640), np.int16), EXPTIME=1e300),
+    "far.fits": written(SMALL, DATE_OBS="99999999-01-01T00:00:00"),
     "empty.fits": b"",
     "text.fits": b"frame,exposure\n1,2\n",
     "photo.jpg": b"\xff\xd8\xff\xe0rest",
@@ -144,6 +175,15 @@ def test_what_cannot_be_read_is_refused_by_its_name(name, night, tmp_path):
     limits = ImageLimits(pixels=4_000_000)
     with pytest.raises(RefusedInputError, match=name):
         read_image(path, night.sensor, parse_raw({"bits": 16}), limits=limits)
+
+
+def test_pixels_without_a_number_are_sky_in_a_tiff_as_in_fits(night, tmp_path):
+    dn = np.full((480, 640), 7.0, np.float32)
+    dn[3, 4], dn[5, 6] = np.nan, np.inf
+    Pillow.fromarray(dn).save(tmp_path / "a.tif")
+    image = read_image(tmp_path / "a.tif", night.sensor)
+    assert np.all(image.dn == 7.0)
+    assert len(image.notes) == 1
 
 
 def test_an_image_of_another_size_is_refused(night, hard_images, tmp_path):

@@ -74,6 +74,12 @@ def test_every_fault_is_told_at_once_with_what_was_probably_meant():
     assert len(faults_of(lambda: describe_typed({"rows": "many", "columns": "8.5", "latitude_deg": "100"}))) == 6
 
 
+@pytest.mark.parametrize("text", ["nan", "inf", "1e400"])
+def test_a_number_that_is_not_finite_is_no_size(text):
+    typed = {"rows": text, "columns": "1024", "pixel_pitch_um": "6.9", "focal_length_mm": "35"}
+    assert len(faults_of(lambda: describe_typed(typed))) == 1
+
+
 @pytest.mark.parametrize("name", DATA_SHEETS)
 def test_every_data_sheet_has_its_source_and_makes_a_sensor(name):
     sheet = DATA_SHEETS[name]

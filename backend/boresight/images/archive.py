@@ -7,8 +7,11 @@ the same images make the same bytes. Beside them `telemetry.parquet` says which 
 from __future__ import annotations
 
 import hashlib
+import lzma
+import mmap
 import shutil
 import zipfile
+import zlib
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
@@ -28,6 +31,9 @@ TELEMETRY = "telemetry.parquet"
 NO_TIME = (1980, 1, 1, 0, 0, 0)
 MOST_COMPRESSION = 200
 LONGEST_NAME = 200
+#: Of an archive, images and others: each takes memory and time before its name is known.
+MOST_MEMBERS = 20_000
+_MEMBER = b"PK\x01\x02"
 COPIED_BYTES = 1 << 20
 
 
@@ -39,6 +45,7 @@ def unpack(path: Path, name: str, folder: Path, limits: ImageLimits) -> list[Ima
     RefusedInputError
         When there are too many, they are too large or say one size and have another, or the archive is damaged.
     """
+    _refuse_count(path, name)
     try:
         with zipfile.ZipFile(path) as archive:
             members = [one for one in archive.infolist() if _is_wanted(one)]
@@ -49,11 +56,24 @@ def unpack(path: Path, name: str, folder: Path, limits: ImageLimits) -> list[Ima
                 with archive.open(member) as packed, place.open("wb") as file:
                     shutil.copyfileobj(packed, file, COPIED_BYTES)
                 sources.append(ImageSource(place, _base(member.filename)))
-    except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, OSError) as error:
+    except (
+        zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, NotImplementedError, RuntimeError, OSError
+    ) as error:  # fmt: skip
         raise RefusedInputError(
             f"{name} is a damaged ZIP, has a password, or packs in a way that is not read ({error}): pack the images again."
         ) from error
     return sources
+
+
+def _refuse_count(path: Path, name: str) -> None:
+    """Refuse an archive of too many members, counted before they are listed."""
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        place, count = data.find(_MEMBER), 0
+        while place >= 0:
+            count += 1
+            if count > MOST_MEMBERS:
+                raise RefusedInputError(f"{name} holds over {MOST_MEMBERS:,} files: pack the images alone.")
+            place = data.find(_MEMBER, place + 1)
 
 
 def _is_wanted(member: zipfile.ZipInfo) -> bool:

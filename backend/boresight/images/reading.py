@@ -17,6 +17,7 @@ import hashlib
 import io
 import re
 import warnings
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -46,6 +47,8 @@ _NAMED_TIME = re.compile(
     r"(?<!\d)((?:19|20)\d\d)-?([01]\d)-?([0-3]\d)[T_ -]?([0-2]\d)[-:_h]?([0-5]\d)[-:_m]?([0-6]\d)(?:[.,](\d{1,6}))?(?!\d)"
 )
 _KEPT_BYTES = 1 << 20
+_LONGEST_EXPOSURE_S = 86_400.0
+_EARLIEST, _LATEST = np.datetime64("1900-01-01", "us"), np.datetime64("2100-01-01", "us")
 
 
 @dataclass(frozen=True)
@@ -207,16 +210,15 @@ def _read_fits(
                         f"{name} holds {np.prod(planes)} planes: write every exposure, or the sum of the colours, as "
                         "an image of its own."
                     )
+                if isinstance(part, fits.CompImageHDU):
+                    _refuse_tiles(content, name, int(np.prod(part.shape, dtype=np.int64)))
                 dn = np.asarray(part.data, dtype=np.float64).reshape(part.shape[-2:])
                 header = dict(part.header) if part is file[0] else {**dict(file[0].header), **dict(part.header)}
         except RefusedInputError:
             raise
         except Exception as error:  # astropy raises what its parts raise on damaged files
             raise RefusedInputError(f"{name} is a damaged FITS file ({_short(error)}): copy it again.") from error
-    notes: list[str] = []
-    if not np.isfinite(dn).all():
-        notes.append(f"{name}: {np.count_nonzero(~np.isfinite(dn)):,} pixels have no number and are taken as the sky")
-        dn = np.where(np.isfinite(dn), dn, np.nanmedian(dn[np.isfinite(dn)]) if np.isfinite(dn).any() else 0.0)
+    dn, notes = _filled(dn, name)
     exposure = _positive(header.get("EXPTIME", header.get("EXPOSURE")))
     time, source = _header_time(header, exposure, name)
     return Image(
@@ -233,13 +235,39 @@ def _read_fits(
     )
 
 
+def _filled(dn: FloatArray, name: str) -> tuple[FloatArray, list[str]]:
+    """Return an image whose pixels without a number are as bright as its sky, and what is to be said of them."""
+    known = np.isfinite(dn)
+    if known.all():
+        return dn, []
+    note = f"{name}: {np.count_nonzero(~known):,} pixels have no number and are taken as the sky"
+    return np.where(known, dn, np.median(dn[known]) if known.any() else 0.0), [note]
+
+
+def _refuse_tiles(content: bytes, name: str, pixels: int) -> None:
+    """Refuse a compressed image whose tiles hold more than its pixels, before they are expanded whole."""
+    from astropy.io import fits  # noqa: PLC0415 - 0.2 s
+
+    left = 8 * pixels + _KEPT_BYTES
+    with fits.open(io.BytesIO(content), memmap=False, disable_image_compression=True) as file:
+        for table in (one for one in file if one.header.get("ZIMAGE")):
+            tile = [int(table.header[key]) for key in table.header["ZTILE*"]]
+            left -= max(0, 8 * int(np.prod(tile, dtype=object)) - 8 * pixels)  # object: whole numbers of any size
+            is_gzip = str(table.header.get("ZCMPTYPE", "")).startswith("GZIP")
+            columns = {"GZIP_COMPRESSED_DATA", *(["COMPRESSED_DATA"] if is_gzip else [])} & set(table.columns.names)
+            for packed in (packed for column in columns for packed in table.data[column] if left >= 0):
+                left -= len(zlib.decompressobj(31).decompress(bytes(packed), left + 1))
+    if left < 0:
+        raise RefusedInputError(f"{name} holds more in its tiles than its pixels: write the image again.")
+
+
 def _expand(content: bytes, name: str, limits: ImageLimits) -> bytes:
     """Expand gzip, up to the budget and no farther."""
     most = 8 * limits.pixels + _KEPT_BYTES
     try:
         with gzip.GzipFile(fileobj=io.BytesIO(content)) as file:
             expanded = file.read(most + 1)
-    except (OSError, EOFError) as error:
+    except (OSError, EOFError, zlib.error) as error:
         raise RefusedInputError(f"{name} is damaged gzip ({_short(error)}): copy it again.") from error
     if len(expanded) > most:
         raise RefusedInputError(
@@ -260,28 +288,41 @@ def _header_time(header: Mapping[str, Any], exposure: float | None, name: str) -
         time = _utc(text, scale, name, key)
         if is_middle:
             return time, key
-        return _middle(time, exposure), key if exposure else f"{key}, without a time of exposure"
+        return _middle(time, exposure, name), key if exposure else f"{key}, without a time of exposure"
     return np.datetime64("NaT", "us"), ""
 
 
 def _utc(text: str, scale: str, name: str, key: str) -> np.datetime64:
     """Read a time of a scale as UTC."""
     try:
-        if scale in {"UTC", "UT", "UT1", "GMT"}:
-            return np.datetime64(text, "us")
-        from astropy.time import Time  # noqa: PLC0415 - 0.3 s, of headers in another scale alone
-
-        if scale == "GPS":
-            return np.datetime64((Time(text, scale="tai", precision=6) + 19.0 / 86400.0).utc.isot, "us")
-        return np.datetime64(Time(text, scale=scale.lower(), precision=6).utc.isot, "us")
+        time = _of_scale(text, scale)
+        if not _EARLIEST <= time < _LATEST:
+            raise ValueError(text)  # noqa: TRY301 - it is told as the others are
     except Exception as error:
         raise RefusedInputError(
             f"{name}: {key} is {text[:40]!r} in {scale[:12]!r}, which is no time: correct the header, or give --times."
         ) from error
+    return time
 
 
-def _middle(start: np.datetime64, exposure_s: float | None) -> np.datetime64:
-    return start if exposure_s is None else start + np.timedelta64(round(exposure_s / 2.0 * 1e6), "us")
+def _of_scale(text: str, scale: str) -> np.datetime64:
+    if scale in {"UTC", "UT", "UT1", "GMT"}:
+        return np.datetime64(text, "us")
+    from astropy.time import Time  # noqa: PLC0415 - 0.3 s, of headers in another scale alone
+
+    if scale == "GPS":
+        return np.datetime64((Time(text, scale="tai", precision=6) + 19.0 / 86400.0).utc.isot, "us")
+    return np.datetime64(Time(text, scale=scale.lower(), precision=6).utc.isot, "us")
+
+
+def _middle(start: np.datetime64, exposure_s: float | None, name: str) -> np.datetime64:
+    if exposure_s is None:
+        return start
+    if exposure_s > _LONGEST_EXPOSURE_S:
+        raise RefusedInputError(
+            f"{name} says that it was exposed for {exposure_s:.6g} s, over a day: correct the header."
+        )
+    return start + np.timedelta64(round(exposure_s / 2.0 * 1e6), "us")
 
 
 def _read_picture(
@@ -304,10 +345,10 @@ def _read_picture(
                     raise RefusedInputError(  # noqa: TRY301 - it passes as it is
                         f"{name} has colours of 16 bits, which are not read: save one channel, or grey."
                     )
-                mode, (time, source, exposure) = picture.mode, _exif_time(picture.getexif())
+                mode, (time, source, exposure) = picture.mode, _exif_time(picture.getexif(), name)
                 if mode in _COLOUR:
                     notes.append(f"{name}: its colours are taken together")
-                    dn = np.asarray(picture.convert("RGB"), dtype=np.float64).mean(axis=2)
+                    dn = np.asarray(picture.convert("RGB")).mean(axis=2, dtype=np.float64)
                 elif mode in _GREY:
                     dn = np.asarray(picture, dtype=np.float64)
                 else:
@@ -320,6 +361,8 @@ def _read_picture(
         raise RefusedInputError(
             f"{name} is damaged, or of a kind that is not read ({_short(error)}): save it again."
         ) from error
+    dn, unknown = _filled(dn, name)
+    notes += unknown
     white = 255.0 if mode in {"L", *_COLOUR} else 65535.0 if mode.startswith("I;16") else None
     return Image(name, dn, hashlib.sha256(content).hexdigest(), time, source, exposure, None, white, notes=tuple(notes))
 
@@ -329,7 +372,7 @@ def _is_cut_to_8_bits(content: bytes, mode: str) -> bool:
     return content.startswith(b"\x89PNG") and content[24] == 16 and mode in {"RGB", "RGBA", "LA"}
 
 
-def _exif_time(exif: Any) -> tuple[np.datetime64, str, float | None]:
+def _exif_time(exif: Any, name: str) -> tuple[np.datetime64, str, float | None]:
     """Return mid-exposure as EXIF has it."""
     block = exif.get_ifd(_EXIF_BLOCK)
     exposure = _positive(block.get(_EXIF_EXPOSURE))
@@ -345,7 +388,7 @@ def _exif_time(exif: Any) -> tuple[np.datetime64, str, float | None]:
     else:
         minutes = int(offset[2]) * 60 + int(offset[3])
         start -= np.timedelta64(minutes if offset[1] == "+" else -minutes, "m")
-    return _middle(start, exposure), source, exposure
+    return _middle(start, exposure, name), source, exposure
 
 
 def _read_raw(content: bytes, name: str, sensor: Sensor, raw: ImageFormat, limits: ImageLimits) -> Image:
@@ -384,7 +427,7 @@ def _timed(image: Image, times: Mapping[str, np.datetime64] | None) -> Image:
     if listed is not None:
         return replace(image, time_utc=listed, time_source="the list of times")
     if np.isnat(image.time_utc) and (named := time_in_name(image.name)) is not None:
-        middle = _middle(named, image.exposure_s)
+        middle = _middle(named, image.exposure_s, image.name)
         return replace(image, time_utc=middle, time_source="the file's name, taken as UTC")
     return image
 

@@ -107,11 +107,12 @@ def _joined(faults: Faults, refusal: RefusedInputError) -> RefusedInputError:
 
 
 def _plain(text: str) -> float | str:
-    """Read a number; what is none stays as it was typed."""
+    """Read a number; what is none, or not finite, stays as it was typed."""
     try:
-        return float(text.replace(",", "."))
+        number = float(text.replace(",", "."))
     except ValueError:
         return text
+    return number if math.isfinite(number) else text
 
 
 def _number(name: str, text: str, faults: Faults) -> float | int | None:

@@ -231,6 +231,16 @@ def exchange_file(house, set_id, body):
         audit.append(session, SYSTEM, "brought in", f"telemetry-sets/{set_id}")
 
 
+def damaged(method):
+    """An archive whose packed bytes are none of its method."""
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", method) as archive:
+        archive.writestr("a.png", np.random.default_rng(1).integers(0, 9, 3000).astype(np.uint8).tobytes())
+    body = bytearray(packed.getvalue())
+    body[60:200] = b"\xff" * 140
+    return bytes(body)
+
+
 def test_archives_are_held_to_what_images_may_hold(tmp_path, content):
     path = tmp_path / "n.zip"
     bomb = io.BytesIO()
@@ -242,6 +252,9 @@ def test_archives_are_held_to_what_images_may_hold(tmp_path, content):
         (zipped(content), ImageLimits(file_bytes=1000)),
         (zipped({}), ImageLimits()),
         (zipped(content)[:-100], ImageLimits()),
+        (damaged(zipfile.ZIP_DEFLATED), ImageLimits()),
+        (damaged(zipfile.ZIP_LZMA), ImageLimits()),
+        (zipped({f"{number}.txt": b"" for number in range(20_001)}), ImageLimits()),
     ):
         path.write_bytes(body)
         with pytest.raises(RefusedInputError, match=r"n\.zip"):

@@ -2,6 +2,10 @@
 
 import hashlib
 
+from boresight.console.telemetry.tables import ImportProfile
+from boresight.platform.actors import SYSTEM
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import open_writing, utc_now
 from boresight.telemetry.imports.profile import parse_profile
 from tests.telemetry.imports.conftest import VECTORS
 
@@ -80,3 +84,22 @@ def test_a_file_of_another_program_becomes_a_set(house):
     made = house.person("ada").post("/api/v1/telemetry-sets", data=form, files=files)
     assert made.status_code == 201, made.text
     assert made.json()["stars"] == 40
+
+
+def test_a_number_that_json_cannot_hold_is_not_saved_and_a_profile_that_is_read_no_more_takes_no_page_away(house):
+    ada = house.person("ada")
+    assert save(ada, name="endless", time={"column": "T", "offset_s": "nan"}).status_code == 422
+    with open_writing(house.app.state.engine) as session:
+        row = ImportProfile(
+            name="outdated", number=1, document={"name": "outdated"}, sha256="0" * 64, created_utc=utc_now()
+        )
+        session.put(row)
+        audit.append(session, SYSTEM, "saved", f"import-profiles/{row.id}")
+        profile_id = row.id
+    offered = f'<option value="{profile_id}"'
+    for page in ("/telemetry", "/import-profiles"):
+        shown = ada.get(page)
+        assert shown.status_code == 200
+        assert offered not in shown.text
+    token = {"csrf_token": ada.headers["X-CSRF-Token"]}
+    assert ada.post(f"/import-profiles/{profile_id}/archive", data=token).status_code == 303

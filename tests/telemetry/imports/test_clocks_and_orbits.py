@@ -23,6 +23,11 @@ from tests.telemetry.imports.conftest import VECTORS
 
 MOMENTS = ["1975-03-04T05:06:07.5", "2016-12-31T23:59:59", "2017-01-01T00:00:00", "2026-11-20T01:02:03.25"]
 
+ISS = (
+    "1 25544U 98067A   08264.51782528 -.00002182  00000-0 -11606-4 0  2927\n"
+    "2 25544  51.6416 247.4627 0006703 130.5360 325.0288 15.72125391563537\n"
+)
+
 
 def read(cells, **time):
     faults = Faults("clock")
@@ -86,10 +91,15 @@ def test_utc_and_tai_are_one_anothers_inverse_over_fifty_years():
     assert np.all(tai_to_utc(utc_to_tai(utc)) == utc)
 
 
-@pytest.mark.parametrize("cell", [1e30, -1e12, 5e10])
+@pytest.mark.parametrize("cell", [1e30, -1e12, -3e11, 5e10])
 def test_a_number_that_is_no_time_is_refused(cell):
     with pytest.raises(RefusedInputError):
         read([cell], system="gps", form="seconds")
+
+
+def test_digits_of_another_script_are_no_date():
+    with pytest.raises(RefusedInputError):
+        read(["٢٠٢٤-001T00:00:00"], form="iso")
 
 
 def test_teme_is_turned_as_astropy_turns_it():
@@ -129,8 +139,7 @@ def test_elements_give_the_velocities_of_sgp4s_own_verification(tmp_path):
     "damage", [lambda text: text.replace("2", "3", 1), lambda text: text[:60], lambda _: "hello\n"]
 )
 def test_elements_that_were_copied_wrongly_are_refused(tmp_path, damage):
-    good = "1 25544U 98067A   08264.51782528 -.00002182  00000-0 -11606-4 0  2927\n"
-    good += "2 25544  51.6416 247.4627 0006703 130.5360 325.0288 15.72125391563537\n"
+    good = ISS
     (tmp_path / "sat.tle").write_text(good)
     read_orbit(tmp_path / "sat.tle", "sat.tle")
     (tmp_path / "sat.tle").write_text(damage(good))
@@ -220,3 +229,20 @@ def test_velocities_of_an_orbit_and_attitudes_of_an_aem_come_into_the_telemetry(
     )
     turned = load(text, TIMED, attitude=VECTORS / "example-2.aem").telemetry
     assert np.all(np.isfinite(turned.quaternion))
+
+
+@pytest.mark.parametrize("moment", ["", "3e11", "-3e11"])
+def test_a_star_without_a_time_that_elements_reach_is_refused_by_its_row(load, tmp_path, moment):
+    (tmp_path / "pass.tle").write_text(ISS)
+    numbers = {"frames": {"by": "record"}, "time": {"column": "T", "form": "seconds"}}
+    with pytest.raises(RefusedInputError) as refused:
+        load(f"T,X,Y\n1221998400,1,2\n{moment},3,4\n", TIMED | numbers, orbit=tmp_path / "pass.tle")
+    assert {(fault.row, fault.column) for fault in refused.value.faults} == {(3, "T")}
+
+
+def test_an_oem_faster_than_light_is_refused_by_its_row(tmp_path):
+    head = "CCSDS_OEM_VERS = 2.0\nMETA_START\nCENTER_NAME = EARTH\nREF_FRAME = ICRF\nTIME_SYSTEM = UTC\nMETA_STOP\n"
+    (tmp_path / "fast.oem").write_text(f"{head}2020-01-01T00:00:00 1 2 3 1e307 5 6\n2020-01-01T00:01:00 1 2 3 4 5 6\n")
+    with pytest.raises(RefusedInputError) as refused:
+        read_orbit(tmp_path / "fast.oem", "fast.oem")
+    assert refused.value.faults[0].row == 7

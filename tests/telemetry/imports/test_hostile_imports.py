@@ -1,11 +1,13 @@
 """Files that would exhaust whoever imports them end soon, in little memory, in a refusal or in telemetry."""
 
 import contextlib
+import gzip
 import io
 import json
 import subprocess
 import sys
 import time
+import zipfile
 import zlib
 
 import numpy as np
@@ -21,7 +23,7 @@ from tests.telemetry.imports.conftest import VECTORS, source
 
 VOTABLE = (
     '<?xml version="1.0"?>{dtd}<VOTABLE version="1.3"><RESOURCE><TABLE {nrows}>'
-    '<FIELD name="row_px" datatype="double" {size}/><FIELD name="col_px" datatype="double"/><DATA>{data}</DATA></TABLE>'
+    '<FIELD name="row_px" datatype="double" {size}/><FIELD name="col_px" datatype="double"/>{fields}<DATA>{data}</DATA></TABLE>'
     "</RESOURCE></VOTABLE>"
 )
 ROWS = "<TABLEDATA><TR><TD>1</TD><TD>2</TD></TR></TABLEDATA>"
@@ -31,7 +33,7 @@ ENTITIES = '<!DOCTYPE x [<!ENTITY a "' + "ha" * 1000 + '">' + "".join(
 
 
 def votable(**parts):
-    return VOTABLE.format(**{"dtd": "", "nrows": "", "size": "", "data": ROWS, **parts}).encode()
+    return VOTABLE.format(**{"dtd": "", "nrows": "", "fields": "", "size": "", "data": ROWS, **parts}).encode()
 
 
 def announced_fits(rows):
@@ -47,6 +49,13 @@ FILES = {
     "rows on the net.xml": lambda: votable(
         data='<BINARY><STREAM\n encoding="gzip"\n href="http://localhost:9/x"/></BINARY>'
     ),
+    "rows elsewhere, after a value with a bracket.xml": lambda: votable(
+        data='<BINARY><STREAM actuate=">" href="file:///etc/passwd"/></BINARY>'
+    ),
+    "streams without an end.xml": lambda: votable(data="<!--" + "STREAM " * 1_000_000 + "-->"),
+    "rows of nothing.xml": lambda: votable(
+        data="<TABLEDATA>" + "<TR/>" * 700_000 + "</TABLEDATA>", fields='<FIELD name="x" datatype="double"/>' * 900
+    ),
     "a billion rows.xml": lambda: votable(nrows='nrows="1000000000"'),
     "a cell of a billion.xml": lambda: votable(size='arraysize="1000000000"'),
     "deep.xml": lambda: b"<VOTABLE>" + b"<RESOURCE>" * 200_000,
@@ -59,9 +68,16 @@ FILES = {
     "wide objects.json": lambda: json.dumps(
         [{f"k{k}_{n}": k for k in range(500)} | {"matched_centroids": [[1, 2]]} for n in range(60)]
     ).encode(),
+    "one object for all.json": lambda: json.dumps(
+        {"matched_centroids": [[1, 2]] * 10_000} | {f"k{k}": 1 for k in range(100_000)}
+    ).encode(),
+    "long names.json": lambda: json.dumps(
+        {"matched_centroids": [[1, 2]], "k" * 100_000: {f"k{k}": 1 for k in range(100_000)}}
+    ).encode(),
     "one long line.csv": lambda: b"1," * 5_000_000,
     "a million cells.cat": lambda: b"#   1 X_IMAGE  x [pixel]\n#   2 Y_IMAGE y [pixel]\n" + b"1 2 " * 250_000,
     "columns.cat": lambda: b"".join(b"# %d C%d x\n" % (k, k) for k in range(1, 30_000)) + b"1 2\n",
+    "a column of a large number.cat": lambda: b"#   1 X_IMAGE  x\n# 99999999999 Y_IMAGE y\n1 2\n",
     "quotes.tsv": lambda: b"Time\tSTAR1_ROW\tSTAR1_COL\n" + b'"' * 1_000_000,
     "gzip.fits": lambda: zlib.compress(b"SIMPLE  ="),
 }
@@ -144,3 +160,26 @@ def test_damaged_files_are_read_or_refused_in_words(tmp_path, name, profile):
         (tmp_path / name).write_bytes(bytes(data))
         with contextlib.suppress(RefusedInputError):
             import_files([source(tmp_path / name)], BUILT_IN[profile])
+
+
+POINTS = {"row": {"column": "r"}, "col": {"column": "c"}, "frames": {"by": "record"}}
+
+
+def test_a_packed_fits_is_not_expanded_by_a_profile_that_names_fits(load):
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a.fits", bytes(10_000_000))
+    for content in (packed.getvalue(), gzip.compress(announced_fits(1))):
+        with pytest.raises(RefusedInputError, match="is not a FITS file"):
+            load(content, POINTS | {"layout": {"format": "fits"}}, "a.dat")
+
+
+def test_a_long_cell_of_a_ragged_line_is_refused_by_its_row(load):
+    ragged = {"layout": {"format": "ragged", "cells_per_star": 2}, "row": {"column": "1"}, "col": {"column": "2"}}
+    with pytest.raises(RefusedInputError, match="row 2"):
+        load("1,2\n1," + "2" * 200_000 + "\n", POINTS | ragged)
+
+
+def test_rows_are_chosen_by_a_column_with_one_long_text(load):
+    content = "r,c,k\n1,1," + "x" * 4000 + "\n" + "1,1,a\n" * 300_000
+    assert len(load(content, POINTS | {"layout": {"where": {"k": ["a"]}}}).telemetry) == 300_000

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -33,9 +34,12 @@ class OfferedProfile:
 
 
 def list_offers(session: Session) -> list[OfferedProfile]:
-    """Return the built-in profiles, then the newest version of each saved one, by name."""
-    own = [OfferedProfile(name, profile) for name, profile in BUILT_IN.items()]
-    return [*own, *(OfferedProfile(str(row.id), make_profile(row)) for row in rows.list_profiles_in_use(session))]
+    """Return the built-in profiles, then the newest version of each saved one, by name; one that is read no more is left out."""
+    offers = [OfferedProfile(name, profile) for name, profile in BUILT_IN.items()]
+    for row in rows.list_profiles_in_use(session):
+        with suppress(RefusedInputError):
+            offers.append(OfferedProfile(str(row.id), make_profile(row)))
+    return offers
 
 
 def make_profile(row: ImportProfile) -> Profile:

@@ -43,6 +43,7 @@ OLDEST_ELEMENTS_DAYS, LOST_M_S_PER_DAY = 30.0, 3.0
 _INERTIAL = ("EME2000", "ICRF", "GCRF", "J2000", "GCRS", "ICRS")
 _LINE_1, _LINE_2 = re.compile(r"^1 [ 0-9A-Z]{5}[A-Z ] "), re.compile(r"^2 [ 0-9A-Z]{5} ")
 _HOUR = np.timedelta64(1, "h")
+_FASTEST_KM_S = 299_792.458
 
 
 @dataclass(frozen=True)
@@ -152,8 +153,11 @@ def _read_elements(name: str, first: str, second: str) -> Orbit:
     reach = np.timedelta64(round(OLDEST_ELEMENTS_DAYS * 86400e6), "us")
 
     def velocity(time_utc: TimeArray) -> tuple[FloatArray, BoolArray]:
-        near = np.abs(time_utc - epoch) <= reach
-        return _propagated(satellite, time_utc), np.asarray(near)
+        near = np.asarray(np.abs(time_utc - epoch) <= reach)  # false of NaT
+        found = np.full((len(time_utc), 3), np.nan)
+        if near.any():
+            found[near] = _propagated(satellite, time_utc[near])
+        return found, near
 
     note = (
         f"Velocity by SGP4 from elements of {str(epoch)[:19]}Z; it loses about {LOST_M_S_PER_DAY:g} m/s for each day between them "
@@ -324,6 +328,10 @@ def _piece(name: str, segment: Segment) -> _Piece:
             "one of these, for those of a rotating frame are no velocities that aberrate."
         )
     time_utc, states = _numbers(name, segment, 6)
+    fast = np.any(np.abs(states[:, 3:]) > _FASTEST_KM_S, axis=1)
+    if np.any(fast):
+        fault = Fault(segment.data[int(np.argmax(fast))][0], None, "has a velocity above that of light")
+        raise RefusedInputError(f"{name}: {fault}: write velocities in km/s.", (fault,))
     m_s = states[:, 3:] * 1e3
     m_s = teme_to_gcrs(m_s, time_utc) if frame == "TEME" else m_s
     begins, ends = _span(name, metadata, time_utc)

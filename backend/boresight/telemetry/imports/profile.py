@@ -40,12 +40,14 @@ Quantity = Literal["time", "star_id", "directions", "quaternion", "velocity", "m
 NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
 MOST_VERSION = 1_000_000
 LONGEST_TEXT = 2_000
+#: The largest whole number, and the longest time that is added, seconds.
+MOST_WHOLE, LONGEST_OFFSET_S = 1_000_000_000, 1e9
 
 
 class _Part:
-    """What every class here has: a member that is not known is refused."""
+    """What every class here has: a member that is not known is refused, and so is a number that JSON cannot hold."""
 
-    __pydantic_config__: ClassVar = {"extra": "forbid"}
+    __pydantic_config__: ClassVar = {"extra": "forbid", "allow_inf_nan": False}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -359,10 +361,11 @@ def _check(profile: Profile, name: str) -> None:
 def _troubles(profile: Profile) -> list[tuple[bool, str]]:
     """Return what may be wrong with a profile, and what to do."""
     layout, time, wide, turned = profile.layout, profile.time, profile.wide, profile.quaternion
-    columns = () if turned is None else turned.columns
+    columns, detector = () if turned is None else turned.columns, profile.detector
     texts = _texts(_told(profile))
     return [
         (not NAME.fullmatch(profile.name), "its name must be of small letters, digits, dots and dashes, at most 64"),
+        (any(abs(number) > MOST_WHOLE for number in _wholes(_told(profile))), f"a number is over {MOST_WHOLE:,}"),
         (not 1 <= profile.version <= MOST_VERSION, "its version must be a number from 1"),
         (any(len(text) > LONGEST_TEXT or "\0" in text for text in texts), f"a text is over {LONGEST_TEXT:,} characters"),
         (len(texts) > LONGEST_TEXT, f"it has over {LONGEST_TEXT:,} texts"),
@@ -375,16 +378,31 @@ def _troubles(profile: Profile) -> list[tuple[bool, str]]:
             "give one of time.column, time.constant and time.keyword",
         ),
         (
-            time is not None and time.system == "on_board" and (time.epoch is None or time.form in {"iso", "jd", "mjd"}),
+            time is not None
+            and time.system == "on_board"
+            and (not (time.epoch or "").strip() or time.form in {"iso", "jd", "mjd"}),
             "an on-board counter needs time.epoch, the UTC at which it was 0, and a form that is a number",
         ),
         (time is not None and time.week_column is not None and time.system != "gps", "time.week_column goes with gps"),
+        (time is not None and abs(time.offset_s) > LONGEST_OFFSET_S, f"time.offset_s is over {LONGEST_OFFSET_S:,.0f} seconds"),
+        (any(size is not None and size < 1 for size in (detector.rows, detector.columns)), "detector.rows and columns are from 1"),
+        (
+            detector.pixel_pitch_m is not None and not 1e-8 <= detector.pixel_pitch_m <= 1e-2,
+            "detector.pixel_pitch_m is 1e-8 to 0.01",
+        ),
         (len(columns) not in {0, 4}, "quaternion.columns are four"),
         (profile.sigma is not None and len(profile.sigma.columns) not in {1, 2}, "sigma.columns are one or two"),
         (wide is not None and not (1 <= wide.count <= 10_000 and 0 <= wide.first <= 10_000), "wide.count is 1 to 10000"),
         ((layout.format == "ragged") != (layout.cells_per_star is not None), "layout.cells_per_star goes with ragged"),
         (layout.cells_per_star is not None and not 1 <= layout.cells_per_star <= 100, "layout.cells_per_star is 1 to 100"),
     ]  # fmt: skip
+
+
+def _wholes(value: Any) -> list[int]:
+    """Return every whole number of a document."""
+    if isinstance(value, Mapping):
+        return [number for item in value.values() for number in _wholes(item)]
+    return [value] if isinstance(value, int) else []
 
 
 def _texts(value: Any) -> list[str]:

@@ -37,12 +37,15 @@ from boresight.telemetry.read.readers import open_tables
 MOST_TEXT_BYTES, MOST_OBJECT_BYTES, MOST_BYTES = 64_000_000, 16_000_000, 400_000_000
 #: Stars of nested JSON, which are Python objects on their way.
 MOST_OBJECTS = 200_000
+#: Of a member with the objects that it is in.
+LONGEST_KEY = 1_000
 #: Of a FITS file or VOTable.
 MOST_BINARY_BYTES, MOST_XML_BYTES = 400_000_000, 32_000_000
 _UNIT = "\x1f"
 _SEPARATORS = {"tab": "\t", "space": " "}
 _FITS = b"SIMPLE  ="
 _SEXTRACTOR = re.compile(rb"#\s*1\s+[A-Za-z_]")
+_SEXTRACTOR_NUMBER = re.compile(r"\s*#\s*(\d+)\s")
 _LDAC = ("LDAC_IMHEAD",)
 _BAD_LINE = re.compile(r"data line (\d+)")
 _LISTED = 30
@@ -230,7 +233,7 @@ def _read_text_table(path: Path, name: str, form: str, layout: Layout, limits: L
         raise RefusedInputError(f"{name} has no rows: give a file that has.")
     width = max(len(_split(lines[row - 1], separator)) for row in rows[:2])
     _refuse_cells(name, len(data), width, limits)
-    names = _sextractor_names(name, lines, rows) if form == "sextractor" else None
+    names = _sextractor_names(name, lines, rows, limits) if form == "sextractor" else None
     text = "\n".join(lines[row - 1] for row in rows) + "\n"
     found = _by_astropy(name, text, separator, data, names=names, has_header=has_header)
     return SourceTable(name, found, np.array(data, np.int64), np.arange(len(data)))
@@ -240,11 +243,13 @@ def _split(line: str, separator: str) -> list[str]:
     return line.split() if separator == " " else line.split(separator)
 
 
-def _sextractor_names(name: str, lines: list[str], rows: list[int]) -> list[str]:
+def _sextractor_names(name: str, lines: list[str], rows: list[int], limits: Limits) -> list[str]:
     """Return the columns that a SExtractor header names; astropy numbers those of a vector."""
     from astropy.io import ascii as tables  # noqa: PLC0415 - loaded with the first file that needs it
 
     head = [line for line in lines[: rows[0] if rows else len(lines)] if line.strip()]
+    numbers = [found.group(1) for line in head if (found := _SEXTRACTOR_NUMBER.match(line))]
+    limits.refuse_columns(name, max((int(number[:12]) for number in numbers), default=0))
     try:
         return list(tables.read("\n".join(head) + "\n", format="sextractor", guess=False).colnames)
     except (ValueError, IndexError, TypeError) as error:
@@ -305,7 +310,11 @@ def _read_ragged(path: Path, name: str, layout: Layout, limits: Limits) -> Sourc
         if not line.strip() or (layout.comment and line.lstrip().startswith(layout.comment)):
             continue
         record += 1
-        found = line.split() if separator == " " else next(csv.reader([line], delimiter=separator))
+        try:
+            found = line.split() if separator == " " else next(csv.reader([line], delimiter=separator))
+        except csv.Error:
+            faults.add(f"has a cell of over {csv.field_size_limit():,} characters: check the separator", row=row)
+            continue
         if len(found) % width:
             faults.add(f"has {len(found)} cells, which are no multiple of {width}: give all of every star", row=row)
             continue
@@ -326,22 +335,31 @@ def _read_objects(path: Path, name: str, layout: Layout, limits: Limits) -> Sour
     """Read JSON objects, a list of them or one a line, whose lists have an entry a star."""
     _refuse_size(path, name, MOST_OBJECT_BYTES, "JSON that is nested")
     faults = Faults(name)
-    collected: list[dict[str, Any]] = []
-    rows, records = [], []
+    collected: list[tuple[dict[str, Any], dict[str, Any]]] = []
+    rows, records, held = [], [], 0
     for record, (row, document) in enumerate(_objects(path, name, limits)):
-        stars = _exploded(document, layout, row, faults)
-        collected += stars
+        common, stars = _exploded(document, layout, row, faults)
+        held += len(stars) * sum(8 + len(str(value)) for value in common.values())
+        if held > MOST_BYTES:
+            raise RefusedInputError(
+                f"{name} takes over {MOST_BYTES / 1e6:,.0f} MB in memory, for what an object says goes with each of its stars: "
+                "leave out what is not needed, or split it by time."
+            )
+        collected += [(common, star) for star in stars]
         rows += [row] * len(stars)
         records += [record] * len(stars)
         if len(rows) > MOST_OBJECTS:
             raise RefusedInputError(
                 f"{name} has over {MOST_OBJECTS:,} stars, the most that is read of nested JSON: split it by time."
             )
-        _refuse_cells(name, len(rows), len(stars[0]) if stars else 1, limits)
+        _refuse_cells(name, len(rows), len(common) + len(stars[0]) if stars else 1, limits)
     faults.refuse()
-    names = dict.fromkeys(key for star in collected for key in star)
+    names = dict.fromkeys(key for parts in collected for part in parts for key in part)
     _refuse_cells(name, len(rows), len(names), limits)
-    columns = {key: pa.array([_cell(star.get(key)) for star in collected], pa.string()) for key in names}
+    columns = {
+        key: pa.array([_cell(star.get(key, common.get(key))) for common, star in collected], pa.string())
+        for key in names
+    }
     return SourceTable(name, columns, np.array(rows, np.int64), np.array(records, np.int64))
 
 
@@ -369,8 +387,10 @@ def _parsed(name: str, row: int, line: str) -> Any:
         raise RefusedInputError(f"{name}: row {row}: is not JSON ({error}): give one object a line.") from error
 
 
-def _exploded(document: Mapping[str, Any], layout: Layout, row: int, faults: Faults) -> list[dict[str, Any]]:
-    """Return one object a star: the lists that are to be taken apart, and all else repeated."""
+def _exploded(
+    document: Mapping[str, Any], layout: Layout, row: int, faults: Faults
+) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Return what all stars of an object share, and one object a star of the lists that are to be taken apart."""
     apart = {key: document.get(key) for key in layout.explode}
     lists = {key: value for key, value in apart.items() if isinstance(value, list)}
     for key, value in apart.items():
@@ -384,7 +404,7 @@ def _exploded(document: Mapping[str, Any], layout: Layout, row: int, faults: Fau
     common = dict(
         _flat("", {key: value for key, value in document.items() if key not in apart and key not in layout.indexed})
     )
-    stars = [dict(common) for _ in range(count)]
+    stars: list[dict[str, Any]] = [{} for _ in range(count)]
     for key, value in lists.items():
         if len(value) != count:
             faults.add(f"has {len(value)} entries where another list has {count}: give one a star", row=row, column=key)
@@ -392,7 +412,7 @@ def _exploded(document: Mapping[str, Any], layout: Layout, row: int, faults: Fau
         for star, item in zip(stars, value, strict=True):
             star.update(_flat(key, item))
     _place_indexed(document, layout, stars, row, faults)
-    return stars
+    return common, stars
 
 
 def _place_indexed(
@@ -416,6 +436,11 @@ def _place_indexed(
 
 def _flat(key: str, value: Any) -> Iterator[tuple[str, Any]]:
     """Yield the cells in a value, `key.x` of objects and `key.1` of short lists."""
+    if len(key) > LONGEST_KEY:
+        raise RefusedInputError(
+            f"{key[:40]}... is the name of a member, over {LONGEST_KEY} characters with those of the objects that it is in: "
+            "give it a short name."
+        )
     if isinstance(value, Mapping):
         for name, item in value.items():
             yield from _flat(f"{key}.{name}" if key else str(name), item)
@@ -434,7 +459,8 @@ def _read_fits(path: Path, name: str, layout: Layout, wanted: Sequence[str], lim
     """Read a binary or text table of a FITS file."""
     from astropy.io import fits  # noqa: PLC0415 - loaded with the first file that needs it
 
-    read_head(path)
+    if not read_head(path).startswith(_FITS):  # astropy would expand what is packed, without a limit
+        raise RefusedInputError(f"{name} is not a FITS file: unpack it, or choose a profile of another format.")
     _refuse_size(path, name, MOST_BINARY_BYTES, "a FITS file")
     try:
         with warnings.catch_warnings(action="ignore"), path.open("rb") as raw, fits.open(raw, memmap=False) as file:
@@ -514,7 +540,8 @@ def _real(values: Any) -> Any:
     return np.ma.masked_invalid(values) if values.dtype.kind == "f" else values
 
 
-_STREAM = re.compile(rb"STREAM\b[^>]*\bhref", re.IGNORECASE)
+#: A value may hold `>`, and no `<`; every tag is looked through once.
+_STREAM = re.compile(rb"<(?:[^<>\s/]*:)?STREAM\s[^<]*href", re.IGNORECASE)
 _NUMBER_OF_ROWS = re.compile(rb"""nrows\s*=\s*["']\s*([0-9]+)""")
 _ARRAY_SIZE = re.compile(rb"""arraysize\s*=\s*["']([0-9x]+)""")
 
@@ -574,7 +601,8 @@ def _refuse_xml(name: str, data: bytes) -> None:
         for found in _ARRAY_SIZE.findall(data)
     ]
     rows = max([*announced, len(re.findall(rb"<TR\b", data, re.IGNORECASE)), len(re.findall(rb":TR\b", data))])
-    if 8 * max(rows, 1) * sum(sizes) > MOST_BYTES:
+    fields = len(re.findall(rb"[<:]FIELD\b", data, re.IGNORECASE))
+    if 8 * max(rows, 1) * (sum(sizes) + fields) > MOST_BYTES:
         raise RefusedInputError(f"{name} announces more cells than it can hold: write it again.")
 
 
@@ -585,8 +613,7 @@ def _chosen(table: SourceTable, layout: Layout) -> SourceTable:
     taken = np.ones(len(table), dtype=np.bool_)
     for column, texts in layout.where.items():
         cells = table.columns[table.find(column)]
-        said = [_text(cell) for cell in cells.to_pylist()]
-        taken &= np.isin(np.array(said, dtype=object).astype(str), list(texts))
+        taken &= np.fromiter((_text(cell) in texts for cell in cells.to_pylist()), np.bool_, len(cells))
     if not taken.any():
         asked = " and ".join(f"{column} of {' or '.join(texts)}" for column, texts in layout.where.items())
         raise RefusedInputError(

@@ -38,10 +38,11 @@ _JD_OF_MJD_ZERO = 2_400_000.5
 _MIDNIGHT, _JD_OF_MIDNIGHT = np.datetime64("2000-01-01T00:00:00", "us"), 2_451_544.5
 _DAY_US = 86_400_000_000
 _WEEK_S = 604_800.0
-_ORDINAL = re.compile(r"^\s*(\d{4})-?(\d{3})(?=[T ])")
+_ORDINAL = re.compile(r"^\s*([0-9]{4})-?([0-9]{3})(?=[T ])")
 _LEAP = re.compile(r":60(\.\d*)?(?=Z|[+-]|\s*$)")
-#: The farthest that a number of microseconds may be from its epoch: the years 1900 to 2100 are looked for afterwards.
-_FARTHEST_US = 4e17
+#: The farthest that a number of microseconds may be before and after its epoch: the years 1900 to 2100 are looked for afterwards,
+#: and leap seconds are not told before the year -4799.
+_FARTHEST_BEFORE_US, _FARTHEST_US = 1e17, 4e17
 
 
 def read_times(cells: pa.Array, week: pa.Array | None, time: Time, faults: Faults) -> TimeArray:
@@ -98,7 +99,7 @@ def _of_numbers(values: FloatArray, form: TimeForm, system: TimeSystem, seconds_
     else:
         epoch = np.datetime64(_EPOCHS[system], "us")
         us = values * (_US[form] * (seconds_per_count if system == "on_board" else 1.0))
-    good = np.abs(us) < _FARTHEST_US  # false of NaN
+    good = (us > -_FARTHEST_BEFORE_US) & (us < _FARTHEST_US)  # false of NaN
     return np.where(
         good, epoch + np.where(good, np.round(us), 0.0).astype("timedelta64[us]"), np.datetime64("NaT", "us")
     )
