@@ -29,7 +29,7 @@ WORDS = """
     delete diagnose do download dump edit enable end export expose extract find free give have hold import install keep launch
     leave let list log look lower make mend mount move name number open pack paste pick pipe pip print promote propose put raise
     read record reload register remove rename repeat restore rotate run save say see send set shorten show sign sort split start
-    stop submit take tick try turn type upload use verify wait withdraw write
+    stop submit take tick try turn type unpack upload use verify wait withdraw write
 """
 VERBS = frozenset(WORDS.split())
 ANY = "…"

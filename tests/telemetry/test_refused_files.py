@@ -63,7 +63,7 @@ from tests.telemetry.files import (
         (GOOD.replace("\n0,1", "\n\n0,1").encode(), "row 4: is blank"),
         (GOOD.replace("40.25,", "40.25,,").encode(), "row 3: has 6 cells where the header has 5"),
         (GOOD.replace("40.25,", "40.25").encode(), "row 3: has 4 cells where the header has 5"),
-        (b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "is a PNG image: Boresight reads star centroids"),
+        (b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "is a PNG image"),
         (b"PK\x03\x04rest of a spreadsheet", "spreadsheet"),
         (b"PAR1 rest", "is named as CSV but its content looks like Parquet"),
         (b'{"frame": 0}', "is named as CSV but its content looks like JSON Lines"),
