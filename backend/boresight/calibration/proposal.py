@@ -83,6 +83,8 @@ FEWER = 0.7
 ROUNDS, FREED, HELD = 3, 3.0, 1e-6
 #: Share of the matched stars that are no fainter than the magnitude limit.
 SEEN_SHARE = 0.98
+#: Magnitudes beyond the faintest of a few fields: others show fainter ones.
+BEYOND_MAG = 0.3
 #: Of the detections so many may lie off the detector that was given.
 FEW_OFF = 0.02
 #: An exposure with so many detections ought to be recognised.
@@ -487,9 +489,9 @@ def _matched_magnitudes(trial: Trial, catalogue: Catalogue) -> FloatArray:
 
 
 def _magnitude_seen(trial: Trial, catalogue: Catalogue) -> float | None:
-    """Faintest magnitude of the matched stars, but for a few, rounded up to a tenth; None of none."""
+    """Magnitude of the faintest matched stars, but for a few, and `BEYOND_MAG` more, rounded up to a tenth; None of none."""
     magnitude = _matched_magnitudes(trial, catalogue)
-    return None if not len(magnitude) else math.ceil(10 * float(np.quantile(magnitude, SEEN_SHARE))) / 10
+    return None if not len(magnitude) else math.ceil(10 * (float(np.quantile(magnitude, SEEN_SHARE)) + BEYOND_MAG)) / 10
 
 
 def _focal_sigma(found: _Found) -> float:
@@ -557,7 +559,9 @@ def _conclude(
     if given.centroid_sigma_px is None and matched.known.centroid_sigma_px is not None:
         reasons["centroid_sigma_px"] = f"As measured: how far {trial.stars:,} stars are off the catalogue's places."
     if given.magnitude_limit is None and matched.known.magnitude_limit is not None:
-        reasons["magnitude_limit"] = f"As seen: {SEEN_SHARE:.0%} of the matched stars are no fainter."
+        reasons["magnitude_limit"] = (
+            f"As seen: {SEEN_SHARE:.0%} of the matched stars are brighter by {BEYOND_MAG:g} at least."
+        )
     return Proposal(
         described=Described(sensor, reasons),
         exposures=n,
