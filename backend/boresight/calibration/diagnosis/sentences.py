@@ -88,7 +88,7 @@ def _clause(name: str, best: Trial, sensor: Sensor) -> str:
 
 
 def _parity_clause(best: Trial, _: Sensor) -> str:
-    return f"the image is mirrored: parity {best.sensor.parity:+d} in the sensor file solves it"
+    return f"the image is mirrored against what the sensor file says: parity {best.sensor.parity:+d} solves it"
 
 
 def _origin_clause(best: Trial, _: Sensor) -> str:
