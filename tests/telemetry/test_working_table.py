@@ -14,10 +14,19 @@ from hypothesis import strategies as st
 
 from boresight.disks import compute_digest
 from boresight.errors import CorruptFileError, NotFoundError, RefusedInputError
+from boresight.library.results import save_telemetry
 from boresight.telemetry.read import formats, parquet, readers
 from boresight.telemetry.read.frames import evenly, frame_index, read_sample
 from boresight.telemetry.read.limits import Limits
-from boresight.telemetry.read.readers import read_chunks, read_telemetry, rows_in, stretches, write_csv, write_parquet
+from boresight.telemetry.read.readers import (
+    ROW_GROUP,
+    read_chunks,
+    read_telemetry,
+    rows_in,
+    stretches,
+    write_csv,
+    write_parquet,
+)
 from boresight.telemetry.sampling import exposure_keys, shared_exposures
 from boresight.telemetry.schema import Telemetry, joined, select_rows
 from boresight.telemetry.working_table import (
@@ -498,3 +507,12 @@ def test_a_stretch_refuses_its_own_faults_by_the_rows_of_the_file_and_a_damaged_
     path.write_bytes(path.read_bytes()[:-9] + b"PAR1")
     with pytest.raises(RefusedInputError, match="truncated or damaged"):
         stretches(path, "a.parquet", 1)
+
+
+def test_what_is_saved_as_parquet_keeps_rows_together_in_groups_that_one_frame_is_read_from_soon(tmp_path):
+    n = ROW_GROUP + 10
+    ones = np.ones(n)
+    saved = Telemetry(frame=np.arange(n) // 10, exposure=np.zeros(n, np.int64), row_px=ones, col_px=ones)
+    save_telemetry(saved, tmp_path / "saved.parquet")
+    file = arrow_parquet.ParquetFile(tmp_path / "saved.parquet")
+    assert [file.metadata.row_group(k).num_rows for k in range(file.num_row_groups)] == [ROW_GROUP, 10]
