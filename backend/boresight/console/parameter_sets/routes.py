@@ -20,7 +20,7 @@ from boresight.console.parameter_sets import schemas, service
 from boresight.console.parameter_sets import service as conversions
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.schemas import Shape
-from boresight.platform.web.media import CameraFile
+from boresight.platform.web.media import CameraFile, CameraFormat, CameraMisfit, WithResidual
 from boresight.platform.web.paging import Id, Listing, Page, Paged
 
 router = operations("/parameter-sets", tags=["parameter sets"])
@@ -96,9 +96,7 @@ def convert_parameter_set(
         Query(ge=0, allow_inf_nan=False, description="Largest misfit; 1 % of centroid_sigma_px when left out."),
     ] = None,
     *,
-    residual: Annotated[
-        bool, Query(description="Follow the residual spline of its calibration too, where that is beyond the noise.")
-    ] = False,
+    residual: WithResidual = False,
 ) -> Response:
     """Write this set in another camera model: values, covariance and misfit, or the reason why it cannot be. Nothing is kept."""
     return json_response(
@@ -112,26 +110,17 @@ def convert_parameter_set(
 def get_parameter_set_camera_file(
     parameter_set_id: Id,
     session: Reading,
-    to: Annotated[str, Query(examples=["opencv"], description="The format, one of the README's table.")],
-    allow_px: Annotated[
-        float | None,
-        Query(
-            ge=0,
-            allow_inf_nan=False,
-            description="Largest misfit; the format's share of centroid_sigma_px when left out.",
-        ),
-    ] = None,
+    to: CameraFormat,
+    allow_px: CameraMisfit = None,
     *,
-    residual: Annotated[
-        bool, Query(description="Follow the residual spline of its calibration too, where that is beyond the noise.")
-    ] = False,
+    residual: WithResidual = False,
 ) -> Response:
     """Write the camera of this set for another program, or say why not.
 
     FITS has a header for each exposure, which takes telemetry: `boresight convert` writes it.
     """
     content, name = conversions.export_parameter_set(session, parameter_set_id, to, allow_px, with_residual=residual)
-    return CameraFile(content, headers={"Content-Disposition": f'attachment; filename="{name}"'})
+    return CameraFile(content, name)
 
 
 @router.post(

@@ -38,7 +38,7 @@ from boresight.figures.report import render_report
 from boresight.figures.tables import removed_table
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session
-from boresight.platform.web.media import CameraFile, CsvFile, csv_response
+from boresight.platform.web.media import CameraFile, CameraFormat, CameraMisfit, CsvFile, WithResidual, csv_response
 from boresight.platform.web.paging import GREATEST_ID, Id, Listing, Page, Paged
 from boresight.platform.web.response_cache import cover_with_tag
 
@@ -198,26 +198,17 @@ def get_run_camera_file(
     run_id: Id,
     session: Reading,
     blobs: Blobs,
-    to: Annotated[str, Query(examples=["opencv"], description="The format, one of the README's table.")],
-    allow_px: Annotated[
-        float | None,
-        Query(
-            ge=0,
-            allow_inf_nan=False,
-            description="Largest misfit; the format's share of centroid_sigma_px when left out.",
-        ),
-    ] = None,
+    to: CameraFormat,
+    allow_px: CameraMisfit = None,
     *,
-    residual: Annotated[
-        bool, Query(description="Follow the residual spline of its calibration too, where that is beyond the noise.")
-    ] = False,
+    residual: WithResidual = False,
 ) -> Response:
     """Write the camera that this run found for another program, or say why not.
 
     FITS has a header for each exposure, which takes telemetry: `boresight convert` writes it.
     """
     content, name = runs.export_run(session, blobs, run_id, to, allow_px, with_residual=residual)
-    return CameraFile(content, headers={"Content-Disposition": f'attachment; filename="{name}"'})
+    return CameraFile(content, name)
 
 
 def result_so_far(session: Session, blobs: BlobStore, run_id: Id) -> dict[str, Any]:

@@ -6,8 +6,9 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+from fastapi import Query
 from starlette.responses import FileResponse, Response
 
 Table = Mapping[str, Sequence[Any]]  # columns by name
@@ -36,9 +37,25 @@ class StoredFile(FileResponse):
 
 
 class CameraFile(Response):
-    """A camera as a file of another program."""
+    """A camera as a file of another program, which is downloaded under its name."""
 
     media_type = "application/octet-stream"
+
+    def __init__(self, content: bytes | str, name: str, status_code: int = 200) -> None:
+        super().__init__(content, status_code, headers={"Content-Disposition": f'attachment; filename="{name}"'})
+
+
+#: What is asked of a camera that leaves: in which format, how well, and with the residual or without.
+CameraFormat = Annotated[str, Query(examples=["opencv"], description="The format, one of the README's table.")]
+CameraMisfit = Annotated[
+    float | None,
+    Query(
+        ge=0, allow_inf_nan=False, description="Largest misfit; the format's share of centroid_sigma_px when left out."
+    ),
+]
+WithResidual = Annotated[
+    bool, Query(description="Follow the residual spline of its calibration too, where that is beyond the noise.")
+]
 
 
 class PythonFile(Response):

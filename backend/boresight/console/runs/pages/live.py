@@ -268,4 +268,4 @@ def camera_file(request: Request, session: Reading, run_id: int, to: str) -> Res
         content, name = runs.export_run(session, get_server(request).blobs, run_id, to)
     except RefusedInputError as refusal:
         return redirect(f"/runs/{run_id}", flash=str(refusal), level="serious")
-    return CameraFile(content, headers=_attachment(name))
+    return CameraFile(content, name)
