@@ -105,7 +105,8 @@ def test_a_set_that_is_corrected_is_as_good_as_claimed_and_one_that_is_not_is_no
         for source, given in (("quaternions", telemetry), ("stars", replace(telemetry, quaternion=None))):
             found = calibrate(given, sensor, catalogue, settings)
             assert source in found.assumptions[0].sentence
-            assert not found.assumptions[0].left_in
+            # an exposure with too few stars for an attitude has no rate from them, and its neighbour has none either
+            assert source == "stars" or not found.assumptions[0].left_in
             nees[source].append(errors(found, truth)[1])
     assert abs(np.mean(off)) > 700
     for values in nees.values():

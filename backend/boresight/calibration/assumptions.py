@@ -110,7 +110,7 @@ def _readout(
     sentence = (
         f"Declared: {said}. Centroids of {done.moved:,} of {done.exposures:,} exposures were moved back to the first line's time, "
         f"by up to {done.largest_px:.3g} px at {done.rate_deg_s:.3g} °/s, with rates from {done.source}"
-        + (f"; {left:,} exposures have no rate and stay as they are." if left else ".")
+        + (f"; {left:,} without a rate stay as they are." if left else ".")
     )
     return Assumption(
         name="readout", declared=True, value=f"{said}: corrected here", sentence=sentence, left_in=left > 0

@@ -41,7 +41,11 @@ def extended_filter(
         for turn in range(tuning.linearisations):
             z_lin = z
             e, H, _ = _rows(frame, x, free, scale)
-            z, P, nis[k] = _update(z_prior, P_prior, z_lin, e, H)
+            try:
+                z, P, nis[k] = _update(z_prior, P_prior, z_lin, e, H)
+            except np.linalg.LinAlgError:  # a covariance beyond what a float holds: the filter diverged
+                squares[k] = np.nan
+                break
             before = _cost(z_lin - z_prior, P_prior, e)
             for halved in range(HALVINGS + 1):
                 x = x.copy()
