@@ -411,7 +411,9 @@ def _judge(
     Raises LowerMinimum where judging it leads to one, so often as that is taken up.
     """
     problem, estimate = ended.matched.problem, ended.estimate
-    found = result.describe_estimate(problem, parameters, settings, estimate, sha256s)
+    warned = "ignore" if estimate.status == "diverged" else "warn"  # a diverged state may be any number
+    with np.errstate(over=warned, invalid=warned, divide=warned):
+        found = result.describe_estimate(problem, parameters, settings, estimate, sha256s)
     if estimate.status == "diverged":
         return found
     judged = sets.judged(first, ended.matched)

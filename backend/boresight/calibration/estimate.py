@@ -379,4 +379,5 @@ def claim(A: FloatArray, P: FloatArray, initial_sigma_scale: float) -> float:
     at states far away collects information that is not there, chiefly along weak directions, and this shows it without the truth.
     """
     held = A + np.eye(len(A)) / initial_sigma_scale**2
-    return float(1.0 / np.linalg.eigvals(P @ held).real.min())
+    smallest = np.linalg.eigvals(P @ held).real.min()
+    return float(1.0 / smallest) if smallest > 0 else np.inf  # lost in rounding: more than a float can tell
