@@ -411,8 +411,8 @@ def _judge(
     Raises LowerMinimum where judging it leads to one, so often as that is taken up.
     """
     problem, estimate = ended.matched.problem, ended.estimate
-    warned = "ignore" if estimate.status == "diverged" else "warn"  # a diverged state may be any number
-    with np.errstate(over=warned, invalid=warned, divide=warned):
+    of_any_number = np.errstate(over="ignore", invalid="ignore", divide="ignore")  # as a diverged state may be
+    with of_any_number if estimate.status == "diverged" else nullcontext():
         found = result.describe_estimate(problem, parameters, settings, estimate, sha256s)
     if estimate.status == "diverged":
         return found
