@@ -43,10 +43,10 @@ def extended_filter(
             e, H, _ = _rows(frame, x, free, scale)
             try:
                 z, P, nis[k] = _update(z_prior, P_prior, z_lin, e, H)
+                before = _cost(z_lin - z_prior, P_prior, e)
             except np.linalg.LinAlgError:  # a covariance beyond what a float holds: the filter diverged
                 squares[k] = np.nan
                 break
-            before = _cost(z_lin - z_prior, P_prior, e)
             for halved in range(HALVINGS + 1):
                 x = x.copy()
                 x[free] = x_start + scale * z
