@@ -22,7 +22,9 @@ interface Trace {
   z?: Column;
   customdata?: Column;
   xaxis?: string;
-  meta?: { follow?: Follow };
+  fillcolor?: string;
+  line?: object;
+  meta?: { follow?: Follow; sigmas?: number };
 }
 
 /** A trace as it is drawn, its arrays decoded. */
@@ -47,6 +49,7 @@ interface FigureMeta {
   contrast?: object;
   axis?: string;
   detail?: boolean;
+  as_of?: [string, number];
   log?: AxisName[];
 }
 

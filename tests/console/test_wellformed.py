@@ -229,7 +229,7 @@ def test_a_stored_result_that_is_no_calibration_is_refused_everywhere(house, wha
         assert f"run {run_id}" in answer.json()["detail"]
     made = client.post("/api/v1/parameter-sets", json={"run_id": run_id})
     assert made.status_code == 409
-    for page in (f"/runs/{run_id}", f"/runs/{run_id}?part=trust", f"/compare?runs={run_id},{house.finished()}"):
+    for page in (f"/runs/{run_id}", f"/runs/{run_id}?part=evidence", f"/compare?runs={run_id},{house.finished()}"):
         answer = client.get(page, headers={"Accept": "text/html"})
         assert answer.status_code == 409, (page, answer.status_code)
         assert f"run {run_id}" in answer.text

@@ -47,6 +47,7 @@ class Figure:
     """One chart of the registry.
 
     `table`: One calibration to the columns of its CSV: complete, in SI, never thinned. `wide`: It takes a page's width.
+    `advanced`: For research; a run's page folds it away. `small`: What is drawn in a view of about 430 by 200 px.
     """
 
     name: str
@@ -55,6 +56,8 @@ class Figure:
     draw: Callable[[Sequence[Trace]], go.Figure]
     table: Callable[[Calibration], Table]
     wide: bool = False
+    advanced: bool = False
+    small: Callable[[Sequence[Trace]], go.Figure] | None = None
 
 
 def figure_json(figure: go.Figure) -> bytes:

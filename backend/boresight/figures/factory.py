@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -27,18 +28,20 @@ def make_figure(
     name: str,
     title: str,
     guide: str,
-    wide: bool = False,
+    small: Callable[[Sequence[Part[P]]], go.Figure] | None = None,
+    **looks: bool,
 ) -> Figure:
     """Make a figure of what `read` finds in calibrations; where the first run has nothing, `why` says so in its place."""
 
-    def draw_runs(traces: Sequence[Trace]) -> go.Figure:
+    def draw_with(drawing: Callable[[Sequence[Part[P]]], go.Figure], traces: Sequence[Trace]) -> go.Figure:
         drawn = [(trace, style, part) for trace, style in theme.styled(traces) if (part := read(trace.result))]
-        return draw(drawn) if drawn else theme.missing(title, why(traces[0].result))
+        return drawing(drawn) if drawn else theme.missing(title, why(traces[0].result))
 
     def list_run(result: Calibration) -> Table:
         return table(part) if (part := read(result)) else {}
 
-    return Figure(name, title, guide, draw_runs, list_run, wide)
+    drawn_small = partial(draw_with, small) if small else None
+    return Figure(name, title, guide, partial(draw_with, draw), list_run, small=drawn_small, **looks)
 
 
 def part_figure(

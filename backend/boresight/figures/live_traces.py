@@ -67,6 +67,13 @@ def follow_errors(figure: go.Figure, factor: float, traces: Sequence[Trace]) -> 
     return figure
 
 
+def tell_place(figure: go.Figure, traces: Sequence[Trace]) -> None:
+    """Say in the figure of a running run as of which frame or iteration it is."""
+    history = read_history(traces[0].result) if traces[0].result.status == "running" else None
+    if history is not None and len(history.x):
+        figure.layout.meta = {**(figure.layout.meta or {}), "as_of": [history.axis, float(history.x[-1])]}
+
+
 def _mark(traces: Iterable[Any], how: dict[str, Any]) -> None:
     """Say of each trace of a subplot how it grows: an outline as a band, two points of one height as a level."""
     for trace in traces:

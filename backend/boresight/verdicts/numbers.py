@@ -80,7 +80,7 @@ def grouped(text: str) -> str:
     mantissa, _, exponent = digits.partition("e")
     sign = sign if mantissa.strip("0.") else ""
     whole, point, rest = mantissa.partition(".")
-    if whole.isdigit() and len(whole) > 4:
+    if whole.isdigit() and len(whole) > 3:
         whole = f"{int(whole):,}".replace(",", NARROW_SPACE)
     power = f"·10{str(int(exponent)).translate(RAISED)}" if exponent else ""
     return f"{sign}{whole}{point}{rest}{power}"
@@ -96,6 +96,11 @@ def number(value: Any, digits: int = 4) -> str:
     if -4 <= exponent < 7:
         return grouped(f"{value:.{max(digits - 1 - exponent, 0)}f}")
     return grouped(f"{value:.{digits - 1}e}")
+
+
+def signed(value: Any, digits: int = 3) -> str:
+    """Print a change: its sign always, to so many significant digits."""
+    return f"{'+' if is_number(value) and value > 0 else ''}{number(value, digits)}"
 
 
 def fixed(value: Any, decimals: int = 2) -> str:

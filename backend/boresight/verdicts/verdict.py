@@ -9,7 +9,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from boresight.calibration.calibration import Calibration, ChiSquareTest, InnovationTest, Trust, parse_part
+from boresight.calibration.calibration import (
+    Calibration,
+    ChiSquareTest,
+    InnovationTest,
+    Observability,
+    Trust,
+    parse_part,
+)
 from boresight.calibration.result import TrendEntry, trend_entry
 from boresight.calibration.trust.advice import TOO_SMALL
 from boresight.errors import RefusedInputError
@@ -38,7 +45,6 @@ WHY = {
     "diverged": "The fit diverged: do not use these numbers.",
     "too_few_stars": "No exposure has enough stars: nothing was estimated.",
 }
-UNSEEN_TYPICAL_SIGMAS = 1.0  # a direction known no better than unit-to-unit spread was not calibrated
 AT_THE_BOUND = (TOO_SMALL, 1.15)  # claimed sigma over bound: below it is too good to be true, above it data are wasted
 NOT_YET = "Trust is examined when the run ends; it is not there yet."
 NEVER = "This result was made without an examination of trust: clone its run and start it again to have one."
@@ -156,9 +162,14 @@ def _weakest(result: Calibration) -> VerdictMark:
             "the fit is curved there, and its sigmas do not hold."
         )
         return VerdictMark(name, question, "caution", "curved", f"{number(worst, 2)} typical σ", sentence, curved)
-    if worst > UNSEEN_TYPICAL_SIGMAS:
+    if worst > WEAK:
         return VerdictMark(name, question, "caution", "not seen", f"{number(worst, 2)} typical σ", sentence, sentence)
     return VerdictMark(name, question, "normal", "seen", f"{number(worst, 2)} typical σ", sentence)
+
+
+def count_weak(seen: Observability) -> int:
+    """Count the directions that the data do not see: known worse than `WEAK` typical sigmas, or not at all."""
+    return sum(sigma is None or sigma > WEAK for sigma in seen.sigma_of_direction)
 
 
 def _validation(result: Calibration) -> VerdictMark:
@@ -200,24 +211,19 @@ def judge_parts(result: Calibration | None) -> dict[str, PartVerdict]:
     return {name: judge(result) for name, judge in PART_JUDGES.items()}
 
 
-def _judge_summary(result: Calibration) -> PartVerdict:
+def _judge_result(result: Calibration) -> PartVerdict:
     level = make_verdict(result).level
     return PartVerdict(level, {"normal": "no reservation", "standby": "partial"}.get(level, "reservations"))
 
 
 def _judge_convergence(result: Calibration) -> PartVerdict:
+    """Judge whether the estimate settled, and the error by the validation set alone: on its own frames every fit is better."""
     if result.status == "running":
         return PartVerdict("standby", "moving")
     settled = settled_step(result) is not None
-    return PartVerdict("normal", "settled") if settled else PartVerdict("caution", "not settled")
-
-
-def _judge_rms(result: Calibration) -> PartVerdict:
-    """Judge the error by the validation set alone: on the frames it was fitted to, every fit is better."""
+    verdict = PartVerdict("normal", "settled") if settled else PartVerdict("caution", "not settled")
     mark = _validation(result)
-    if mark.level == "off" or result.validation is None:
-        return PartVerdict()
-    return PartVerdict(mark.level, f"{urad(result.validation.rms_arc_rad.final, 3)} µrad")
+    return PartVerdict(mark.level, f"validation {mark.word}") if _is_worse(mark.level, verdict.level) else verdict
 
 
 def _judge_observability(result: Calibration) -> PartVerdict:
@@ -225,33 +231,26 @@ def _judge_observability(result: Calibration) -> PartVerdict:
     return PartVerdict() if mark.level == "off" else PartVerdict(mark.level, mark.word)
 
 
-def _judge_residuals(result: Calibration) -> PartVerdict:
-    mark = _chi_square(result)
-    return PartVerdict() if mark.level == "off" else PartVerdict(mark.level, f"χ² {number(result.chi2_per_dof, 3)}")
-
-
-def _judge_trust(result: Calibration) -> PartVerdict:
+def _judge_evidence(result: Calibration) -> PartVerdict:
+    """Judge by the examination, by the residuals' chi-square, and by whether the matches settled."""
     if result.trust is None:
         return PartVerdict()
-    doubts = len(trust_doubts(result))
-    return PartVerdict(trust_level(result), f"{doubts} doubt{'s' * (doubts != 1)}" if doubts else "no doubt")
+    doubts = len(trust_doubts(result)) + bool(_chi_square(result).reason)
+    doubts += result.matching is not None and not result.matching.rested
+    level = max(trust_level(result), _chi_square(result).level, "caution" if doubts else "off", key=LEVELS.index)
+    return PartVerdict(level, f"{doubts} doubt{'s' * (doubts != 1)}" if doubts else "no doubt")
 
 
-def _judge_matching(result: Calibration) -> PartVerdict:
-    if result.matching is None:
-        return PartVerdict()
-    return PartVerdict("normal", "rested") if result.matching.rested else PartVerdict("caution", "not at rest")
+def _is_worse(one: str, other: str) -> bool:
+    return LEVELS.index(one) > LEVELS.index(other)
 
 
 #: What judges a part of a run's page, by the part's name.
 PART_JUDGES: Mapping[str, Callable[[Calibration], PartVerdict]] = {
-    "summary": _judge_summary,
+    "result": _judge_result,
     "convergence": _judge_convergence,
-    "rms": _judge_rms,
     "observability": _judge_observability,
-    "residuals": _judge_residuals,
-    "trust": _judge_trust,
-    "matching": _judge_matching,
+    "evidence": _judge_evidence,
 }
 
 
@@ -439,7 +438,7 @@ def summarise_run(result: Calibration) -> RunSummary:
         level=judged.level,
         advice=advice[0] if advice else None,
         chi2_consistent=not is_doubted(result, "chi_square", result.chi2.consistent) if result.chi2 else None,
-        weak_directions=sum(sigma is None or sigma > WEAK for sigma in seen.sigma_of_direction) if seen else None,
+        weak_directions=count_weak(seen) if seen else None,
         rms_initial_arc_rad=result.rms_arc_rad.initial,
         rms_final_arc_rad=result.rms_arc_rad.final,
         chi2_per_dof=result.chi2_per_dof,

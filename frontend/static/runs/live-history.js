@@ -89,6 +89,9 @@ function stretched(layout, last) {
   return ranges;
 }
 
+/** The frame of the newest point that is kept. */
+export const getNewest = () => history.frame.at(-1);
+
 /**
  * Bring a drawn figure up to the newest point; false when points between are missing, null when it cannot be drawn on.
  * @param {Canvas} canvas

@@ -9,7 +9,7 @@
 import { find, findAll } from "../shared/dom.js";
 import { renewPage } from "../shared/renew-page.js";
 import { PlotFigure } from "../shared/plot-figure.js";
-import { forget, grow, keep } from "./live-history.js";
+import { forget, getNewest, grow, keep } from "./live-history.js";
 
 const TERMINAL = new Set(["SUCCEEDED", "FAILED", "CANCELLED", "LOST"]);
 const DRAW_MS = 400;
@@ -58,7 +58,7 @@ class LiveRun extends HTMLElement {
     document.addEventListener("boresight:progress", ({ detail }) => this.#isMine(detail) && this.#progressed(detail), { signal });
     document.addEventListener("boresight:run", ({ detail }) => this.#isMine(detail) && this.#moved(detail), { signal });
     document.addEventListener("boresight:missed", () => this.#missed(), { signal });
-    document.addEventListener("figure-drawn", ({ target }) => target instanceof PlotFigure && this.#near.has(target) && grow(target.canvas), { signal });
+    document.addEventListener("figure-drawn", ({ target }) => target instanceof PlotFigure && this.#near.has(target) && drawOn(target), { signal });
     this.#watch(following());
     this.#link.observe(document.body, { attributes: true, attributeFilter: ["data-link"] });
     // events only say that something moved; the page is asked again from time to time in case one was missed
@@ -99,7 +99,7 @@ class LiveRun extends HTMLElement {
     if (event.message) write("message", event.message);
     this.#showAge();
     this.#planDrawing();
-    if (this.#state === "QUEUED" || document.querySelector("#verdict .empty")) this.#renew();
+    if (this.#state === "QUEUED" || document.querySelector("#verdict [data-undecided]")) this.#renew();
   }
 
   /** Another attempt computes: nothing of the one before is drawn on. @param {number} attempt */
@@ -138,7 +138,7 @@ class LiveRun extends HTMLElement {
   #looked(entries) {
     for (const { target, isIntersecting } of entries) {
       this.#near[isIntersecting ? "add" : "delete"](target);
-      if (isIntersecting && this.#late.delete(target) && target instanceof PlotFigure) this.#fetch([target]);
+      if (isIntersecting && this.#late.delete(target) && target instanceof PlotFigure) this.#fetch([target]); // it is as of an older frame
     }
     if (this.#attempt !== undefined && entries.some(({ isIntersecting }) => isIntersecting)) this.#planDrawing();
   }
@@ -152,6 +152,7 @@ class LiveRun extends HTMLElement {
     const figures = following();
     this.#watch(figures);
     const behind = await this.#drawOn(figures.filter((figure) => this.#near.has(figure)));
+    for (const figure of figures) if (!this.#near.has(figure)) this.#late.add(figure); // it is fetched when it comes into sight
     this.#drawTimer = 0;
     const patience = this.#isBatch ? FETCH_MS : Math.min(WHOLE_MS, 2 * FETCH_MS + this.#wholeAt - this.#begunAt);
     this.#fetch(Date.now() - this.#wholeAt > patience ? figures : behind);
@@ -169,7 +170,7 @@ class LiveRun extends HTMLElement {
       await animationFrame();
       if (this.#listening.signal.aborted) return [];
       const began = performance.now();
-      if ((await grow(figure.canvas)) === false) behind.push(figure);
+      if ((await drawOn(figure)) === false) behind.push(figure);
       cost += performance.now() - began;
     }
     this.#restMs = Math.max(DRAW_MS, REST * cost);
@@ -227,6 +228,13 @@ class LiveRun extends HTMLElement {
     this.#rest();
     if (state !== "SUCCEEDED" && document.querySelector("plot-figure")) location.reload(); // its figures are void
   }
+}
+
+/** Bring a figure up to the newest point, and let it say which that is. @param {PlotFigure} figure */
+async function drawOn(figure) {
+  const grown = await grow(figure.canvas);
+  if (grown) figure.tellPlace("frame", getNewest());
+  return grown;
 }
 
 /** @param {RunProgress} event */

@@ -5,6 +5,8 @@
  * dimmed, with its time). A `figure-refresh` event on the element fetches again. The panel around it has the CSV link and
  * the PNG button; an image is always on white. `scale` is log or linear, for the axes that a figure offers both for. Of a
  * figure that was thinned (`meta.detail`) a zoomed window is asked for again, in full. Charts of one axis share a cursor.
+ * A `small` one fills its place, and its panel's link opens the large one. What is folded away is drawn when it is unfolded.
+ * The figure of a running run says as of which frame it is (`meta.as_of`).
  */
 import { find, make } from "./dom.js";
 import { linkCursor, unlinkCursor } from "./plot-cursor.js";
@@ -63,10 +65,11 @@ export class PlotFigure extends HTMLElement {
   #window = null;
   #zoomTimer = 0;
   /** @type {Canvas} */
-  canvas = make("div", { className: "figure-canvas", tabIndex: 0, role: "img" });
+  canvas = make("div", { className: "figure-canvas", role: "img" });
   #words = make("p", { className: "figure-words", role: "status" });
   #retry = make("button", { type: "button", className: "button-small", textContent: "Retry", hidden: true });
   #headline = make("p", { className: "figure-headline", hidden: true });
+  #asOf = make("p", { className: "figure-as-of", hidden: true });
   /** @type {HTMLButtonElement | null} */
   #png = null;
   #resizer = new ResizeObserver(() => this.#resize());
@@ -85,8 +88,8 @@ export class PlotFigure extends HTMLElement {
 
   /** Fetch and draw for the first time, unless that was done already. */
   async begin() {
-    near.unobserve(this);
-    if (!this.#begun && this.isConnected) await this.refresh();
+    if (this.checkVisibility()) near.unobserve(this);
+    if (!this.#begun && this.isConnected && this.checkVisibility()) await this.refresh();
   }
 
   disconnectedCallback() {
@@ -99,9 +102,10 @@ export class PlotFigure extends HTMLElement {
   }
 
   #build() {
-    this.canvas.ariaLabel = `${this.getAttribute("label")}. The table below has the same data.`;
+    this.canvas.ariaLabel = this.isSmall ? this.getAttribute("label") : `${this.getAttribute("label")}. The table below has the same data.`;
+    if (!this.isSmall) this.canvas.tabIndex = 0;
     this.#retry.addEventListener("click", () => this.refresh());
-    this.prepend(this.#headline, this.canvas, this.#words, this.#retry);
+    this.prepend(this.#headline, this.#asOf, this.canvas, this.#words, this.#retry);
     const panel = this.closest(".figure-panel");
     this.#png = panel && find("[data-png]", HTMLButtonElement, panel);
     this.#png?.addEventListener("click", () => this.#savePng());
@@ -145,12 +149,25 @@ export class PlotFigure extends HTMLElement {
     const { data, layout } = this.#scaled(onTheme(figure));
     const isFirst = !isDrawn(this.canvas);
     await draw(this.canvas, { data, layout: { ...layout, ...this.#size() } });
-    if (isFirst) this.canvas.on?.("plotly_relayout", (change) => this.#look(change));
-    linkCursor(this.canvas, layout.meta?.axis);
+    if (isFirst && !this.isSmall) this.canvas.on?.("plotly_relayout", (change) => this.#look(change));
+    if (!this.isSmall) linkCursor(this.canvas, layout.meta?.axis);
+    const [axis, step] = figure.layout.meta?.as_of ?? [];
+    this.tellPlace(axis, step);
     this.#headline.textContent = plain(figure.layout.title?.text);
     this.#headline.hidden = !this.#headline.textContent || this.#headline.textContent === this.getAttribute("label");
+    if (this.isSmall) this.#headline.hidden = true;
     if (this.#png) this.#png.disabled = false;
     this.dispatchEvent(new CustomEvent("figure-drawn", { bubbles: true }));
+  }
+
+  get isSmall() {
+    return this.hasAttribute("small");
+  }
+
+  /** Say as of which step of a running run the drawing is; of one that has ended nothing. @param {string} [axis] @param {number} [step] */
+  tellPlace(axis, step) {
+    this.#asOf.hidden = step === undefined;
+    this.#asOf.textContent = step === undefined ? "" : `As of ${axis} ${step}`;
   }
 
   /** The figure's address, with the window that is looked at. @param {[number, number] | null} window */
@@ -198,7 +215,8 @@ export class PlotFigure extends HTMLElement {
   }
 
   #size() {
-    const height = Number(this.getAttribute("height")) || this.#figure?.layout.height || 380;
+    const own = Number(this.getAttribute("height")) || this.#figure?.layout.height || 380;
+    const height = this.isSmall ? Math.max(120, this.canvas.clientHeight) : own;
     return { width: Math.max(260, this.canvas.clientWidth), height, autosize: false };
   }
 

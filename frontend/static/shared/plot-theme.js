@@ -4,12 +4,20 @@
  */
 
 const HEADING_PX = 28;
+const BAND_OPACITY = 0.4; // in high contrast
 const isLight = () => matchMedia("print").matches || document.documentElement.dataset.theme === "light";
 
 /** @param {Figure} figure @param {object | undefined} template @returns {Figure} */
 function copied(figure, template) {
   const { data, layout } = structuredClone(figure);
   return { data, layout: template ? { ...layout, template: structuredClone(template) } : layout };
+}
+
+/** Fill and edge a band (`meta.sigmas`) so that it is strong in high contrast. @param {Trace} trace */
+function strengthen(trace) {
+  if (!trace.meta?.sigmas || !trace.fillcolor) return;
+  trace.fillcolor = trace.fillcolor.replace(/[\d.]+\)$/, `${BAND_OPACITY})`);
+  trace.line = { ...trace.line, color: trace.fillcolor.replace(/[\d.]+\)$/, "1)"), width: 1.2, dash: "solid" };
 }
 
 /**
@@ -20,9 +28,10 @@ export function onTheme(figure) {
   const { light, contrast } = figure.layout.meta ?? {};
   const themed = copied(figure, isLight() ? light : document.documentElement.dataset.theme === "contrast" ? contrast : undefined);
   const { layout } = themed;
+  if (layout.title?.text) layout.margin = { ...layout.margin, t: Math.max(24, (layout.margin?.t ?? 64) - HEADING_PX) };
   layout.title = { text: "" };
   layout.legend = { ...layout.legend, y: 1 };
-  layout.margin = { ...layout.margin, t: Math.max(24, (layout.margin?.t ?? 64) - HEADING_PX) };
+  if (document.documentElement.dataset.theme === "contrast") themed.data.forEach(strengthen);
   layout.paper_bgcolor = layout.plot_bgcolor = "rgba(0,0,0,0)";
   return themed;
 }

@@ -13,7 +13,7 @@ const IMAGE = { width: 1200, scale: 2 };
  * What Plotly keeps at an element that it has drawn in.
  * @typedef {Axis & { range: [number, number], _offset: number, _length: number, p2d: (px: number) => number, d2p: (value: number) => number }} InnerAxis
  * @typedef {{ xaxis: InnerAxis, yaxis: InnerAxis, mainplot?: string }} InnerPlot
- * @typedef {{ width: number, _plots?: Record<string, InnerPlot> } & { [axis: AxisName]: InnerAxis }} InnerLayout
+ * @typedef {{ width: number, height: number, _plots?: Record<string, InnerPlot> } & { [axis: AxisName]: InnerAxis }} InnerLayout
  * @typedef {Canvas & { _fullLayout?: InnerLayout, _fullData?: DrawnTrace[] }} Inner
  */
 
@@ -75,7 +75,8 @@ export const change = async (canvas, traces, layout, which) => void (await (awai
 
 /** Fit a drawn figure to its place. @param {Canvas} canvas @param {{ width: number, height: number, autosize: boolean }} size */
 export function fit(canvas, size) {
-  if (inner(canvas)._fullLayout?.width !== size.width) window.Plotly?.relayout(canvas, size);
+  const drawn = inner(canvas)._fullLayout;
+  if (drawn && (drawn.width !== size.width || drawn.height !== size.height)) window.Plotly?.relayout(canvas, size);
 }
 
 /** Take a drawn figure away. @param {Canvas} canvas */

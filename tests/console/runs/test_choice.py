@@ -67,7 +67,7 @@ def test_a_choice_that_cannot_be_read_is_refused_and_made_anew(site):
     answer(site, first, {"schema": "boresight.choice/1"})
     with open_reading(site.engine) as session, pytest.raises(ConflictError, match="no choice that can be read"):
         choices.get_choice(session, site.blobs, 1)
-    assert "no choice that can be read" in site.visitor("ada").get("/runs/1?part=choice")
+    assert "no choice that can be read" in site.visitor("ada").get("/runs/1?part=distortion")
     assert ask(site, 1) > first
 
 
@@ -86,7 +86,7 @@ def test_a_choice_that_contradicts_itself_is_refused_on_every_door_and_made_anew
     damage(document)
     first, ada = ask(site, 1), site.visitor("ada")
     answer(site, first, document)
-    assert "no choice that can be read" in ada.get("/runs/1?part=choice")
+    assert "no choice that can be read" in ada.get("/runs/1?part=distortion")
     for place in ("", "/figure", "/data"):
         assert ada.send("GET", f"/api/v1/runs/1/choice{place}").status_code == 409
     assert ask(site, 1) > first
@@ -101,7 +101,7 @@ def test_of_a_camera_that_this_version_does_not_have_there_is_no_sensor_file(sit
     document["models"][1] |= {name: chosen[name] for name in chosen if name != "parameters"}
     answer(site, ask(site, 1), document)
     ada = site.visitor("ada")
-    assert "CHOSEN" in ada.get("/runs/1?part=choice")
+    assert "CHOSEN" in ada.get("/runs/1?part=distortion")
     assert ada.send("GET", "/runs/1/choice/sensor.json").status_code == 422
 
 
@@ -110,7 +110,7 @@ def test_a_choice_whose_file_is_missing_is_made_anew(site):
     answer(site, first, made_choice().to_dict())
     with open_reading(site.engine) as session:
         site.blobs.path(runs.get_run(session, first).result_sha256).unlink()
-    assert "Choose again" in ada.get("/runs/1?part=choice")
+    assert "Choose again" in ada.get("/runs/1?part=distortion")
     assert ask(site, 1) > first
 
 
@@ -119,10 +119,10 @@ def test_nothing_is_chosen_for_an_archived_set_but_what_is_on_its_way_can_be_sto
     with open_writing(site.engine) as session:
         telemetry_sets.archive_telemetry_set(session, site.actor("ada"), runs.get_run(session, 1).telemetry_set_id)
     assert ask(site, 1) == first
-    stop = re.search(rf'action="/runs/{first}/cancel">.*?</form>', ada.get("/runs/1?part=choice"))
+    stop = re.search(rf'action="/runs/{first}/cancel">.*?</form>', ada.get("/runs/1?part=distortion"))
     assert "disabled" not in stop[0]
     answer(site, first, None, "FAILED", reason="The disk is full.")
-    assert "was archived on" in read(ada.get("/runs/1?part=choice"))
+    assert "was archived on" in read(ada.get("/runs/1?part=distortion"))
     with pytest.raises(ConflictError, match="was archived on"):
         ask(site, 1)
 
@@ -148,51 +148,51 @@ def test_a_choice_is_no_calibration_to_lists_the_fleet_and_parameter_sets(site, 
             runs.find_result(session, site.blobs, chosen)
     ada = site.visitor("ada")
     assert f"/runs/{chosen}" not in ada.get("/runs")
-    assert ada.send("GET", f"/runs/{chosen}").headers["location"] == "/runs/1?part=choice"
+    assert ada.send("GET", f"/runs/{chosen}").headers["location"] == "/runs/1?part=distortion#choice"
     ada.post(f"/runs/{chosen}/parameter-set")
     assert "has no calibration" in ada.get("/runs/1")
 
 
 def test_the_tab_offers_a_choice_and_says_why_it_may_not_be_asked_for(site, read):
-    page = site.visitor("ada").get("/runs/1?part=choice")
+    page = site.visitor("ada").get("/runs/1?part=distortion")
     assert "Nobody has asked which camera model" in read(page)
     assert '<button class="button-primary" title="Fit every' in page
-    page = site.visitor("victor").get("/runs/1?part=choice")
+    page = site.visitor("victor").get("/runs/1?part=distortion")
     assert '<button class="button-primary" disabled' in page
     assert "Only an analyst may have a camera chosen" in read(page)
     waiting = site.add_run()
     assert f"Run {waiting} is QUEUED; ask for its camera" in read(
-        site.visitor("ada").get(f"/runs/{waiting}?part=choice")
+        site.visitor("ada").get(f"/runs/{waiting}?part=distortion")
     )
 
 
 def test_asked_on_the_page_it_is_followed_there_until_it_ends(site, read):
     ada = site.visitor("ada")
-    assert ada.post("/runs/1/choice").headers["location"] == "/runs/1?part=choice"
+    assert ada.post("/runs/1/choice").headers["location"] == "/runs/1?part=distortion#choice"
     with open_reading(site.engine) as session:
         asked_id = choices.find_choice_run(session, 1).id
-    page = ada.get("/runs/1?part=choice")
+    page = ada.get("/runs/1?part=distortion")
     assert f'<live-run run="{asked_id}" state="QUEUED">' in page
     assert "live-run.js" in page
     assert "queue" in read(page)
     with open_writing(site.engine) as session:
         run_queries.claim(session, "a server", 60.0, 1, [asked_id])
-    assert f'<live-run run="{asked_id}" state="RUNNING">' in ada.get("/runs/1?part=choice")  # not heard of yet
+    assert f'<live-run run="{asked_id}" state="RUNNING">' in ada.get("/runs/1?part=distortion")  # not heard of yet
     with open_writing(site.engine) as session:
         run_queries.record_progress(session, asked_id, 1, {"fraction": 0.3, "message": "fitting every camera"})
-    page = ada.get("/runs/1?part=choice")
+    page = ada.get("/runs/1?part=distortion")
     assert "fitting every camera" in read(page)
     assert f'action="/runs/{asked_id}/cancel"' in page
     with open_writing(site.engine) as session:
         run_queries.finish(session, asked_id, 1, "FAILED", "No exposure can be used.")
-    page = ada.get("/runs/1?part=choice")
+    page = ada.get("/runs/1?part=distortion")
     assert "No exposure can be used." in read(page)
     assert "Choose again" in page
     assert f'href="/runs/{asked_id}/log"' in page
 
 
 def test_the_choice_stands_on_the_tab_sentence_first_with_every_number(site, read, chosen):
-    page = site.visitor("victor").get("/runs/1?part=choice")
+    page = site.visitor("victor").get("/runs/1?part=distortion")
     text, choice = " ".join(read(page).split()), made_choice()
     assert choice.sentence in text
     assert text.index(choice.sentence) < text.index("Held-out RMS")
@@ -222,7 +222,7 @@ def test_another_camera_than_the_sensors_is_no_launch_but_a_sensor_file(site, re
     document["chosen"] |= {"free": ["f_m", "k1"], "sigma": {"f_m": 1e-6, "k1": 1e-3}}
     document["sufficiency"] = Sufficiency.SOMETHING_LEFT
     answer(site, ask(site, 1), document)
-    page = site.visitor("victor").get("/runs/1?part=choice")
+    page = site.visitor("victor").get("/runs/1?part=distortion")
     assert "Calibrate with it" not in page
     assert "own camera is inverted_wang" in read(page)
     sent = site.visitor("victor").send("GET", "/runs/1/choice/sensor.json")

@@ -108,4 +108,4 @@ def test_scale_bars_are_round(value, rounded):
 
 def test_addresses_leave_out_what_is_taken_away():
     page = FramePage(address={"frame": "3", "exposure": "1"})
-    assert page.to(exposure=None, frame=4) == "?part=frames&frame=4"
+    assert page.to(exposure=None, frame=4) == "?part=evidence&frame=4"

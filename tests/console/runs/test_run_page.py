@@ -8,13 +8,14 @@ from dataclasses import asdict, replace
 import pytest
 
 from boresight.calibration.calibration import parse_calibration
-from boresight.console.runs.pages.run import PARTS
+from boresight.console.runs.pages.run import FORMER, PARTS
 from boresight.console.runs.queries import Line, write_event
 from boresight.console.runs.tables import RUN_STATES, RunEvent
 from boresight.figures import CHAPTERS, FIGURES
 from boresight.figures.example_calibration import get_example_calibrations
 from boresight.figures.tables import parameter_rows
 from boresight.platform.db.sessions import open_writing, utc_after, utc_now
+from boresight.verdicts.answers import make_four_views, make_headline
 from boresight.verdicts.verdict import PART_JUDGES, PartVerdict, judge_parts, make_verdict_marks
 from tests.figures.examined import matching, shadow, trust
 
@@ -22,7 +23,7 @@ EXAMPLES = get_example_calibrations()
 
 
 def test_the_head_says_the_verdict_and_the_weakest_direction_over_every_part(site, read, results):
-    for part in ("summary", "log"):
+    for part in ("result", "record"):
         text = read(site.visitor("victor").get(f"/runs/2?part={part}"))
         assert "consistent" in text
         assert results["sqrf"]["observability"]["weakest"]["sentence"] in text
@@ -30,12 +31,12 @@ def test_the_head_says_the_verdict_and_the_weakest_direction_over_every_part(sit
 
 def test_the_parts_say_provenance_notes_and_the_set_that_was_made(site, read):
     ada = site.visitor("ada")
-    text = read(ada.get("/runs/2?part=provenance"))
+    text = read(ada.get("/runs/2?part=record"))
     for words in ("boresight calibrate", "--method sqrf", '"method": "sqrf"', "telemetry SHA-256"):
         assert words in text
     ada.post("/notes/runs/2", text="The sun was near.")
-    assert "Notes 1" in read(ada.get("/runs/2"))
-    assert "The sun was near." in read(ada.get("/runs/2?part=notes"))
+    assert "Record 1 note" in read(ada.get("/runs/2"))
+    assert "The sun was near." in read(ada.get("/runs/2?part=record"))
     address = ada.post("/runs/1/parameter-set").headers["location"]
     assert f'href="{address}"' in ada.get("/runs/1")
     assert ada.post("/runs/1/parameter-set").headers["location"] == address  # opened instead of made again
@@ -58,7 +59,7 @@ def test_a_run_lists_what_it_assumed_and_what_the_data_say_of_the_noise(site, re
     summary = read(victor.get(f"/runs/{run_id}"))
     assert "Nobody declared the readout." in summary
     assert all(one.sentence in summary for one in example.assumptions[1:])
-    trust_part = read(victor.get(f"/runs/{run_id}?part=trust"))
+    trust_part = read(victor.get(f"/runs/{run_id}?part=evidence"))
     assert "Noise level: 1.2 times: applied." in trust_part
     assert "There is no rate." in trust_part
 
@@ -86,9 +87,9 @@ def test_a_running_run_shows_its_partial_estimate_marked_partial_and_follows_the
     assert re.search(r"as of frame \d+ \d+ of \d+ frames so far", " ".join(read(page).split()))
     assert "live-run.js" in page
     assert "data-follows" in page
-    page = site.visitor("victor").get(f"/runs/{run_id}?part=trust")
+    page = site.visitor("victor").get(f"/runs/{run_id}?part=evidence")
     assert "Trust is examined when the run ends" in read(page)
-    assert not list_figures(page)
+    assert not list_figures(page) & {figure.name for figure in CHAPTERS["trust"] + CHAPTERS["matching"]}
 
 
 @pytest.mark.parametrize(
@@ -106,17 +107,17 @@ def test_a_run_without_a_result_says_what_happened_and_offers_no_parameter_set(s
     assert said in read(page)
     assert "No verdict" in read(page)
     assert "Create parameter set" not in page
-    for part, words in (("trust", "No examination: the run"), ("matching", "No matching: the run")):
-        page = site.visitor("victor").get(f"/runs/{run_id}?part={part}")
+    page = site.visitor("victor").get(f"/runs/{run_id}?part=evidence")
+    for words in ("No examination: the run", "No matching: the run"):
         assert state == "CANCELLING" or f"{words} ended as {state}" in read(page)
-        assert not list_figures(page)
+    assert state == "CANCELLING" or not list_figures(page)
 
 
 def test_the_log_is_shown_in_order_with_later_attempts_named(site, read):
     with open_writing(site.engine) as session:
         session.add(RunEvent(run_id=1, attempt=1, at_utc=utc_now(), kind="log", message="first words"))
         session.add(RunEvent(run_id=1, attempt=2, at_utc=utc_now(), kind="log", message="second words"))
-    text = read(site.visitor("victor").get("/runs/1?part=log"))
+    text = read(site.visitor("victor").get("/runs/1?part=record"))
     assert text.index("first words") < text.index("attempt 2") < text.index("second words")
 
 
@@ -203,55 +204,103 @@ def list_figures(page):
     return set(re.findall(r'<plot-figure src="/api/v1/runs/\d+/figures/([\w-]+)"', page))
 
 
+def list_small_figures(page):
+    return re.findall(r'<plot-figure small src="/api/v1/runs/\d+/figures/([\w-]+)\?size=small"', page)
+
+
 @pytest.mark.parametrize("part", PARTS)
-def test_a_part_draws_its_own_figures_with_guide_and_numbers_and_no_others(site, read, examined, part):
+def test_a_part_draws_the_figures_of_its_chapters_and_folds_away_those_for_research(site, read, examined, part):
     page = site.visitor("victor").get(f"/runs/{examined[1]}?part={part}")
-    assert list_figures(page) == {figure.name for figure in CHAPTERS.get(part, ())}
-    for figure in CHAPTERS.get(part, ()):
+    own = [figure for chapter in PARTS[part].chapters for figure in CHAPTERS[chapter]]
+    assert list_figures(page) == {figure.name for figure in own}
+    folded = list_figures("".join(re.findall(r'<details class="advanced">.*?</details>\n', page, re.DOTALL)))
+    assert folded <= {figure.name for figure in own if figure.advanced}
+    for figure in own:
         assert f'href="/api/v1/runs/{examined[1]}/figures/{figure.name}/data' in page
         assert figure.guide.split(".")[0][:40] in read(page)
+        before = page[: page.index(f'id="figure-{figure.name}"')]
+        is_folded = before.rfind('<details class="advanced">') > before.rfind('<section class="panel" aria')
+        assert is_folded or not figure.advanced
     assert re.findall('data-tab="([a-z]+)" aria-current="page"', page) == [part]
-    assert set(CHAPTERS) <= set(PARTS)
+
+
+def test_every_chapter_of_figures_is_in_one_part():
+    assert sorted(chapter for part in PARTS.values() for chapter in part.chapters) == sorted(CHAPTERS)
     assert sum(map(len, CHAPTERS.values())) == len(FIGURES)
+
+
+@pytest.mark.parametrize("former", FORMER)
+def test_an_older_address_leads_to_the_part_that_shows_the_same_with_its_view(site, former):
+    answer = site.visitor("victor").send("GET", f"/runs/2?part={former}&tail_from=20")
+    address, _, place = answer.headers["location"].partition("#")
+    assert (answer.status_code, "tail_from=20" in address) == (303, True)
+    page = site.visitor("victor").get(address)
+    assert re.findall('data-tab="([a-z]+)" aria-current="page"', page) == [FORMER[former][0]]
+    assert not place or f'id="{place}"' in page
+
+
+def test_the_result_opens_on_four_views_each_with_its_answer_and_the_way_to_its_large_figure(site, read, results):
+    page = site.visitor("victor").get("/runs/2")
+    views = make_four_views(parse_calibration(results["sqrf"]))
+    assert list_small_figures(page) == [view.figure for view in views] == ["convergence", "rms", "radial", "observability"]
+    for view in views:
+        assert view.answer.sentence in read(page)
+        assert f'href="/runs/2?part={view.part}#figure-{view.figure}"' in page
+        assert f'id="figure-{view.figure}"' in site.visitor("victor").get(f"/runs/2?part={view.part}")
+
+
+def test_the_line_of_the_verdict_has_the_worst_warning_and_how_many_more_there_are(site, read, results):
+    run_id = site.add_run(state="SUCCEEDED", result={**results["batch"], "advice": ["One.", "Two.", "Three."]})
+    page = site.visitor("victor").get(f"/runs/{run_id}")
+    line = page[page.index("<summary>") : page.index("</summary>")]
+    warnings = make_headline(parse_calibration({**results["batch"], "advice": ["One.", "Two.", "Three."]})).warnings
+    assert warnings[0] in line
+    assert f"{len(warnings) - 1} more" in line
+    rest = page[page.index("</summary>") : page.index('id="parts"')]
+    assert all(warning in rest for warning in warnings)
+
+
+def test_the_next_step_of_a_run_is_to_make_a_set_then_to_open_it(site):
+    ada = site.visitor("ada")
+    assert re.search(r'<aside class="rail".*?action="/runs/1/parameter-set"', ada.get("/runs/1"), re.DOTALL)
+    address = ada.post("/runs/1/parameter-set").headers["location"]
+    assert re.search(rf'<aside class="rail".*?href="{address}"', ada.get("/runs/1"), re.DOTALL)
 
 
 def test_the_runs_before_and_after_are_one_step_away_in_the_same_part(site):
     last = site.add_run()
-    page = site.visitor("victor").get("/runs/2?part=rms")
-    assert 'rel="prev" href="/runs/1?part=rms"' in page
-    assert f'rel="next" href="/runs/{last}?part=rms"' in page
+    page = site.visitor("victor").get("/runs/2?part=convergence")
+    assert 'rel="prev" href="/runs/1?part=convergence"' in page
+    assert f'rel="next" href="/runs/{last}?part=convergence"' in page
     assert 'rel="next"' not in site.visitor("victor").get(f"/runs/{last}")
     site.visitor("victor").get("/runs/999", status=404)
 
 
 def test_the_view_of_a_part_is_in_its_address_and_goes_to_its_figures(site, read):
     victor = site.visitor("victor")
-    page = victor.get("/runs/2?part=rms&tail_from=20")
+    page = victor.get("/runs/2?part=convergence&tail_from=20")
     assert "/figures/rms?tail_from=20" in page
     assert "frame 20 to 39" in read(page)
     assert 'scale="linear"' in victor.get("/runs/2?part=convergence&scale=linear")
-    assert 'data-tab="summary" aria-current="page"' in victor.get("/runs/2?part=estimate")  # an older link
     assert "choose from" in victor.get("/runs/1?part=nonsense", status=404)
 
 
-def test_the_tabs_say_how_trust_and_matching_stand(site, read, examined):
+def test_the_tabs_say_how_their_parts_stand(site, read, examined):
     text = read(site.visitor("victor").get(f"/runs/{examined[1]}"))
-    assert "Trust 2 doubts" in text
-    assert "Matching rested" in text
-    assert "Convergence settled" in text
+    assert "Evidence 2 doubts" in text
+    assert "Convergence and RMS settled" in text
     assert "Observability seen" in text
 
 
-def test_without_a_validation_set_the_rms_tab_has_no_colour_however_much_better_the_fit_is(results):
+def test_a_tab_is_no_better_than_its_validation_set_however_much_better_the_fit_is(results):
     def judged(validation):
-        return judge_parts(parse_calibration({**results["batch"], "validation": validation}))["rms"]
+        return judge_parts(parse_calibration({**results["batch"], "validation": validation}))["convergence"]
 
-    rms = {"initial": 5e-5, "final": 3e-5}
     validation = results["sqrf"]["validation"]
     assert results["batch"]["rms_arc_rad"]["final"] < results["batch"]["rms_arc_rad"]["initial"]
-    assert judged(None) == PartVerdict()
-    assert judged({**validation, "rms_arc_rad": rms}) == PartVerdict("normal", "30.0 µrad")
-    assert judged({**validation, "rms_arc_rad": {"initial": 3e-5, "final": 5e-5}}).level == "serious"
+    better, worse = ({"initial": 5e-5, "final": 3e-5}, {"initial": 3e-5, "final": 5e-5})
+    assert judged(None) == judged({**validation, "rms_arc_rad": better}) == PartVerdict("normal", "settled")
+    assert judged({**validation, "rms_arc_rad": worse}) == PartVerdict("serious", "validation worse")
 
 
 def test_what_is_judged_of_a_run_is_a_part_of_its_page():
@@ -260,7 +309,7 @@ def test_what_is_judged_of_a_run_is_a_part_of_its_page():
 
 def test_every_sentence_of_the_examination_is_on_the_page(site, read, examined):
     result, run_id = examined
-    text = read(site.visitor("victor").get(f"/runs/{run_id}?part=trust"))
+    text = read(site.visitor("victor").get(f"/runs/{run_id}?part=evidence"))
     for name in ("two_halves", "efficiency", "more_data", "nis_over_time", "whiteness"):
         assert result["trust"][name]["sentence"] in text
     assert result["trust"]["drop_one_sentence"] in text
@@ -275,7 +324,7 @@ def test_every_test_of_the_model_and_every_cause_is_on_the_page_with_its_gate_an
     sound = {**noticed, "name": "time", "probability": 0.4, "adjusted": 1.0, "noticed": False, "sentence": "No change."}
     cause = {"name": "phase", "likelihood": 0.97, "sentence": "Drawn.", "remedy": "Defocus.", "tests": ["phase"]}
     made = {**examined_result(results["batch"]), "tests": [sound, noticed], "causes": [cause]}
-    text = read(site.visitor("victor").get(f"/runs/{site.add_run(state='SUCCEEDED', result=made)}?part=trust"))
+    text = read(site.visitor("victor").get(f"/runs/{site.add_run(state='SUCCEEDED', result=made)}?part=evidence"))
     assert "2 tests of one family" in text
     assert "phase 97" in text
     assert "Drawn. Defocus. Pixel phase" in text
@@ -285,7 +334,7 @@ def test_every_test_of_the_model_and_every_cause_is_on_the_page_with_its_gate_an
 
 
 def test_suspect_stars_are_marked_by_shape_and_word_and_can_be_copied(site, examined):
-    page = site.visitor("victor").get(f"/runs/{examined[1]}?part=trust")
+    page = site.visitor("victor").get(f"/runs/{examined[1]}?part=evidence")
     assert 'data-copy="1000, 1017"' in page
     rows = {row.split("</th>")[0].rpartition(">")[2]: row for row in page.split("<tr>") if "data-value" in row}
     assert all("status-caution" in rows[star] and "suspect" in rows[star] for star in ("1000", "1017"))
@@ -295,14 +344,14 @@ def test_suspect_stars_are_marked_by_shape_and_word_and_can_be_copied(site, exam
 def test_a_part_that_could_not_be_made_is_no_data_with_its_reason(site, read, results):
     why = {"two_halves": "Two halves of 3 frames are too few: use 20.", "stars": "No star has a number."}
     result = examined_result(results["batch"], two_halves=None, stars=None, suspects=[], unavailable=why)
-    text = read(site.visitor("victor").get(f"/runs/{site.add_run(state='SUCCEEDED', result=result)}?part=trust"))
+    text = read(site.visitor("victor").get(f"/runs/{site.add_run(state='SUCCEEDED', result=result)}?part=evidence"))
     assert re.search(f"Two halves NO DATA – {why['two_halves']}", text)
     assert text.count(why["stars"]) == 2
     assert "Copy the stars to flag" not in text
 
 
 def test_matching_shows_both_counts_starts_reasons_flags_and_the_view_of_flight(site, read, examined):
-    text = read(site.visitor("victor").get(f"/runs/{examined[1]}?part=matching"))
+    text = read(site.visitor("victor").get(f"/runs/{examined[1]}?part=evidence"))
     for words in ("Kept 2 201", "Removed 32", "Added 2 265", "3: the matches rested", "41 doubles"):
         assert words in text
     assert shadow()["validation"]["summary"]["sentence"] in text
@@ -318,7 +367,7 @@ def test_removed_stars_are_a_table_with_reason_and_probability_and_a_file(site, 
     removed = [one, {**one, "row": 346, "star_id": None, "probability": None}]
     result = {**results["batch"], "removed": removed, "removed_of": {"proposed": 5000, "removed": 2}}
     run_id, victor = site.add_run("batch", state="SUCCEEDED", result=result), site.visitor("victor")
-    text = read(victor.get(f"/runs/{run_id}?part=matching"))
+    text = read(victor.get(f"/runs/{run_id}?part=evidence"))
     assert re.search(r"2 of 5\W?000 proposed stars were removed", text)
     assert re.search("345 12 1 4567 it lies too far (<|&lt;) 1e-12", text)
     assert "346 12 1 – it lies too far –" in text
@@ -332,8 +381,8 @@ def test_a_result_from_before_the_examination_says_how_to_have_one(site, read, r
     old = {name: said for name, said in results["batch"].items() if name not in ("trust", "matching", "shadow")}
     run_id = site.add_run("batch", state="SUCCEEDED", result=old)
     victor = site.visitor("victor")
-    assert "clone its run and start it again" in read(victor.get(f"/runs/{run_id}?part=trust"))
-    assert "used the matches it was given" in read(victor.get(f"/runs/{run_id}?part=matching"))
+    assert "clone its run and start it again" in read(victor.get(f"/runs/{run_id}?part=evidence"))
+    assert "used the matches it was given" in read(victor.get(f"/runs/{run_id}?part=evidence"))
 
 
 FREE = {"turns": True, "connected": True, "threads": 2, "tasks": 1}
@@ -423,7 +472,7 @@ def test_a_failed_run_shows_its_cause_the_end_of_its_log_and_the_next_step(site,
     text = read(page)
     assert '<p role="alert">Its telemetry is gone.</p>' in page
     assert [f"step {k}" in text for k in range(9)] == [False] * 4 + [True] * 5
-    assert f'href="/runs/{run_id}?part=log"' in page
+    assert f'href="/runs/{run_id}?part=record#log"' in page
     assert 'href="/telemetry/1">Quality report' in page
 
 
@@ -529,17 +578,17 @@ def test_every_end_without_a_result_is_more_than_information(state):
 
 def test_the_filter_is_in_the_address_and_each_choice_says_how_many_lines_it_has(site, read, run_id):
     victor = site.visitor("victor")
-    assert shown(victor.get(f"/runs/{run_id}?part=log")) == [level for *_, level in LINES]
-    page = victor.get(f"/runs/{run_id}?part=log&level=error")
+    assert shown(victor.get(f"/runs/{run_id}?part=record")) == [level for *_, level in LINES]
+    page = victor.get(f"/runs/{run_id}?part=record&level=error")
     assert shown(page) == ["error"] * 3
     assert "All lines 9 Warnings and errors 6 Errors 3" in " ".join(read(page).split())
     assert f'href="/runs/{run_id}/log" download' in page
 
 
 def test_a_level_that_is_none_is_refused_and_one_without_lines_is_empty(site, run_id):
-    site.visitor("victor").get(f"/runs/{run_id}?part=log&level=loud", status=422)
+    site.visitor("victor").get(f"/runs/{run_id}?part=record&level=loud", status=422)
     site.visitor("victor").get(f"/runs/{run_id}/log/lines?level=loud", status=422)
-    page = site.visitor("victor").get("/runs/1?part=log&level=error")  # which nothing in this log is
+    page = site.visitor("victor").get("/runs/1?part=record&level=error")  # which nothing in this log is
     assert "<li" not in page.split('<ol class="log"')[1].split("</ol>")[0]
 
 

@@ -20,7 +20,7 @@ WORDS = {"runs": "run", "sensors": "sensor", "parameter-sets": "parameter set"}
 
 def get_notes_address(kind: str, subject_id: int) -> str:
     """Return where the notes of a thing are shown."""
-    part = "?part=notes" if kind == "runs" else ""
+    part = "?part=record" if kind == "runs" else ""
     return f"/{kind}/{subject_id}{part}#notes"
 
 

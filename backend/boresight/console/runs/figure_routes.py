@@ -25,6 +25,7 @@ from boresight.errors import NotFoundError, RefusedInputError
 from boresight.figures import FIGURES, Figure, Table, Trace, figure_json
 from boresight.figures.chart import tailed
 from boresight.figures.charts import radial as radial_contrast
+from boresight.figures.live_traces import tell_place
 from boresight.figures.style.thinning import thinning
 from boresight.figures.views import aligned, as_band, focus
 from boresight.platform.blobs.store import BlobStore
@@ -58,12 +59,21 @@ class View:
         float | None, Query(description="Where the tail of the RMS begins; by default where the run had settled.")
     ] = None
 
+    size: Annotated[
+        Literal["large", "small"],
+        Query(description="Draw the figure of a page, or, of the four views of a result, the small one of one run."),
+    ] = "large"
+
     def draw(self, figure: Figure, traces: list[Trace]) -> bytes:
         """Draw a figure in this view."""
         if (self.x_from is None) != (self.x_to is None):
             raise RefusedInputError("Give both ends of the window, x_from and x_to, or none.")
         with thinning(whole=self.x_from is not None) as watched:
-            drawn = figure.draw(tailed(aligned(traces, self.align), self.tail_from))
+            drawing = figure.draw if self.size == "large" else figure.small
+            if drawing is None:
+                raise RefusedInputError(f"There is no small figure {figure.name}; ask for the large one.")
+            drawn = drawing(tailed(aligned(traces, self.align), self.tail_from))
+        tell_place(drawn, traces)
         if self.overlay == "band":
             as_band(drawn, traces)
         if self.x_from is not None and self.x_to is not None:

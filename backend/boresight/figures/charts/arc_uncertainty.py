@@ -52,4 +52,5 @@ ARC_UNCERTAINTY = part_figure(
         "from the uncertainty of the parameters alone. Everywhere well below the noise of a centroid is good; a "
         "bright corner is where this calibration extrapolates."
     ),
+    advanced=True,
 )

@@ -34,7 +34,7 @@ from boresight.figures.style import theme
 from boresight.figures.style.axes import axis_title, counted, frame_grid, grid_place, offer_log, share_cursor
 from boresight.figures.style.thinning import keep_extremes
 from boresight.verdicts.history import History, free_names, read_history, settled_step
-from boresight.verdicts.numbers import change_label, quantity
+from boresight.verdicts.numbers import change_label, number, quantity
 
 PANELS = 2
 POINT_BUDGET = 1200  # a panel, of all runs together
@@ -117,7 +117,7 @@ def mark_settled(
 
 def _words(style: theme.RunStyle, x: float, n_runs: int) -> str:
     whose = f"{style.label} · " if n_runs > 1 else ""
-    return f"{whose}settled at {x:.5g}"
+    return f"{whose}settled at {number(x, 5)}"
 
 
 TITLE = "Convergence"
@@ -127,7 +127,7 @@ TRANSIENT_SHARE = 0.05  # of the steps, which the window need not hold
 CONVERGENCE_POINT_BUDGET = 7000  # estimates of all panels and runs together
 REFERENCES = {
     "initial": (theme.REFERENCE_COLOUR, "dot"),
-    "baseline": (theme.REFERENCE_COLOUR, "dash"),
+    "baseline": (theme.RUN_COLOURS[2], "dash"),
     "truth": (theme.TRUTH_COLOUR, "longdashdot"),
 }
 
@@ -162,6 +162,8 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     for history, style in zip(histories, theme.run_styles(traces), strict=True):
         if history is not None:
             _draw_run(figure, panels, history if history.axis == axis else _level(history, span), style, limit)
+    if len(traces) > MOST_MARKED:
+        figure.for_each_trace(lambda band: band.update(showlegend=False), {"fill": "toself"})
     for panel in panels:
         _draw_references(figure, panel, traces, span)
         _frame_panel(figure, panel)
@@ -242,7 +244,8 @@ def _draw_run(
         kept = keep_extremes([value, reach], max(limit, 40))
         x, value, reach = history.x[kept], value[kept], reach[kept]
         place = {"row": panel.row + 1, "col": panel.column + 1}
-        figure.add_trace(theme.band(style, x, value - reach, value + reach), **place)
+        band = theme.band(style, x, value - reach, value + reach, showlegend=not shown)
+        figure.add_trace(band, **place)
         hover = f"%{{y:+.5g}} ±%{{customdata:.3g}} {panel.item.change_unit}<extra>{style.label}</extra>"
         settings = {"customdata": theme.short(reach), "hovertemplate": hover, "showlegend": not shown}
         figure.add_trace(theme.line(style, x, value, **settings), **place)
@@ -288,6 +291,54 @@ def _frame_panel(figure: go.Figure, panel: ConvergencePanel) -> None:
     figure.update_yaxes(title=title, range=[low - margin, high + margin], row=panel.row + 1, col=panel.column + 1)
 
 
+SMALL_COLUMNS = 5  # at most
+SMALL_POINTS = 160
+SMALL_REACH = 12.0  # final sigmas: what one axis for all parameters shows
+
+
+def draw_small(traces: Sequence[Trace]) -> go.Figure:
+    """Draw each parameter's way to its end in units of its last sigma, so that all share one axis."""
+    trace, history = traces[0], read_history(traces[0].result)
+    if history is None:
+        return theme.missing(TITLE, "No frame or iteration has been recorded yet.")
+    style, names = theme.run_styles(traces[:1])[0], history.free
+    n_rows = 1 if len(names) <= SMALL_COLUMNS - 1 else 2
+    columns = -(-len(names) // n_rows)
+    figure = make_subplots(
+        n_rows, columns, shared_xaxes="all", shared_yaxes="all", horizontal_spacing=0.02, vertical_spacing=0.09
+    )
+    panels = [_draw_way(figure, trace.result, history, name, place, columns, style) for place, name in enumerate(names)]
+    theme.shrink(figure)
+    figure.update_yaxes(range=[-SMALL_REACH, SMALL_REACH], tickvals=[-9, 0, 9], zeroline=True)
+    figure.update_xaxes(nticks=3, showticklabels=False)
+    figure.update_xaxes(showticklabels=True, row=n_rows)
+    words = {"xref": "paper", "yref": "paper", "showarrow": False, "font": {"size": 10}}
+    title = f"{axis_title(history.axis, traces)}; band ±3σ"
+    figure.add_annotation(text=title, x=1, y=0, xanchor="right", yanchor="top", yshift=-16, **words)
+    figure.add_annotation(text="from the end, final σ", x=0, y=0.5, xanchor="right", xshift=-26, textangle=-90, **words)
+    follow_parameters(figure, [panel for panel in panels if panel], traces)
+    return share_cursor(figure, counted(history.axis, traces))
+
+
+def _draw_way(
+    figure: go.Figure, result: Calibration, history: History, name: str, place: int, columns: int, style: theme.RunStyle
+) -> Panel | None:
+    """Draw one parameter in its small panel; None where its last sigma is not known."""
+    column, (row, col) = history.names.index(name), divmod(place, columns)
+    value, sigma = history.value[:, column], history.sigma[:, column]
+    item, where = quantity(name, result), {"row": row + 1, "col": col + 1}
+    letter = {"x": 0.04, "y": 1, "xref": "x domain", "yref": "y domain", "xanchor": "left", "yanchor": "top"}
+    figure.add_annotation(text=f"<b>{item.markup}</b>", showarrow=False, **letter, **where)
+    if not np.isfinite(sigma[-1]) or sigma[-1] <= 0:
+        return None
+    y, reach = (value - value[-1]) / sigma[-1], 3 * sigma / sigma[-1]
+    kept = keep_extremes([y, reach], SMALL_POINTS)
+    x, y, reach = history.x[kept], y[kept], reach[kept]
+    figure.add_trace(theme.band(style, x, y - reach, y + reach), **where)
+    figure.add_trace(theme.line(style, x, y, hoverinfo="skip"), **where)
+    return Panel(name, replace(item, change_factor=1 / float(sigma[-1])), float(value[-1]), row, col)
+
+
 def table(result: Calibration) -> Table:
     """List every step: parameters and sigmas in SI."""
     history = read_history(result)
@@ -314,4 +365,5 @@ CONVERGENCE = Figure(
     draw=draw,
     table=table,
     wide=True,
+    small=draw_small,
 )

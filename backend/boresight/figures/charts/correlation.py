@@ -18,7 +18,7 @@ from boresight.calibration.calibration import Calibration
 from boresight.figures.chart import Table, Trace
 from boresight.figures.factory import Part, make_figure
 from boresight.figures.style import theme
-from boresight.verdicts.numbers import quantity
+from boresight.verdicts.numbers import quantity, signed
 
 STRONG = 0.9  # from here on two parameters are read together
 MAX_MAPS = 3
@@ -80,7 +80,7 @@ def _headline(one: Part[Correlations]) -> str:
         return "One parameter was estimated: there is no correlation"
     first, second = (quantity(name, trace.result).markup for name in pair[:2])
     advice = "read them together" if abs(pair[2]) >= STRONG else "each can be read alone"
-    return f"Strongest: {first} and {second}, ρ = {theme.signed(pair[2])}: {advice}"
+    return f"Strongest: {first} and {second}, ρ = {signed(pair[2])}: {advice}"
 
 
 def table(found: Correlations) -> Table:
@@ -107,4 +107,5 @@ CORRELATION = make_figure(
         "empty not at all. A pair near ±1 is known only as a sum or a difference: do not read its two sigmas one by "
         "one, but look at the distortion and at the weakest direction."
     ),
+    advanced=True,
 )

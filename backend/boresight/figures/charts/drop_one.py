@@ -91,4 +91,5 @@ DROP_ONE = part_figure(
         "(dotted: what chance alone reaches in one case of a hundred), below, how far the others move. A hatched "
         "parameter does no work here, and freeing it only widens the sigmas of the rest."
     ),
+    advanced=True,
 )

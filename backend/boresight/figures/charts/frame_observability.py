@@ -148,6 +148,7 @@ FRAME_OBSERVABILITY = make_figure(
         "a row given twice counts twice; for that read the information of each reference."
     ),
     wide=True,
+    advanced=True,
 )
 
 
@@ -224,4 +225,5 @@ REFERENCE_INFORMATION = make_figure(
         "the parameters (dotted, one): arcs, all pairs of stars, the four models with σ2 and σ3, and single values under "
         "Model 4. A bar of 0.8 is a fifth of the frames thrown away; σ1 beside the other two must add nothing."
     ),
+    advanced=True,
 )

@@ -114,4 +114,5 @@ INNOVATIONS = part_figure(
         "line is their running mean. A mean that stays at one with one frame in twenty outside is an honest "
         "covariance; a mean above one is over-confident there, a step or a slope is a sensor that changed."
     ),
+    advanced=True,
 )

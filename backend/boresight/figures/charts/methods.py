@@ -228,4 +228,5 @@ METHODS = make_figure(
         "method brings its line down to one with the dots about it; dots that stay above their line are a claim too bold."
     ),
     wide=True,
+    advanced=True,
 )

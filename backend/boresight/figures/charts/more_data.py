@@ -123,4 +123,5 @@ MORE_DATA = part_figure(
         "other frames, not more of them."
     ),
     wide=True,
+    advanced=True,
 )

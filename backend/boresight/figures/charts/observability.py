@@ -30,9 +30,11 @@ from boresight.estimation.statistics.observability import NAMED, WEAK
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, make_figure
 from boresight.figures.style import theme
+from boresight.verdicts.answers import describe_weak
 from boresight.verdicts.numbers import count, number, percent, quantity
 
 THRESHOLD = 1.0 / WEAK
+WEAK_COLOUR = theme.RUN_COLOURS[1]
 
 
 def read_observability(result: Calibration) -> Observability | None:
@@ -60,7 +62,18 @@ def _bars(seen: Observability, style: theme.RunStyle, *, labelled: bool) -> go.B
         spread = 1.0 / values
     hover = "s = %{y:.4g}<br>σ = %{customdata:.3g} typical σ"
     more = {"text": [number(value, 3) for value in values] if labelled else None, "customdata": theme.short(spread)}
-    return theme.bars(style, _modes(len(values)), np.where(values > 0, values, np.nan), hover, **more)
+    shown = np.where(values > 0, values, np.nan)
+    return theme.bars(style, _modes(len(values)), shown, hover, marker=_looks(values, style.colour), **more)
+
+
+def _looks(values: FloatArray, colour: str) -> dict[str, Any]:
+    """Return the marker of the bars: a direction that is not seen is amber and hatched."""
+    weak = values < THRESHOLD
+    return {
+        "color": [WEAK_COLOUR if one else colour for one in weak],
+        "pattern": {"shape": ["/" if one else "" for one in weak], "fgcolor": WEAK_COLOUR, "bgcolor": theme.CLEAR},
+        "line": {"color": [WEAK_COLOUR if one else colour for one in weak], "width": 1},
+    }
 
 
 def _directions(result: Calibration, seen: Observability) -> go.Heatmap:
@@ -86,16 +99,17 @@ def _vectors(seen: Observability) -> FloatArray | None:
 
 
 def _dress(figure: go.Figure, drawn: Sequence[Part[Observability]]) -> None:
-    """Title with the condition number, and the weakest direction in words below."""
+    """Say in the title how many directions are not seen, and the weakest one in words below."""
     condition = drawn[0][2].condition_number
-    size = f"{condition:.4g}" if condition is not None else "infinite: a direction is not determined at all"
+    size = number(condition, 3) if condition is not None else "infinite"
     whose = f" ({drawn[0][1].label})" if len(drawn) > 1 else ""
     sentence = _sentence(drawn[0][2])
     layout: dict[str, Any] = {"hovermode": "closest", "barmode": "group", "legend": len(drawn) > 1}
-    theme.dress(figure, title=f"Condition number {size}{whose}", height_px=520, **layout)
+    theme.dress(figure, title=f"{describe_weak(drawn[0][2])}{whose}; condition number {size}", height_px=520, **layout)
     figure.update_layout(margin={"b": 84 + 18 * sentence.count("<br>")})
-    figure.update_yaxes(title_text="singular value", type="log", dtick=1, range=_window(drawn), row=1, col=1)
-    _draw_threshold(figure)
+    _scale(figure, drawn, row=1, col=1)
+    figure.update_yaxes(title_text="times better than typical", row=1, col=1)
+    _draw_threshold(figure, row=1, col=1)
     figure.update_yaxes(autorange="reversed", showgrid=False, row=2, col=1)
     figure.update_xaxes(showgrid=False, type="category")
     figure.update_xaxes(title_text="direction, best known to weakest", row=2, col=1)
@@ -105,10 +119,46 @@ def _dress(figure: go.Figure, drawn: Sequence[Part[Observability]]) -> None:
         )
 
 
-def _draw_threshold(figure: go.Figure) -> None:
-    """Draw the singular value below which a direction is weak, and say so."""
-    words = {"annotation_text": f"weak below {THRESHOLD:g}", "annotation_position": "bottom right"}
-    figure.add_hline(y=THRESHOLD, line=theme.LEVEL, **words, row=1, col=1)
+def _scale(figure: go.Figure, drawn: Sequence[Part[Observability]], **place: int) -> None:
+    """Choose the decades of the log axis, each written as a table writes it."""
+    low, high = _window(drawn)
+    decades = [10.0**power for power in range(int(np.ceil(low)), int(np.floor(high)) + 1)]
+    written = {"tickvals": decades, "ticktext": [number(decade, 1) for decade in decades]}
+    figure.update_yaxes(type="log", range=[low, high], **written, **place)
+
+
+def _draw_threshold(figure: go.Figure, **place: int) -> None:
+    """Draw the value below which a direction is not seen, and say so."""
+    words = {"annotation_text": f"below {THRESHOLD:g}: not seen", "annotation_position": "bottom right"}
+    figure.add_hline(y=THRESHOLD, line={**theme.LEVEL, "color": WEAK_COLOUR}, **words, **place)
+    figure.update_annotations(selector={"text": words["annotation_text"]}, font={"color": WEAK_COLOUR})
+
+
+def draw_small(drawn: Sequence[Part[Observability]]) -> go.Figure:
+    """Draw the bars alone, each with the parameters that its direction is made of."""
+    (trace, style, seen), figure = drawn[0], go.Figure()
+    figure.add_trace(_bars(seen, style, labelled=False))
+    figure.update_traces(text=_mixtures(trace.result, seen), textposition="outside", cliponaxis=False, textangle=0)
+    theme.shrink(figure, l=50, t=4)
+    _scale(figure, drawn[:1])
+    figure.update_yaxes(title_text="times better than typical")
+    figure.update_xaxes(title_text="direction, best known to weakest", type="category", showgrid=False, nticks=0)
+    _draw_threshold(figure)
+    figure.update_annotations(font={"size": 10})
+    return figure
+
+
+def _mixtures(result: Calibration, seen: Observability) -> list[str]:
+    """Name the one or two parameters that each direction is mostly made of."""
+    V = _vectors(seen)
+    if V is None:
+        return [""] * len(seen.singular_values)
+    symbols = [quantity(name, result).markup for name in seen.parameter_names]
+    told = []
+    for shares in np.abs(V).T:
+        largest = [place for place in np.argsort(-shares)[:2] if shares[place] >= NAMED]
+        told.append("<br>+ ".join(symbols[place] for place in largest))
+    return told
 
 
 def _window(drawn: Sequence[Part[Observability]]) -> list[float]:
@@ -149,10 +199,11 @@ OBSERVABILITY = make_figure(
     title="Observability",
     guide=(
         "Each column is one direction in parameter space: the bar is how strongly the stars determine it, the "
-        "colours below are the parameters it mixes. Short bars on the right are what these data cannot separate; "
-        "a singular value below the dotted threshold leaves a direction hardly better known than the spread from unit to unit."
+        "colours below are the parameters it mixes. A bar is the singular value: how many times better than the spread from "
+        f"one such sensor to the next the direction is known. Below {THRESHOLD:g} (dotted) it is not seen: amber and hatched."
     ),
     wide=True,
+    small=draw_small,
 )
 
 

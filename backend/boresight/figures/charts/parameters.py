@@ -15,7 +15,7 @@ from boresight.figures.chart import Table
 from boresight.figures.factory import Part, make_figure
 from boresight.figures.style import theme
 from boresight.verdicts.history import free_names
-from boresight.verdicts.numbers import quantity
+from boresight.verdicts.numbers import quantity, signed
 
 SIGNIFICANT = 3.0
 WIDER = 1.05  # a bar of noise alone is drawn inside that with misfit where it is shorter by more
@@ -68,7 +68,7 @@ def _bars(result: Calibration, names: Sequence[str], style: theme.RunStyle, *, l
             "color": [style.colour if abs(w) >= SIGNIFICANT else theme.translucent(style.colour, 0.4) for w in worth],
             "line": {"color": style.colour, "width": 1},
         },
-        text=[theme.signed(w) if np.isfinite(w) else "" for w in worth] if labelled else None,
+        text=[signed(w) if np.isfinite(w) else "" for w in worth] if labelled else None,
         textposition="outside",
         cliponaxis=False,
         customdata=theme.short(worth),

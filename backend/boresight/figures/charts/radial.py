@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -32,6 +33,8 @@ from boresight.figures.factory import Part, column, make_figure
 from boresight.figures.style import theme
 from boresight.figures.style.axes import hatch, share_cursor
 from boresight.figures.style.thinning import keep_extremes
+from boresight.verdicts.answers import describe_largest_change
+from boresight.verdicts.numbers import count, number, signed
 
 TITLE = "Radial difference"
 CONTRAST_COLUMNS = ("radius_px", "difference_px", "sigma_px", "difference_arcsec", "sigma_arcsec")
@@ -43,18 +46,36 @@ def read_radial(result: Calibration) -> RadialDifference | None:
 
 
 def draw(drawn: Sequence[Part[RadialDifference]]) -> go.Figure:
-    """Draw radial difference curves over the coverage histogram."""
-    figure = make_subplots(
-        2, 1, shared_xaxes=True, row_heights=[0.7, 0.3], vertical_spacing=0.05, specs=[[{"secondary_y": True}], [{}]]
-    )
-    seen = [0.0]
+    """Draw the radial difference, below it how far it can be trusted, and below that the stars that carried it."""
+    panels: dict[str, Any] = {"shared_xaxes": True, "row_heights": [0.5, 0.24, 0.26], "vertical_spacing": 0.05}
+    figure = make_subplots(3, 1, specs=[[{"secondary_y": True}], [{}], [{}]], **panels)
+    seen, reached = [0.0], [0.0]
     for _, style, radial in drawn:
         seen += _draw_run(figure, radial, style)
+        reached += _draw_band(figure, radial, style, named=len(drawn) == 1)
+        _draw_counts(figure, radial.counts, style)
     radials = [radial for _, _, radial in drawn]
-    theme.dress(figure, title=_headline(radials[0]), height_px=460)
-    _hatch_extrapolation(figure, radials, compute_window(seen))
-    _scale(figure, compute_window(seen), radials)
+    theme.dress(figure, title=describe_largest_change(radials[0]) or TITLE, height_px=520)
+    windows = [compute_window(seen), compute_window(reached), [0.0, float(_most_stars(radials))]]
+    _hatch_extrapolation(figure, radials, windows)
+    _scale(figure, windows, radials)
     return share_cursor(figure, "radius_px")
+
+
+def draw_small(drawn: Sequence[Part[RadialDifference]]) -> go.Figure:
+    """Draw the difference and its band, in two panels."""
+    _, style, radial = drawn[0]
+    figure = make_subplots(2, 1, shared_xaxes=True, row_heights=[0.62, 0.38], vertical_spacing=0.08)
+    windows = [
+        compute_window([0.0, *_draw_run(figure, radial, style)]),
+        compute_window(_draw_band(figure, radial, style)),
+    ]
+    theme.shrink(figure)
+    _hatch_extrapolation(figure, [radial], windows)
+    for row, title in enumerate(("px", "±3σ, px"), start=1):
+        figure.update_yaxes(title_text=title, range=windows[row - 1], nticks=4, row=row, col=1)
+    figure.update_xaxes(title_text="radius (px)", row=2, col=1)
+    return figure
 
 
 def compute_window(seen: Sequence[float]) -> list[float]:
@@ -71,22 +92,31 @@ def lay_over(radial: RadialDifference, values: Sequence[float | None]) -> FloatA
 
 
 def _draw_run(figure: go.Figure, radial: RadialDifference, style: theme.RunStyle) -> list[float]:
-    """Add one run's curve, band and histogram; return what the axis must hold where there are stars."""
+    """Add one run's curve; return what the axis must hold."""
     radius, change = column(radial.radius_px), lay_over(radial, radial.difference_px)
     reach = 3 * lay_over(radial, radial.sigma_px)
     kept = keep_extremes([change, reach])
     angles = np.stack([lay_over(radial, radial.difference_arcsec), 3 * lay_over(radial, radial.sigma_arcsec)])[:, kept]
-    seen = np.concatenate([change, change - reach, change + reach])
-    radius, change, reach = radius[kept], change[kept], reach[kept]
-    figure.add_trace(theme.band(style, radius, change - reach, change + reach), row=1, col=1)
+    seen, spread = change[np.isfinite(change)], theme.short(np.stack([*angles, reach[kept]], axis=-1))
     hover = (
         "%{y:+.3f} ±%{customdata[2]:.3f} px, %{customdata[0]:+.2f} ±%{customdata[1]:.2f}″"
         f"<extra>{style.label}</extra>"
     )
-    spread = theme.short(np.stack([*angles, reach], axis=-1))
-    figure.add_trace(theme.line(style, radius, change, customdata=spread, hovertemplate=hover), row=1, col=1)
-    _draw_counts(figure, radial.counts, style)
-    return [float(value) for value in seen[np.isfinite(seen)]]
+    options = {"customdata": spread, "hovertemplate": hover}
+    figure.add_trace(theme.line(style, radius[kept], change[kept], **options), row=1, col=1)
+    return [float(value) for value in seen]
+
+
+def _draw_band(
+    figure: go.Figure, radial: RadialDifference, style: theme.RunStyle, *, named: bool = False
+) -> list[float]:
+    """Add one run's band around nought in a panel of its own: on the curve it would be thinner than the line."""
+    radius, reach = column(radial.radius_px), 3 * lay_over(radial, radial.sigma_px)
+    kept = keep_extremes([reach])
+    radius, reach = radius[kept], reach[kept]
+    figure.add_trace(theme.band(style, radius, -reach, reach, showlegend=named), row=2, col=1)
+    known = reach[np.isfinite(reach)]
+    return [float(value) for value in (*known, *-known)]
 
 
 def _draw_counts(figure: go.Figure, counts: StarCounts | None, style: theme.RunStyle) -> None:
@@ -107,7 +137,7 @@ def _draw_counts(figure: go.Figure, counts: StarCounts | None, style: theme.RunS
         showlegend=False,
         hovertemplate=f"%{{y}} stars<extra>{style.label}</extra>",
     )
-    figure.add_trace(outline, row=2, col=1)
+    figure.add_trace(outline, row=3, col=1)
 
 
 def reached_px(radials: Sequence[RadialDifference]) -> tuple[float, float]:
@@ -117,15 +147,20 @@ def reached_px(radials: Sequence[RadialDifference]) -> tuple[float, float]:
     return (max(reached) if reached else end), end
 
 
-def _hatch_extrapolation(figure: go.Figure, radials: Sequence[RadialDifference], window: list[float]) -> None:
-    """Hatch the radii that no star of any run reached."""
+def _most_stars(radials: Sequence[RadialDifference]) -> int:
+    return max([1, *(count for radial in radials for count in (radial.counts.stars if radial.counts else ()))])
+
+
+def _hatch_extrapolation(
+    figure: go.Figure, radials: Sequence[RadialDifference], windows: Sequence[Sequence[float]]
+) -> None:
+    """Hatch the radii that no star of any run reached, in every panel over its window."""
     reached, end = reached_px(radials)
     figure.update_xaxes(range=[0, end])
     if reached >= end:
         return
-    most = max([1, *(count for radial in radials for count in (radial.counts.stars if radial.counts else ()))])
-    hatch(figure, (reached, end), (window[0], window[1]), named=True, row=1, col=1)
-    hatch(figure, (reached, end), (0, most), named=False, row=2, col=1)
+    for row, (low, high) in enumerate(windows, start=1):
+        hatch(figure, (reached, end), (low, high), named=row == 1, row=row, col=1)
     line = {"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1}
     figure.add_vline(x=reached, line=line, row="all", col=1)
 
@@ -143,11 +178,13 @@ def arcsec_per_px(radials: Sequence[RadialDifference]) -> float | None:
     return scales[0] if max(scales) < 1.02 * min(scales) else None
 
 
-def _scale(figure: go.Figure, window: list[float], radials: Sequence[RadialDifference]) -> None:
-    figure.update_xaxes(title_text="radius from the principal point (px)", row=2, col=1)
-    figure.update_yaxes(title_text="stars", rangemode="tozero", row=2, col=1)
-    figure.update_yaxes(title_text="final − initial (px)", range=window, zeroline=True, row=1, col=1, secondary_y=False)
-    _tie_arcsec(figure, window, radials)
+def _scale(figure: go.Figure, windows: Sequence[list[float]], radials: Sequence[RadialDifference]) -> None:
+    change, band, _ = windows
+    figure.update_xaxes(title_text="radius from the principal point (px)", row=3, col=1)
+    figure.update_yaxes(title_text="new − old (px)", range=change, zeroline=True, row=1, col=1, secondary_y=False)
+    figure.update_yaxes(title_text="±3σ (px)", range=band, zeroline=True, nticks=4, row=2, col=1)
+    figure.update_yaxes(title_text="stars", rangemode="tozero", nticks=4, row=3, col=1)
+    _tie_arcsec(figure, change, radials)
 
 
 def _tie_arcsec(figure: go.Figure, window: list[float], radials: Sequence[RadialDifference]) -> None:
@@ -164,18 +201,6 @@ def _tie_arcsec(figure: go.Figure, window: list[float], radials: Sequence[Radial
     figure.update_yaxes(fixedrange=True, row=1, col=1)  # zoom along the radius: the two scales stay tied
 
 
-def _headline(radial: RadialDifference) -> str:
-    change, radius = lay_over(radial, radial.difference_px), column(radial.radius_px)
-    reached = radial.data_radius_px
-    within = np.isfinite(change) & (radius <= (np.inf if reached is None else reached))
-    if not within.any():
-        return TITLE
-    worst = int(np.argmax(np.where(within, np.abs(change), -1.0)))
-    reach = 3 * lay_over(radial, radial.sigma_px)[worst]
-    spread = f" ±{reach:.2g}" if np.isfinite(reach) else ""
-    return f"Largest change where stars reach: {theme.signed(change[worst])}{spread} px (3σ) at {radius[worst]:.0f} px"
-
-
 def table(radial: RadialDifference) -> Table:
     """List the curve: radius and difference in px, and the difference as an angle."""
     return {name: theme.plain(lay_over(radial, getattr(radial, name))) for name in CONTRAST_COLUMNS}
@@ -189,11 +214,12 @@ RADIAL = make_figure(
     name="radial",
     title=TITLE,
     guide=(
-        "The curve is how far the new parameters move a star along the radius against the initial ones, with its "
-        "±3σ band; the histogram below counts the stars at that radius. Trust it where stars stand and the band "
+        "Above is how far the new parameters move a star along the radius against the old ones, below that its ±3σ "
+        "band alone, and at the bottom the stars at that radius. Trust it where stars stand and the band "
         "is narrow: in the hatched part no star was seen and the curve is extrapolation."
     ),
     wide=True,
+    small=draw_small,
 )
 
 
@@ -337,8 +363,8 @@ def _outermost(curves: Distortion) -> str:
     reached, _ = reached_px([radial])
     last = int(np.flatnonzero(radius <= reached)[-1])
     return (
-        f"At the outermost star, {reached:.0f} px: {theme.signed(old[last])} px old, {theme.signed(new[last])} "
-        f"±{3 * lay_over(radial, radial.sigma_px)[last]:.2g} px new (3σ)"
+        f"At the outermost star, {count(reached)} px: {signed(old[last])} px old, {signed(new[last])} "
+        f"± {number(3 * lay_over(radial, radial.sigma_px)[last], 2)} px new (3σ)"
     )
 
 

@@ -146,4 +146,5 @@ RESIDUAL_AGAINST = part_figure(
         "possible cause: the mean with its 95 % bar, and its RMS dotted. Means that stay within "
         "their bars of zero are good; a slope names what the model or the centroiding has left out."
     ),
+    advanced=True,
 )

@@ -162,6 +162,7 @@ RESIDUAL_MAP = part_figure(
         "the model does not have."
     ),
     wide=True,
+    advanced=True,
 )
 
 
@@ -217,6 +218,7 @@ RESIDUAL_RMS = part_figure(
         "left open. An even colour is good; an edge or a corner that stands out has noisier centroids there, or a "
         "distortion that the model does not have."
     ),
+    advanced=True,
 )
 
 

@@ -132,4 +132,5 @@ RESIDUAL_OUTLIERS = part_figure(
         "are a wrong match or a wrong catalogue place: open their frames."
     ),
     wide=True,
+    advanced=True,
 )

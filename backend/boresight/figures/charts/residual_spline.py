@@ -114,4 +114,5 @@ RESIDUAL_SPLINE = part_figure(
         "is a distortion that the camera model does not have, and the advice says which model has it."
     ),
     wide=True,
+    advanced=True,
 )

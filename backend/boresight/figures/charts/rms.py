@@ -18,7 +18,7 @@ sampled residuals in the order of their frames, in bins of one size, so that eac
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,7 @@ from boresight.figures.style import theme
 from boresight.figures.style.axes import axis_title, counted, share_cursor
 from boresight.figures.style.thinning import keep_extremes
 from boresight.verdicts.history import History, read_history, tail_start
+from boresight.verdicts.numbers import number, urad
 from boresight.verdicts.verdict import why_absent
 
 TITLE = "Tail and aggregate RMS"
@@ -42,49 +43,69 @@ URAD_PER_RAD = 1e6
 LOG_RATIO = 8.0  # beyond this ratio of highest to lowest a log axis reads better
 TICKS_URAD = [step * 10**decade for decade in range(-1, 6) for step in (1, 2, 5)]
 MOST_BANDS = 3  # runs with their bands; more hide the curves
-POINT_BUDGET = 8000  # of all panels, runs and curves together
-
-
-@dataclass(frozen=True)
-class _Panel:
-    """One subplot: the steps it shows, with how many points a curve, and what its axis must hold, in µrad."""
-
-    column: int
-    start: float
-    end: float
-    limit: int
-    seen: list[float] = field(default_factory=list)
+POINT_BUDGET = 8000  # of all runs and curves together
+TRANSIENT_SHARE = 0.05  # of the steps, which the axis need not hold
+AGGREGATE_COLOUR = theme.RUN_COLOURS[1]
 
 
 def draw(traces: Sequence[Trace]) -> go.Figure:
     """Draw RMS arc error over frames, or over iterations when every run is a batch."""
+    figure, axis, seen = _draw_curves(traces)
+    if not axis:
+        return theme.missing(TITLE, "No RMS arc error has been recorded yet: the curves appear as the run moves.")
+    theme.dress(figure, title=_headline(traces), height_px=380)
+    figure.update_xaxes(title_text=axis_title(axis, traces))
+    figure.update_yaxes(title_text="RMS arc error (µrad)")
+    _scale(figure, traces, axis, seen)
+    _mark_tail(figure, traces, axis)
+    return follow_errors(share_cursor(figure, counted(axis, traces)), URAD_PER_RAD, traces)
+
+
+def draw_small(traces: Sequence[Trace]) -> go.Figure:
+    """Draw the curves of one run, named where they end."""
+    figure, axis, seen = _draw_curves(traces[:1])
+    if not axis:
+        return theme.missing(TITLE, "No RMS arc error has been recorded yet.")
+    theme.shrink(figure)
+    figure.update_xaxes(title_text=axis_title(axis, traces))
+    figure.update_yaxes(title_text="µrad")
+    _scale(figure, traces[:1], axis, seen)
+    _name_curves(figure)
+    figure.update_annotations(font={"size": 10})
+    return follow_errors(share_cursor(figure, counted(axis, traces)), URAD_PER_RAD, traces)
+
+
+def _name_curves(figure: go.Figure) -> None:
+    """Name tail and aggregate in the corners of their sides: the higher one at its end above, the lower one below."""
+    ends = {(trace.meta or {}).get("part"): trace for trace in figure.data if (trace.meta or {}).get("part")}
+    ordered = sorted(ends.items(), key=lambda item: -float(item[1].y[-1]))
+    for (word, trace), (y, anchor) in zip(ordered, ((0.74, "bottom"), (0.04, "bottom")), strict=False):
+        words = {"tail": "tail (whole set)", "aggregate": "aggregate (as it ran)"}.get(word, word)
+        colour = {"color": trace.line.color, "size": 10}
+        place = {"x": 0.98, "y": y, "xref": "x domain", "yref": "y domain", "xanchor": "right", "yanchor": anchor}
+        figure.add_annotation(text=words, font=colour, **place)
+
+
+def _draw_curves(traces: Sequence[Trace]) -> tuple[go.Figure, str, list[float]]:
+    """Draw the curves and levels of the runs; return what the axis counts, nothing where no run has a curve, and must hold."""
     histories = [read_history(trace.result) for trace in traces]
     found = [history for history in histories if history is not None and _has_curve(history)]
+    figure, seen = go.Figure(), list[float]()
     if not found:
-        return theme.missing(TITLE, "No RMS arc error has been recorded yet: the curves appear as the run moves.")
+        return figure, "", seen
     axis = "frame" if any(history.axis == "frame" for history in found) else "iteration"
     along = [history.x for history in found if history.axis == axis]
     span = (min(float(x.min()) for x in along), max(float(x.max()) for x in along))
-    starts = [span[0]] if axis == "iteration" else [span[0], _tail_start(traces, histories)]
-    panels = [_Panel(i + 1, start, span[1], POINT_BUDGET // (6 * len(found))) for i, start in enumerate(starts)]
-    figure = make_subplots(1, len(panels), column_widths=[0.4, 0.6][: len(panels)] if len(panels) > 1 else None)
     for trace, history, style in zip(traces, histories, theme.run_styles(traces), strict=True):
-        for panel in panels:
-            if history is not None and history.axis == axis:
-                _draw_run(figure, panel, history, style, trace.result.pairs if len(traces) <= MOST_BANDS else 0)
-            if len(traces) == 1 or history is None or history.axis != axis:
-                _draw_levels(figure, panel, trace.result, style, single=len(traces) == 1)
-    return follow_errors(_dress(figure, panels, traces, axis), URAD_PER_RAD, traces)
-
-
-def _tail_start(traces: Sequence[Trace], histories: Sequence[History | None]) -> float:
-    """Return where the last of the sequential runs has its tail begin."""
-    pairs = zip(traces, histories, strict=True)
-    return max(
-        tail_start(trace.result, history, trace.tail_from)
-        for trace, history in pairs
-        if history and history.axis == "frame"
-    )
+        is_along = history is not None and history.axis == axis
+        if history is not None and is_along:
+            banded = trace.result.pairs if len(traces) <= MOST_BANDS else 0
+            seen += _draw_run(figure, history, style, banded, single=len(traces) == 1, n_runs=len(found))
+        if len(traces) == 1 or not is_along:
+            seen += _draw_levels(figure, span, trace.result, style, single=len(traces) == 1)
+    margin = 0.02 * (span[1] - span[0]) or 0.5
+    figure.update_xaxes(range=[span[0] - margin, span[1] + margin])
+    return figure, axis, seen
 
 
 def _curves(history: History) -> dict[str, FloatArray]:
@@ -98,79 +119,98 @@ def _has_curve(history: History) -> bool:
     return any(np.isfinite(values).any() for values in _curves(history).values())
 
 
-def _draw_run(figure: go.Figure, panel: _Panel, history: History, style: theme.RunStyle, pairs: int) -> None:
-    """Add the curves of one run; tail in the run's dash, aggregate dotted in the same colour; bands of `pairs`, if any."""
+def _draw_run(
+    figure: go.Figure, history: History, style: theme.RunStyle, pairs: int, *, single: bool, n_runs: int
+) -> list[float]:
+    """Add the curves of one run and the band of `pairs`, if any; return what the axis must hold, which the start is not.
+
+    The aggregate is dotted, and where the run is alone it has the second hue: of several, the hue is the run's.
+    """
+    seen: list[float] = []
     for word, values in _curves(history).items():
         y = values * URAD_PER_RAD
-        shown = np.isfinite(y) & (history.x >= panel.start)
+        shown = np.isfinite(y)
         x, y = history.x[shown], y[shown]
         if not len(x):
             continue
-        kept = keep_extremes([y], panel.limit)
-        if pairs and word != "aggregate":
+        is_aggregate = word == "aggregate"
+        hue = AGGREGATE_COLOUR if is_aggregate and single else style.colour
+        curve = theme.RunStyle(style.label, hue, "dot" if is_aggregate else style.dash)
+        kept = keep_extremes([y], POINT_BUDGET // (3 * n_runs))
+        if pairs and not is_aggregate:
             reach = 3 * y[kept] / np.sqrt(2 * pairs)
-            figure.add_trace(theme.band(style, x[kept], y[kept] - reach, y[kept] + reach), row=1, col=panel.column)
+            band = theme.band(curve, x[kept], y[kept] - reach, y[kept] + reach, showlegend=single)
+            figure.add_trace(band)
+            seen += [float(y[-1] - reach[-1]), float(y[-1] + reach[-1])]
         name = f"{style.label} · {word}"
-        curve = theme.RunStyle(style.label, style.colour, "dot" if word == "aggregate" else style.dash)
         settings = {
             "name": name,
             "meta": theme.of_run(style.label, word),
             "legendgroup": name,
-            "showlegend": panel.column == 1,
             "hovertemplate": f"%{{y:.2f}} µrad<extra>{name}</extra>",
             "mode": "lines" if history.axis == "frame" else "lines+markers",
         }
-        figure.add_trace(theme.line(curve, x[kept], y[kept], **settings), row=1, col=panel.column)
-        panel.seen.extend((float(y.min()), float(y.max())))
+        figure.add_trace(theme.line(curve, x[kept], y[kept], **settings))
+        late = y if history.axis == "iteration" else y[int(TRANSIENT_SHARE * len(y)) :]
+        seen += [float(late.min()), float(late.max())]
+    return seen
 
 
-def _draw_levels(figure: go.Figure, panel: _Panel, result: Calibration, style: theme.RunStyle, *, single: bool) -> None:
-    """Add the errors under the initial and the final parameters; beside sequential runs a batch is its final level."""
+def _draw_levels(
+    figure: go.Figure, span: tuple[float, float], result: Calibration, style: theme.RunStyle, *, single: bool
+) -> list[float]:
+    """Add the errors under the old and the new parameters; beside sequential runs a batch is its final level."""
     rms = result.rms_arc_rad
     looks = {
-        "initial": (rms.initial, theme.REFERENCE_COLOUR, "dot"),
-        "final": (rms.final, theme.REFERENCE_COLOUR, "dash"),
+        "old": (rms.initial, theme.REFERENCE_COLOUR, "dot"),
+        "new": (rms.final, theme.REFERENCE_COLOUR, "dash"),
     }
     if not single:
-        looks = {"final": (rms.final, style.colour, style.dash)}
+        looks = {"new": (rms.final, style.colour, style.dash)}
     for key, (value, colour, dash) in looks.items():
-        if value is None or (key == "initial" and panel.column > 1):
+        if value is None:
             continue
-        level = value * URAD_PER_RAD
         name = f"{key} parameters" if single else f"{style.label} · final"
-        settings = {"hovertemplate": f"%{{y:.2f}} µrad<extra>{name}</extra>", "showlegend": panel.column == 1}
-        settings |= {} if single else {"meta": theme.of_run(style.label, key)}
-        drawn = theme.reference((panel.start, panel.end), level, name, colour, dash, **settings)
-        figure.add_trace(drawn, row=1, col=panel.column)
-        panel.seen.append(level)
+        settings = {"hovertemplate": f"%{{y:.2f}} µrad<extra>{name}</extra>"}
+        settings |= {} if single else {"meta": theme.of_run(style.label, "final")}
+        figure.add_trace(theme.reference(span, value * URAD_PER_RAD, name, colour, dash, **settings))
+    return [] if rms.final is None else [rms.final * URAD_PER_RAD]
 
 
-def _dress(figure: go.Figure, panels: list[_Panel], traces: Sequence[Trace], axis: str) -> go.Figure:
-    """Choose log or linear by the range of each panel, and say what the panels show."""
-    theme.dress(figure, title=_headline(traces), height_px=380)
-    title = axis_title(axis, traces)
-    for panel in panels:
-        scale: dict[str, Any] = {"type": "linear"}
-        if panel.seen and 0 < min(panel.seen) < max(panel.seen) / LOG_RATIO:
-            scale = {"type": "log", "tickvals": TICKS_URAD}
-        figure.update_yaxes(**scale, row=1, col=panel.column)
-        figure.update_xaxes(title_text=title, range=_window(panel.start, panel.end), row=1, col=panel.column)
-    if len(panels) > 1:
-        figure.update_xaxes(title_text=f"{title}, whole run", row=1, col=1)
-        figure.update_xaxes(title_text=f"{title}, tail from {panels[1].start:.5g} on", row=1, col=2)
-    figure.update_yaxes(title_text="RMS arc error (µrad)", row=1, col=1)
-    return share_cursor(figure, counted(axis, traces))
+def _scale(figure: go.Figure, traces: Sequence[Trace], axis: str, seen: Sequence[float]) -> None:
+    """Show what follows the start; of the old parameters' error say where it lies if that is elsewhere."""
+    low, high = min(seen), max(seen)
+    if axis == "iteration" and 0 < low < high / LOG_RATIO:
+        figure.update_yaxes(type="log", tickvals=TICKS_URAD, ticktext=[number(tick, 1) for tick in TICKS_URAD])
+        return
+    margin = 0.1 * (high - low) or 0.05 * high or 1.0
+    window = [low - margin, high + 2.5 * margin]
+    figure.update_yaxes(range=window)
+    old = traces[0].result.rms_arc_rad.initial
+    if len(traces) == 1 and old is not None and not window[0] <= old * URAD_PER_RAD <= window[1]:
+        arrow = "↑" if old * URAD_PER_RAD > window[1] else "↓"
+        place = {"x": 0.02, "y": 0.98, "xref": "x domain", "yref": "y domain", "xanchor": "left", "yanchor": "top"}
+        figure.add_annotation(text=f"old parameters: {urad(old, 3)} {arrow}", **place)
 
 
-def _window(start: float, end: float) -> list[float]:
-    margin = 0.02 * (end - start) or 0.5
-    return [start - margin, end + margin]
+def _mark_tail(figure: go.Figure, traces: Sequence[Trace], axis: str) -> None:
+    """Draw where the last of the sequential runs has its tail begin."""
+    pairs = [(trace, read_history(trace.result)) for trace in traces]
+    starts = [
+        tail_start(trace.result, history, trace.tail_from)
+        for trace, history in pairs
+        if history is not None and history.axis == "frame"
+    ]
+    if axis != "frame" or not starts:
+        return
+    words = {"annotation_text": f"tail from {number(max(starts), 5)}", "annotation_position": "bottom right"}
+    figure.add_vline(x=max(starts), line=theme.LEVEL, **words)
 
 
 def _headline(traces: Sequence[Trace]) -> str:
     rms = traces[0].result.rms_arc_rad
     if len(traces) == 1 and rms.initial is not None and rms.final is not None:
-        return f"RMS arc error {rms.initial * URAD_PER_RAD:.1f} → {rms.final * URAD_PER_RAD:.1f} µrad"
+        return f"RMS arc error {urad(rms.initial)} → {urad(rms.final)} µrad"
     return "RMS arc error" if len(traces) == 1 else f"RMS arc error of {len(traces)} runs"
 
 
@@ -198,6 +238,7 @@ RMS = Figure(
     draw=draw,
     table=table,
     wide=True,
+    small=draw_small,
 )
 
 
@@ -334,4 +375,5 @@ RMS_AXES = make_figure(
         "the radius is distortion that is left over, a rise in time a sensor that changes."
     ),
     wide=True,
+    advanced=True,
 )

@@ -132,4 +132,5 @@ SHADOW = make_figure(
         "lose. A candidate worth flying lies above the baseline everywhere and has no cross."
     ),
     wide=True,
+    advanced=True,
 )

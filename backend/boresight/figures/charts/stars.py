@@ -86,4 +86,5 @@ STARS = part_figure(
         "position, and is to be flagged; many together are a fault of the model."
     ),
     wide=True,
+    advanced=True,
 )

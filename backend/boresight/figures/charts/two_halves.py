@@ -17,7 +17,7 @@ from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
 from boresight.figures.style.axes import cells, detector_map, frame_maps
-from boresight.verdicts.numbers import quantity
+from boresight.verdicts.numbers import quantity, signed
 
 LIMIT_SIGMA = 3.0
 
@@ -48,7 +48,7 @@ def _bars(one: Part[TwoHalves], *, labelled: bool) -> go.Bar:
     trace, style, part = one
     values = column(part.difference_in_sigma)
     names = [quantity(name, trace.result).markup for name in part.names]
-    text = [theme.signed(value, 2) if np.isfinite(value) else "" for value in values] if labelled else None
+    text = [signed(value, 2) if np.isfinite(value) else "" for value in values] if labelled else None
     return theme.bars(style, names, values, "%{x}: %{y:+.2f} σ", text=text, constraintext="none")
 
 

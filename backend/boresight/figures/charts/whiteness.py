@@ -66,4 +66,5 @@ WHITENESS = part_figure(
         "chance alone keeps in nineteen lags of twenty. Bars that stay inside are good; a slow decay is a drift that "
         "the constant parameters cannot follow, and makes every sigma too small."
     ),
+    advanced=True,
 )

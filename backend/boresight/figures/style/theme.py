@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from boresight.figures.chart import Trace
 from boresight.resources import folder
+from boresight.verdicts.numbers import NARROW_SPACE
 
 Tokens = dict[str, str]
 
@@ -95,6 +96,9 @@ def _template(tokens: Tokens, paper: str) -> go.layout.Template:
         "showline": True,
         "ticks": "outside",
         "ticklen": 4,
+        "exponentformat": "power",  # with the scale of exponents that tables have
+        "minexponent": 6,
+        "separatethousands": True,
         "tickcolor": line,
         "tickfont": ticks,
         "title": {"font": {"size": 12, "color": muted}, "standoff": 8},
@@ -109,6 +113,7 @@ def _template(tokens: Tokens, paper: str) -> go.layout.Template:
             # room across the axis only: along it every panel's labels push the others, for seconds, until nothing moves
             "xaxis": axis | {"automargin": "height"},
             "yaxis": axis | {"automargin": "width"},
+            "separators": f".{NARROW_SPACE}",
             "colorway": RUN_COLOURS,
             "legend": {"font": {"size": 12, "color": ink}, "bgcolor": CLEAR},
             "hoverlabel": {
@@ -158,6 +163,16 @@ def dress(figure: go.Figure, *, title: str, height_px: int, legend: bool = True,
     return figure
 
 
+def shrink(figure: go.Figure, **margin: int) -> go.Figure:
+    """Give a figure the layout of a small view: no title, no legend, and letters and margins as small as can be read."""
+    dress(figure, title="", height_px=190, legend=False, margin={"l": 44, "r": 10, "t": 8, "b": 34} | margin)
+    figure.update_layout(font={"size": 11}, meta={**figure.layout.meta, "small": True})
+    figure.update_xaxes(tickfont={"size": 10}, title={"font": {"size": 11}, "standoff": 2}, nticks=5, automargin=False)
+    figure.update_yaxes(tickfont={"size": 10}, title={"font": {"size": 11}, "standoff": 2}, nticks=5, automargin=False)
+    figure.update_annotations(font={"size": 10})
+    return figure
+
+
 def missing(title: str, sentence: str) -> go.Figure:
     """Draw nothing, and say why."""
     figure = go.Figure()
@@ -204,12 +219,6 @@ def styled(traces: Sequence[Trace]) -> list[tuple[Trace, RunStyle]]:
 def short(values: NDArray[np.float64]) -> NDArray[np.float32]:
     """Keep seven significant digits, more than a screen can show: travels as bytes, a quarter of the text's size."""
     return np.where(np.isfinite(values), values, np.nan).astype(np.float32)
-
-
-def signed(value: float, digits: int = 3) -> str:
-    """Print a number with its sign, without an exponent where it has few digits: `+12.3`, `−1,140`."""
-    text = f"{value:+,.0f}" if 1000 <= abs(value) < 1e6 else f"{value:+.{digits}g}"
-    return text.replace("-", "−")
 
 
 def plain(values: NDArray[np.float64]) -> list[float | None]:

@@ -55,9 +55,9 @@ from boresight.calibration.trust.trust_tests import MATTERS, gate_of_test
 from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.errors import RefusedInputError
 from boresight.estimation.filters import FILTERS
+from boresight.estimation.statistics.observability import WEAK
 from boresight.telemetry.sensors import Sensor
 from boresight.uplink import table_definition
-from boresight.verdicts.verdict import UNSEEN_TYPICAL_SIGMAS
 
 Document = Mapping[str, Any]
 Ends = tuple[float | None, float | None]
@@ -689,7 +689,7 @@ GATES = {
             "below",
             "typical σ",
             measure=weak_directions,
-            marginal=UNSEEN_TYPICAL_SIGMAS,
+            marginal=WEAK,
         ),
         Gate(
             "coverage",

@@ -163,7 +163,7 @@ class FramePage:
 
     def to(self, **changes: Any) -> str:
         """Return the address of this view with changes; None removes a parameter."""
-        kept = {"part": "frames", **(self.address or {}), **changes}
+        kept = {"part": "evidence", "frame": "", **(self.address or {}), **changes}
         return "?" + urlencode({name: value for name, value in kept.items() if value is not None})
 
 

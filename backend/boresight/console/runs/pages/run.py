@@ -1,14 +1,15 @@
-"""The run page: head and verdict, and below them one of its parts, the only one that is loaded.
+"""The run page: the verdict in a line, and below it one of six parts, the only one that is loaded.
 
-While a run computes the page is marked PARTIAL and follows the event stream. It never shows a parameter without its
-sigma. The word of a tab is the worst that its part shows; the keys 1 to 9 open the first nine.
+The first part, Result, has the four views that decide, the next step, and what changed. What is for research is folded away
+in its part. While a run computes the page is marked PARTIAL and follows the event stream. It never shows a parameter
+without its sigma. The word of a tab is the worst that its part shows; the keys 1 to 6 open them.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -38,12 +39,13 @@ from boresight.console.runs import service as runs
 from boresight.console.runs.pages.choice import make_choice_part
 from boresight.console.runs.pages.frames import make_frames_part
 from boresight.console.runs.pages.list import compute_run_seconds, read_names
-from boresight.console.runs.pages.live import make_live_part, make_log_part
+from boresight.console.runs.pages.live import StateNotice, make_live_part, make_log_part
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import NotFoundError
-from boresight.figures import CHAPTERS, WIDE
-from boresight.figures.charts.matching import MATCHING, why_no_matching
+from boresight.estimation.statistics.observability import WEAK
+from boresight.figures import CHAPTERS, WIDE, Figure
+from boresight.figures.charts.matching import why_no_matching
 from boresight.figures.charts.observability import helpful_data, weakest_words
 from boresight.figures.charts.shadow import SHADOW
 from boresight.figures.report import calibrate_command
@@ -67,13 +69,13 @@ from boresight.figures.tables import (
 )
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
+from boresight.verdicts.answers import make_four_views, make_headline
 from boresight.verdicts.gates.judgement import gate_rows
 from boresight.verdicts.history import RmsTail, read_history, settled_step, sigma_of_rms, summarise_tail
 from boresight.verdicts.numbers import MISSING, count, duration, number, percent, urad
 from boresight.verdicts.verdict import (
     PartVerdict,
     judge_parts,
-    make_verdict,
     make_verdict_marks,
     parse_run_summary,
     prospects,
@@ -237,7 +239,7 @@ def sight_facts(result: Calibration | None) -> tuple[Rows, list[str]]:
         (
             "Known to",
             known,
-            "One sigma along it, in units of the spread from one such sensor to the next; below 0.5 it is seen.",
+            f"One sigma along it, in units of the spread from one such sensor to the next; up to {WEAK:g} it is seen.",
         ),
         ("Condition number", condition, "Largest singular value over the smallest."),
     ]
@@ -271,13 +273,35 @@ class RunReview:
         }.get(self.run.state, f"the run ended as {self.run.state} before it had a result.")
 
 
-def make_summary_part(review: RunReview) -> dict[str, Any]:
-    """Gather old and new values, and the history while the run computes."""
-    live = () if review.run.state in TERMINAL_RUN_STATES else CHAPTERS["convergence"] + CHAPTERS["rms"]
+@dataclass(frozen=True)
+class NextStep:
+    """What a run asks for next: a sentence, and the pages that it leads to; of the first, by a button."""
+
+    sentence: str
+    links: tuple[tuple[str, str], ...] = ()
+
+
+def find_next_step(run: Run, made: ParameterSet | None, is_assessed: bool) -> NextStep:
+    """Say what follows for a run in its state."""
+    if run.state not in TERMINAL_RUN_STATES:
+        return NextStep("The page follows the run; the result stands here when it ends.")
+    if run.state != "SUCCEEDED":
+        telemetry = (f"/telemetry/{run.telemetry_set_id}", "Quality report")
+        return NextStep("Run it again, with what failed mended.", ((f"/runs/new?clone={run.id}", "Run it again"), telemetry))
+    if made is None:
+        return NextStep("Read the four views; then make a parameter set of the result.")
+    if not is_assessed:
+        return NextStep(f"{made.name} was made. Assess it.", ((f"/parameter-sets/{made.id}", f"Open {made.name}"),))
+    return NextStep(f"{made.name} was assessed.", ((f"/parameter-sets/{made.id}/gates", f"Gates of {made.name}"),))
+
+
+def make_result_part(review: RunReview) -> dict[str, Any]:
+    """Gather the four views, and old and new values."""
+    found = review.result if review.result and review.result.parameters else None
     return {
-        "rows": parameter_rows(review.result) if review.result and review.result.parameters else [],
+        "views": () if review.is_void else make_four_views(review.result),
+        "rows": parameter_rows(found) if found else [],
         "uncertainty": make_uncertainty(review.result),
-        "figures": () if review.is_void else (*live, *CHAPTERS["summary"]),
     }
 
 
@@ -292,28 +316,43 @@ def make_uncertainty(result: Calibration | None) -> dict[str, Any]:
     }
 
 
-def make_charts_part(review: RunReview, name: str) -> dict[str, Any]:
-    """Gather the figures of a chapter."""
-    return {"figures": () if review.is_void else CHAPTERS[name]}
-
-
 def make_convergence_part(review: RunReview) -> dict[str, Any]:
-    """Gather the history of the estimate."""
-    view = read_run_view(review.request.query_params, review.result)
-    return {**make_charts_part(review, "convergence"), "view": view, "facts": list_history_facts(review.result)}
-
-
-def make_rms_part(review: RunReview) -> dict[str, Any]:
-    """Gather tail, aggregate and validation errors."""
+    """Gather the history of the estimate, and tail, aggregate and validation errors."""
     view = read_run_view(review.request.query_params, review.result)
     tail, facts = tail_facts(review.result, view)
-    return {**make_charts_part(review, "rms"), "view": view, "facts": facts, "tail": tail}
+    return {"view": view, "course": list_history_facts(review.result), "errors": facts, "tail": tail}
+
+
+def make_distortion_part(review: RunReview) -> dict[str, Any]:
+    """Gather which camera the data ask for."""
+    return make_choice_part(review.request, review.session, review.actor, review.run)
 
 
 def make_observability_part(review: RunReview) -> dict[str, Any]:
     """Gather what the data determine, and which data would help."""
     facts, helpful = sight_facts(review.result)
-    return {**make_charts_part(review, "observability"), "facts": facts, "helpful": helpful}
+    return {"facts": facts, "helpful": helpful}
+
+
+def make_evidence_part(review: RunReview) -> dict[str, Any]:
+    """Gather examination, residuals and matching; one frame in their place where the address asks for it."""
+    if "frame" in review.request.query_params:
+        return make_frames_part(review.session, review.request, review.run)
+    return {
+        "trust": make_trust_part(review.result, review.why_nothing),
+        "matching": make_matching_part(review.result, review.why_nothing),
+    }
+
+
+def make_record_part(review: RunReview) -> dict[str, Any]:
+    """Gather who ran what, where the numbers come from, the log and the notes."""
+    by = read_names(review.session).person(review.run.launched_by)
+    return {
+        "header": make_run_header(review.run, by, review.data, review.validation),
+        "notes": notes.list_notes(review.session, "runs", review.run.id),
+        **make_provenance_part(review),
+        **make_log_part(review.request, review.session, review.run),
+    }
 
 
 def make_provenance_part(review: RunReview) -> dict[str, Any]:
@@ -330,14 +369,14 @@ def make_provenance_part(review: RunReview) -> dict[str, Any]:
 def make_trust_part(result: Calibration | None, why_nothing: str) -> dict[str, Any]:
     """Gather what the trust part shows; `why_nothing` is said where the run has no result."""
     if result is None:
-        return {"marks": [], "tests": [], "causes": [], "said": f"No examination: {why_nothing}", "figures": ()}
+        return {"marks": [], "tests": [], "causes": [], "said": f"No examination: {why_nothing}", "examined": False}
     return {
         "marks": trust_marks(result),
         "tests": model_test_rows(result),
         "causes": cause_rows(result),
         "said": why_absent(result, ""),
         "prospects": prospects(result),
-        "figures": CHAPTERS["trust"] if result.trust else (),
+        "examined": result.trust is not None,
         "stars": star_rows(result),
         "to_flag": to_flag(result),
         "why_no_stars": why_absent(result, "stars"),
@@ -361,8 +400,6 @@ def make_matching_part(result: Calibration | None, why_nothing: str) -> dict[str
         "flight": flight_rows(found),
         "tolerance": flight_tolerance(found),
         "side_by_side": side_by_side(found),
-        "cycles": MATCHING if matching else None,
-        "shadow": SHADOW if shown(found) else None,
         "removed": {
             "count": removed_count(found),
             "rows": removed_rows(found, MOST_REMOVED_SHOWN),
@@ -376,7 +413,29 @@ def list_verdict_marks(result: Calibration | None) -> list[Any]:
     return make_verdict_marks(result) if result and result.parameters else []
 
 
-FORMER = {"estimate": "summary"}  # what a part was called in older links
+#: Where what an older address names is now: the part, and the place in it.
+FORMER = {
+    "estimate": ("result", ""),
+    "summary": ("result", ""),
+    "rms": ("convergence", "figure-rms"),
+    "residuals": ("evidence", "residuals"),
+    "trust": ("evidence", "examination"),
+    "matching": ("evidence", "matches"),
+    "frames": ("evidence", "frame-browser"),
+    "choice": ("distortion", "choice"),
+    "log": ("record", "log"),
+    "provenance": ("record", "provenance"),
+    "notes": ("record", "notes"),
+}
+
+
+def get_former_address(run_id: int, former: str, query: Mapping[str, str]) -> str:
+    """Return where an older address of a part leads now, with the view that it asks for."""
+    part, place = FORMER[former]
+    kept = {**({"frame": ""} if former == "frames" else {}), **query, "part": part}
+    if part == "result":
+        del kept["part"]
+    return f"/runs/{run_id}{'?' + urlencode(kept) if kept else ''}{'#' + place if place else ''}"
 
 
 @dataclass(frozen=True)
@@ -395,38 +454,66 @@ def list_tabs(run_id: int, chosen: str, result: Calibration | None, notes: int =
     """Lay out the tabs of a run; `notes` is how many there are."""
     tabs, judged = [], judge_parts(result)
     if notes:
-        judged["notes"] = PartVerdict("standby", count(notes))
+        judged["record"] = PartVerdict("standby", f"{count(notes)} note{'s' * (notes != 1)}")
     for name, part in PARTS.items():
         verdict = judged.get(name, PartVerdict())
-        address = f"/runs/{run_id}" if name == "summary" else f"/runs/{run_id}?part={name}"
+        address = f"/runs/{run_id}" if name == "result" else f"/runs/{run_id}?part={name}"
         tabs.append(RunTab(name, part.title, address, name == chosen, verdict.level, verdict.word))
     return tabs
 
 
 class RunPart(NamedTuple):
-    """A part of the page: its tab, and what gathers what its template names."""
+    """A part of the page: its tab, the chapters of figures that it shows, and what gathers what its template names."""
 
     title: str
+    chapters: tuple[str, ...]
     gather: Callable[[RunReview], dict[str, Any]]
 
 
 PARTS = {
-    "summary": RunPart("Summary", make_summary_part),
-    "convergence": RunPart("Convergence", make_convergence_part),
-    "rms": RunPart("RMS", make_rms_part),
-    "distortion": RunPart("Distortion", partial(make_charts_part, name="distortion")),
-    "observability": RunPart("Observability", make_observability_part),
-    "residuals": RunPart("Residuals", partial(make_charts_part, name="residuals")),
-    "trust": RunPart("Trust", lambda review: {"trust": make_trust_part(review.result, review.why_nothing)}),
-    "matching": RunPart("Matching", lambda review: {"matching": make_matching_part(review.result, review.why_nothing)}),
-    "frames": RunPart("Frames", lambda review: make_frames_part(review.session, review.request, review.run)),
-    "choice": RunPart(
-        "Choice", lambda review: make_choice_part(review.request, review.session, review.actor, review.run)
-    ),
-    "log": RunPart("Log", lambda review: make_log_part(review.request, review.session, review.run)),
-    "provenance": RunPart("Provenance", make_provenance_part),
-    "notes": RunPart("Notes", lambda review: {"notes": notes.list_notes(review.session, "runs", review.run.id)}),
+    "result": RunPart("Result", ("summary",), make_result_part),
+    "convergence": RunPart("Convergence and RMS", ("convergence", "rms"), make_convergence_part),
+    "distortion": RunPart("Distortion", ("distortion",), make_distortion_part),
+    "observability": RunPart("Observability", ("observability",), make_observability_part),
+    "evidence": RunPart("Evidence", ("trust", "residuals", "matching"), make_evidence_part),
+    "record": RunPart("Record", (), make_record_part),
 }
+
+
+def list_part_figures(review: RunReview, part: str) -> dict[str, tuple[Figure, ...]]:
+    """List the figures of a part by chapter; none of a run without a result, and none that the result has nothing for."""
+    if review.is_void or "frame" in review.request.query_params:
+        return {}
+    found = review.result
+    lacking = {
+        "summary": found is None or not found.parameters,
+        "trust": found is None or found.trust is None,
+        "matching": found is None or found.matching is None,
+    }
+    figures = {chapter: () if lacking.get(chapter) else CHAPTERS[chapter] for chapter in PARTS[part].chapters}
+    if found is None or not shown(found):
+        figures = {chapter: tuple(one for one in kept if one is not SHADOW) for chapter, kept in figures.items()}
+    return figures
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The line above the tabs: how the run stands, the numbers, and the warnings, the worst first."""
+
+    level: str
+    word: str
+    numbers: str
+    warnings: tuple[str, ...]
+
+
+def make_run_verdict(review: RunReview, notices: Sequence[StateNotice]) -> Verdict:
+    """Say how a run stands; of one without an estimate by its state and what explains that."""
+    told = tuple(notice.sentence for notice in notices)
+    if review.result is None or not review.result.parameters:
+        kind = "No verdict" if review.run.state in TERMINAL_RUN_STATES else "No verdict yet"
+        return Verdict(review.run.state, review.run.state, f"{kind}: {review.why_nothing}", told)
+    headline = make_headline(review.result)
+    return Verdict(headline.level, headline.word, headline.numbers, (*told, *headline.warnings))
 
 
 router = APIRouter(dependencies=[Depends(csrf)])
@@ -478,15 +565,17 @@ def _set_link(data: TelemetrySet) -> Markup:
 
 
 @router.get("/runs/{run_id:int}", response_class=HTMLResponse)
-def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: str = "summary") -> Response:
-    """Show a run: its head and verdict, and one of its parts; a choice of a camera is a part of the run it is for."""
-    part = FORMER.get(part, part)
-    if part not in PARTS:
+def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: str = "result") -> Response:
+    """Show a run: its verdict, and one of its parts; a choice of a camera is a part of the run it is for."""
+    if part not in PARTS and part not in FORMER:
         raise NotFoundError(f"A run has no part {part[:40]}; choose from {', '.join(PARTS)}.")
     if (choice_of := runs.get_run(session, run_id).choice_of) is not None:
-        return redirect(f"/runs/{choice_of}?part=choice")
+        return redirect(f"/runs/{choice_of}?part=distortion#choice")
+    if part in FORMER:
+        return redirect(get_former_address(run_id, part, request.query_params))
     review = get_run_review(request, session, actor, run_id)
     run, result = review.run, review.result
+    live, head = make_live_part(request, session, run), make_run_head(review)
     return render(
         request,
         "runs/run.html",
@@ -494,12 +583,12 @@ def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: 
         terminal=run.state in TERMINAL_RUN_STATES,
         sensor=review.sensor,
         method=get_method_title(run.method),
-        **make_run_head(review),
-        **make_live_part(request, session, run),
+        **head,
+        **live,
         result=result,
         partial=run.result_sha256 is None,
         marks=list_verdict_marks(result),
-        judged=make_verdict(result) if list_verdict_marks(result) and result else None,
+        judged=make_run_verdict(review, live["notices"]),
         part=part,
         tabs=list_tabs(run_id, part, result, note_queries.count_notes(session, "runs", run_id)),
         advice=result.advice if result else [],
@@ -507,7 +596,8 @@ def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: 
         exposure_formats=[form.name for form in EXPORT_FORMATS.values() if form.needs_attitudes],
         no_result=review.why_nothing,
         wide=WIDE,
-        **PARTS[part].gather(review),
+        figures=list_part_figures(review, part),
+        **({"choice": None, "frames": None} | PARTS[part].gather(review)),
     )
 
 
@@ -530,15 +620,15 @@ def get_run_review(request: Request, session: Session, actor: Actor, run_id: int
 
 
 def make_run_head(review: RunReview) -> dict[str, Any]:
-    """Gather what is above the tabs: the run's header, its actions, and its neighbours."""
+    """Gather what is above the tabs: the run's actions, its neighbours, and what comes next."""
     actions, made = list_run_actions(review.run, review.actor), find_parameter_set(review.session, review.run)
-    by = read_names(review.session).person(review.run.launched_by)
+    assessed = list_run_gates(review.session, made)
     return {
         "actions": actions,
         "blocked": sorted({action.blocked for action in actions.values() if action.offered and action.blocked}),
         "parameter_set": made,
-        "gates": list_run_gates(review.session, made),
-        "header": make_run_header(review.run, by, review.data, review.validation),
+        "gates": assessed,
+        "next_step": find_next_step(review.run, made, bool(assessed and assessed["words"])),
         "neighbours": run_queries.read_neighbours(review.session, review.run.id),
     }
 

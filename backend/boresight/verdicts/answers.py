@@ -1,0 +1,199 @@
+"""What a run's result answers at a glance: one line over all parts, and the four views that a reviewer asks for first.
+
+Each view is a question with a sentence, which is also the title of the large figure, so that page, figure and request say
+the same. A sentence is made of numbers of the result alone and never of another sentence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from boresight.calibration.calibration import Calibration, Observability, RadialDifference
+from boresight.estimation.statistics.observability import NAMED
+from boresight.verdicts.history import History, read_history, settled_step, sigma_of_rms, summarise_tail
+from boresight.verdicts.numbers import count, number, quantity, signed, urad
+from boresight.verdicts.verdict import LEVELS, count_weak, make_verdict, make_verdict_marks, trust_marks
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a view says: how it stands, and one sentence."""
+
+    level: str
+    sentence: str
+
+
+@dataclass(frozen=True)
+class View:
+    """One of the four views: the figure it draws, the part of the run's page that has the large one, and its answer."""
+
+    figure: str
+    part: str
+    title: str
+    answer: Answer
+
+
+@dataclass(frozen=True)
+class Headline:
+    """The verdict in a line: its level and word, the numbers behind it, and its warnings, the worst first."""
+
+    level: str
+    word: str
+    numbers: str
+    warnings: tuple[str, ...]
+
+
+def make_headline(result: Calibration) -> Headline:
+    """Say in a line what a result is worth."""
+    judged = make_verdict(result)
+    doubts = [mark for mark in (*make_verdict_marks(result), *trust_marks(result)) if mark.reason]
+    ordered = sorted(doubts, key=lambda mark: -LEVELS.index(mark.level))
+    reasons = [mark.reason for mark in ordered] if judged.level != "normal" else []
+    rms, held_out = result.rms_arc_rad, result.validation.rms_arc_rad if result.validation else None
+    told = []
+    if rms.initial is not None and rms.final is not None:
+        told.append(f"RMS {urad(rms.initial, 3)} → {urad(rms.final, 3)} µrad")
+    if result.validation and held_out and held_out.initial is not None and held_out.final is not None:
+        sigma = sigma_of_rms(held_out.final, result.validation.common_pairs)
+        reach = "" if sigma is None else f" ± {urad(3 * sigma, 2)}"
+        told.append(f"held-out {urad(held_out.initial, 3)} → {urad(held_out.final, 3)}{reach}")
+    seen = result.observability
+    if seen and seen.singular_values:
+        told.append("every direction is seen" if not count_weak(seen) else describe_weak(seen))
+    return Headline(judged.level, judged.word, "; ".join(told), tuple(dict.fromkeys([*reasons, *result.advice])))
+
+
+def make_four_views(result: Calibration | None) -> list[View]:
+    """Answer the four questions that decide about a result; what it does not have says so."""
+    found = result or Calibration(status="running")
+    return [View(figure, part, title, answer(found)) for figure, part, title, answer in _VIEWS]
+
+
+def describe_weak(seen: Observability) -> str:
+    """Say how many of the directions are not seen, such as `3 of 8 directions are not seen`."""
+    weak, whole = count_weak(seen), len(seen.singular_values)
+    if not weak:
+        return f"{count(whole)} of {count(whole)} directions are seen"
+    return f"{count(weak)} of {count(whole)} directions {'is' if weak == 1 else 'are'} not seen"
+
+
+def answer_observability(result: Calibration) -> Answer:
+    """Say how many directions the data see, and how well the weakest is known."""
+    seen = result.observability
+    if seen is None or not seen.singular_values:
+        return _nothing(result, "Observability was not computed.")
+    level = "caution" if count_weak(seen) else "normal"
+    return Answer(level, f"{describe_weak(seen)}; {_weakest(seen, result)}.")
+
+
+def _weakest(seen: Observability, result: Calibration) -> str:
+    shares = {name: share for name, share in seen.weakest.direction.items() if share is not None}
+    ordered = sorted(shares, key=lambda name: -abs(shares[name]))
+    named = [quantity(name, result).symbol for name in ordered if abs(shares[name]) >= NAMED]
+    spread = seen.sigma_of_direction[-1] if seen.sigma_of_direction else None
+    known = "is not determined" if spread is None else f"is known to {number(spread, 2)} typical σ"
+    return f"the weakest{', ' + ' + '.join(named) + ',' if named else ''} {known}"
+
+
+def answer_convergence(result: Calibration) -> Answer:
+    """Say where the estimate settled, and whether it ended inside the bands that it drew on its way."""
+    history = read_history(result)
+    if history is None:
+        return _nothing(result, "No history was kept.")
+    if result.status == "running":
+        return Answer("standby", f"On its way: {history.axis} {count(history.x[-1])}.")
+    first, free = settled_step(result), len(history.free)
+    if first is None:
+        return Answer("caution", f"Not settled: the end of {history.axis} {count(history.x[-1])} is not at rest.")
+    whole = "The parameter" if free == 1 else f"All {count(free)} parameters"
+    settled = f"{whole} settled by {history.axis} {count(history.x[first])}"
+    if history.axis == "iteration":
+        return Answer("normal", f"{settled} of {count(history.x[-1])}.")
+    left = count_left_bands(history)
+    if not left:
+        return Answer("normal", f"{settled}; {'it' if free == 1 else 'each'} ended inside its earlier ±3σ.")
+    return Answer("caution", f"{settled}; {count(left)} of {count(free)} ended outside a ±3σ of its second half.")
+
+
+def count_left_bands(history: History) -> int:
+    """Count the free parameters whose end lies outside a 3-sigma band that they had in the second half of the run."""
+    free = [history.names.index(name) for name in history.free]
+    value, sigma = (rows[len(history.x) // 2 :, free] for rows in (history.value, history.sigma))
+    away = np.abs(value - value[-1]) > 3 * sigma
+    return int(away.any(axis=0).sum())
+
+
+def answer_rms(result: Calibration) -> Answer:
+    """Say whether tail and aggregate meet, and how far the error fell."""
+    rms, tail = result.rms_arc_rad, summarise_tail(result)
+    if tail is not None and tail.tail_rad is not None and tail.aggregate_rad is not None:
+        both = f"aggregate {urad(tail.aggregate_rad, 3)}, tail {urad(tail.tail_rad, 3)} µrad"
+        old = "" if rms.initial is None else f"; old parameters {urad(rms.initial, 3)}"
+        if result.status == "running":
+            return Answer("standby", f"So far {both}{old}.")
+        meet = abs(tail.tail_rad - tail.aggregate_rad) <= 3 * (tail.sigma_rad or 0.0)
+        words = "Tail and aggregate meet" if meet else "Tail and aggregate differ"
+        return Answer("normal" if meet else "caution", f"{words}: {both}{old}.")
+    if rms.initial is None or rms.final is None:
+        return _nothing(result, "No RMS arc error was computed.")
+    sigma = sigma_of_rms(rms.final, result.pairs)
+    reach = "" if sigma is None else f" ± {urad(3 * sigma, 2)}"
+    level = "standby" if result.status == "running" else "normal" if rms.final < rms.initial else "caution"
+    return Answer(level, f"From {urad(rms.initial, 3)} to {urad(rms.final, 3)}{reach} µrad.")
+
+
+@dataclass(frozen=True)
+class LargestChange:
+    """The largest radial change where stars reach: px with its 3 sigma (None where not known), and its radius."""
+
+    change_px: float
+    reach_px: float | None
+    radius_px: float
+
+
+def find_largest_change(radial: RadialDifference) -> LargestChange | None:
+    """Find the largest change at the radii where stars were; None where no change is known."""
+    edge = np.inf if radial.data_radius_px is None else radial.data_radius_px
+    known = [
+        place
+        for place, (radius, change) in enumerate(zip(radial.radius_px, radial.difference_px, strict=False))
+        if change is not None and np.isfinite(change) and radius <= edge
+    ]
+    if not known:
+        return None
+    worst = max(known, key=lambda place: abs(radial.difference_px[place] or 0.0))
+    sigma = radial.sigma_px[worst] if worst < len(radial.sigma_px) else None
+    reach = 3 * sigma if sigma is not None and np.isfinite(sigma) else None
+    return LargestChange(float(radial.difference_px[worst] or 0.0), reach, radial.radius_px[worst])
+
+
+def describe_largest_change(radial: RadialDifference) -> str:
+    """Say in a sentence how far the parameters move a star at most; nothing where that is not known."""
+    found = find_largest_change(radial)
+    if found is None:
+        return ""
+    spread = "" if found.reach_px is None else f" ± {number(found.reach_px, 2)}"
+    return f"At most {signed(found.change_px)}{spread} px (3σ) where stars reach, at radius {count(found.radius_px)} px"
+
+
+def answer_radial(result: Calibration) -> Answer:
+    """Say how far the new parameters move a star along the radius."""
+    said = describe_largest_change(result.radial) if result.radial and result.radial.radius_px else ""
+    return Answer("normal", f"{said}.") if said else _nothing(result, "The radial difference was not computed.")
+
+
+def _nothing(result: Calibration, never: str) -> Answer:
+    if result.status == "running":
+        return Answer("standby", "Computed when the run ends.")
+    return Answer("off", never)
+
+
+_VIEWS: tuple[tuple[str, str, str, Callable[[Calibration], Answer]], ...] = (
+    ("convergence", "convergence", "Convergence, ±3σ", answer_convergence),
+    ("rms", "convergence", "RMS arc error", answer_rms),
+    ("radial", "distortion", "Radial difference, new − old", answer_radial),
+    ("observability", "observability", "Observability", answer_observability),
+)
