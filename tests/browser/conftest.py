@@ -140,7 +140,7 @@ def watched(people, batch_run):
         window.open(f"/runs/{run_id}?part=convergence")
         for _ in range(LOOKS):
             seen.lengths.append(window.grown("convergence", max(seen.lengths, default=0)))
-            head, verdict = (window.page.locator(place) for place in ("#run-head", "#verdict header"))
+            head, verdict = (window.page.locator(place) for place in ("#run-head", "#verdict summary"))
             seen.said.append(head.inner_text() + verdict.inner_text())
             seen.fetched.append(len(fetches))
         seen.drawn = window.drawn("convergence")
@@ -149,7 +149,7 @@ def watched(people, batch_run):
             window.figure("convergence").locator("plot-figure").dispatch_event("figure-refresh")
         window.grown("convergence", len(seen.drawn[1]["x"]))
         seen.fetched_anew = window.drawn("convergence")
-        window.open(f"/runs/{run_id}?part=log")
+        window.open(f"/runs/{run_id}?part=record")
         # with fewer lines its end is in sight wherever it is scrolled to
         expect(window.page.locator("log-tail")).to_contain_text(re.compile(r"\b1\d\s%:"))
         seen.log = window.page.locator("log-tail").inner_text()
@@ -158,7 +158,8 @@ def watched(people, batch_run):
         window.page.get_by_label("Why stop it").fill("Seen enough.")
         window.page.get_by_role("button", name="Cancel run").click()
         ends_as(window, "CANCELLED")
-        seen.at_the_end = window.page.locator("#run-head").inner_text()
+        window.open(f"/runs/{run_id}")
+        seen.at_the_end = window.page.locator("#what-happened").inner_text()
         return seen
 
 

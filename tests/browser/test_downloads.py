@@ -10,13 +10,13 @@ import pytest
 pytestmark = pytest.mark.browser
 
 SINGLE = 1e-6  # figures are sent in single precision
-UNITS = {"f_m": 1e6, "a1_rad": 1e3, "a2_rad": 1e3, "g_y": 1e6}
+UNITS = {"f_m": 1e6, "b4_per_m4": 1e-8, "a1_rad": 1e3, "a2_rad": 1e3, "g_y": 1e6}
 SMALLEST_BAR = 0.1
 PARTS = {
-    "parameters": "summary",
-    "correlation": "summary",
+    "parameters": "result",
+    "correlation": "result",
     "convergence": "convergence",
-    "rms": "rms",
+    "rms": "convergence",
     "distortion": "distortion",
     "radial": "distortion",
     "coverage": "distortion",
@@ -112,11 +112,11 @@ def test_the_csv_of_rms_has_tail_and_aggregate(run_page):
 
 def test_the_csv_of_the_radial_difference_has_the_curve_and_its_band(run_page):
     table = run_page.csv("radial")
-    band, line = run_page.drawn("radial")[:2]
+    line, band = run_page.drawn("radial")[:2]
     value, reach = floats(table["difference_px"]), 3 * floats(table["sigma_px"])
     close(line["x"], floats(table["radius_px"]))
     close(line["y"], value)
-    close(sorted(band["y"]), np.sort(np.concatenate([value - reach, value + reach])))
+    close(sorted(band["y"]), np.sort(np.concatenate([-reach, reach])))
 
 
 def test_the_csv_of_observability_has_the_bars_and_the_directions(run_page, initial):

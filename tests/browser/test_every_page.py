@@ -49,10 +49,13 @@ ADDRESSES = {
 }
 VISITORS = {"log-in": None} | dict.fromkeys(("users", "webhooks", "administration"), "administrator")
 REFUSED = {"no-such-page": 404, "forbidden": 403}  # a browser complains of these
-KEYED = ("overview", "runs", "launch", "run-summary", "compare", "approval", "parameter-set", "uplink-steps", "users")
+KEYED = ("overview", "runs", "launch", "run-result", "compare", "approval", "parameter-set", "uplink-steps", "users")
 LISTS = ("approvals", "timeline", "parameter-sets", "set-gates", "users", "audit")
 CUT = """() => [...document.querySelectorAll(".scroll")]
     .filter(panel => panel.scrollWidth > panel.clientWidth).map(panel => panel.ariaLabel)"""
+GLANCE, HIGHEST_PX = {"width": 1280, "height": 720}, 420
+FIRST = "() => document.querySelector('plot-figure, .answer').getBoundingClientRect().top"
+LAST_VIEW = "() => Math.max(...[...document.querySelectorAll('.small-view')].map(one => one.getBoundingClientRect().bottom))"
 LONG_NAME = "Wolfeschlegelsteinhausenbergerdorffwelchevoralternwarengewis"
 
 
@@ -68,8 +71,13 @@ def visit(window, name, numbers):
 def stands_under_the_verdict(window, part):
     expect(window.page.locator("#parts [aria-current]")).to_contain_text(PARTS[part].title)
     expect(window.page.locator("#verdict")).to_contain_text("converged")
-    drawn = window.page.locator("plot-figure").evaluate_all("all => all.map(one => one.closest('section').id)")
-    assert drawn == [f"figure-{figure.name}" for figure in CHAPTERS.get(part, ())]
+    drawn = window.page.locator("plot-figure:not([small])").evaluate_all("all => all.map(one => one.closest('section').id)")
+    assert set(drawn) == {f"figure-{one.name}" for chapter in PARTS[part].chapters for one in CHAPTERS[chapter]} - {"figure-shadow"}
+    window.page.set_viewport_size(GLANCE)
+    top = window.page.evaluate(FIRST)
+    assert top <= HIGHEST_PX, f"the first figure of {part} begins at {top} px"
+    if part == "result":
+        assert window.page.evaluate(LAST_VIEW) <= GLANCE["height"], "the four views are not in one look"
 
 
 @pytest.mark.parametrize("name", ADDRESSES)

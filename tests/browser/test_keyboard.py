@@ -203,8 +203,8 @@ def test_a_sensor_its_telemetry_and_its_run_are_made_and_read_by_keys_alone(peop
         window.page.wait_for_url(re.compile(r"/runs/\d+$"))
         ends_as(window, "SUCCEEDED")
 
-        press(window, "3")
-        window.page.wait_for_url("**?part=rms")
+        press(window, "2")
+        window.page.wait_for_url("**?part=convergence")
         window.figures_drawn()
         window.keep("keyboard-4-reading")
         made = int(re.search(r"/runs/(\d+)", window.page.url)[1])

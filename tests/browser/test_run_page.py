@@ -54,6 +54,7 @@ def test_the_log_stays_where_somebody_reads_and_rests_while_it_is_paused(watched
 
 
 LINES = "#figure-convergence .cursor-line:not([hidden])"
+TAIL = "() => document.querySelector('#figure-rms .js-plotly-plot')._fullLayout.shapes[0].x0"
 AXIS = "() => document.querySelector('#figure-convergence .js-plotly-plot')._fullLayout.yaxis10.type"
 
 
@@ -68,7 +69,7 @@ def test_the_pointer_over_one_chart_marks_the_same_place_in_all_that_share_its_a
     window.open(f"/runs/{sequential_run}?part=convergence")
     window.figures_drawn()
     expect(window.page.locator(LINES)).to_have_count(0)
-    window.figure("methods").locator(".nsewdrag").hover(position={"x": 200, "y": 150})
+    window.figure("rms").locator(".nsewdrag").hover(position={"x": 200, "y": 150})
     expect(window.page.locator(LINES)).to_have_count(10)
     window.page.locator("h1").hover()
     expect(window.page.locator(LINES)).to_have_count(0)
@@ -84,28 +85,27 @@ def test_scale_and_tail_are_in_the_address_so_that_a_second_person_sees_the_same
     window.page.wait_for_url("**scale=linear**")
     window.figures_drawn()
     assert window.page.evaluate(AXIS) == "linear"
-    window.open(f"/runs/{sequential_run}?part=rms")
     window.page.get_by_label("Tail from frame").fill("60")
-    window.page.get_by_role("form", name="View of the RMS").get_by_role("button", name="Show").click()
+    window.page.get_by_role("form", name="View of the history").get_by_role("button", name="Show").click()
     window.page.wait_for_url("**tail_from=60**")
     with people.seat("approver") as second:
         second.open(window.page.url)
-        expect(second.page.locator("#facts")).to_contain_text("frame 60 to 99")
-        tails = [one for one in second.drawn("rms") if one["name"].endswith("· tail")]
-        assert [min(one["x"]) for one in tails] == [min(tails[0]["x"]), 60]
+        expect(second.page.locator("#errors")).to_contain_text("frame 60 to 99")
+        second.figures_drawn()
+        assert second.page.evaluate(TAIL) == 60
 
 
 def test_the_runs_beside_are_one_step_away_in_the_same_part(window, batch_run, sequential_run):
-    window.open(f"/runs/{sequential_run}?part=provenance")
+    window.open(f"/runs/{sequential_run}?part=record")
     window.page.locator("a[rel=prev]").click()
-    window.page.wait_for_url(re.compile(rf"/runs/(?!{sequential_run}\b)\d+\?part=provenance"))
+    window.page.wait_for_url(re.compile(rf"/runs/(?!{sequential_run}\b)\d+\?part=record"))
     assert int(re.search(r"/runs/(\d+)", window.page.url)[1]) >= batch_run
 
 
 def test_a_figure_that_fails_says_so_and_comes_back_on_retry(window, sequential_run):
     window.page.route("**/figures/rms?*", lambda route: route.abort())
     window.page.route("**/figures/rms", lambda route: route.abort())
-    window.open(f"/runs/{sequential_run}?part=rms")
+    window.open(f"/runs/{sequential_run}?part=convergence")
     panel = window.figure("rms")
     expect(panel.locator("plot-figure")).to_have_attribute("data-state", "error")
     window.page.unroute_all(behavior="ignoreErrors")
@@ -116,7 +116,7 @@ def test_a_figure_that_fails_says_so_and_comes_back_on_retry(window, sequential_
 
 def test_a_frame_is_stepped_through_scaled_and_found_again_by_its_address(people, batch_run):
     with people.seat("analyst") as window:
-        window.open(f"/runs/{batch_run}?part=frames&frame=5&scale=100")
+        window.open(f"/runs/{batch_run}?part=evidence&frame=5&scale=100")
         page = window.page
         heading, drawing = page.get_by_role("heading", level=2, name="Frame"), page.locator(".frame-drawing")
         expect(heading).to_have_text("Frame 5")
@@ -157,6 +157,7 @@ def open_part(window, run_id, part):
     window.open(f"/runs/{run_id}")
     window.page.get_by_role("navigation", name="Parts of this run").get_by_role("link", name=part).click()
     window.page.wait_for_url(f"**/runs/{run_id}?part={part.lower()}")
+    window.figures_drawn()
 
 
 def clone(window, run_id, frames_per_s, label):
@@ -174,26 +175,30 @@ def result(people, batch_run):
 @pytest.fixture(scope="module")
 def trust_page(people, batch_run):
     with people.seat("analyst") as window:
-        open_part(window, batch_run, "Trust")
+        open_part(window, batch_run, "Evidence")
         yield window
 
 
 def test_the_page_can_be_read_before_its_figures_are_drawn(people, batch_run):
     with people.seat("analyst") as window:
         window.page.route("**/figures/*", lambda _: None)  # no figure ever arrives
-        window.open(f"/runs/{batch_run}?part=trust")
+        window.open(f"/runs/{batch_run}?part=evidence")
         expect(window.page.get_by_role("heading", name="Examination")).to_be_visible()
         expect(window.page.get_by_role("table", name="Residuals of each star")).to_be_visible()
         window.page.unroute_all(behavior="ignoreErrors")
 
 
-def test_figures_far_below_are_drawn_without_being_scrolled_to(people, batch_run):
+def test_figures_far_below_are_drawn_without_being_scrolled_to_and_folded_ones_when_they_are_unfolded(people, batch_run):
     with people.seat("analyst") as window:
-        window.open(f"/runs/{batch_run}?part=trust")
+        window.open(f"/runs/{batch_run}?part=evidence")
         window.figures_drawn()
         assert window.page.evaluate("scrollY") == 0
         for figure in CHAPTERS["trust"]:
-            expect(window.figure(figure.name)).to_have_count(1)
+            drawn = window.figure(figure.name).locator(".js-plotly-plot")
+            expect(drawn).to_have_count(0 if figure.advanced else 1)
+        window.unfold()
+        for figure in CHAPTERS["trust"]:
+            expect(window.figure(figure.name).locator(".js-plotly-plot, [data-state=empty]")).to_have_count(1)
 
 
 def test_the_charts_hold_the_numbers_of_the_result(trust_page, result):
@@ -209,7 +214,7 @@ def test_the_charts_hold_the_numbers_of_the_result(trust_page, result):
 
 def test_the_whiteness_of_the_residuals_part_is_that_of_the_examination(people, batch_run, result):
     with people.seat("analyst") as window:
-        open_part(window, batch_run, "Residuals")
+        open_part(window, batch_run, "Evidence")
         (correlations,) = window.drawn("whiteness")
         expected = result["trust"]["whiteness"]["autocorrelation"]
         assert correlations["y"] == pytest.approx(expected, rel=SINGLE, abs=SINGLE)
@@ -238,7 +243,7 @@ def test_every_suspect_is_marked_and_they_are_the_list_to_flag(trust_page, resul
 def test_the_matching_part_counts_what_the_result_counts(people, batch_run, result):
     with people.seat("analyst") as window:
         matching = result["matching"]
-        open_part(window, batch_run, "Matching")
+        open_part(window, batch_run, "Evidence")
         for name in ("Given", "Kept", "Removed", "Added", "Matched"):
             told = window.page.locator(f"#matches dl.verdict dt:text-is('{name}') + dd b").inner_text()
             assert int(re.sub(r"\D", "", told)) == matching[name.lower()]
@@ -251,7 +256,7 @@ def test_trust_appears_by_itself_when_the_run_that_is_watched_ends(people, batch
             clone(window, batch_run, pace, label)
             for pace, label in ((ONE_A_SECOND, "Has the only worker"), (FIFTY_A_SECOND, "Watched for its trust"))
         )
-        open_part(window, run_id, "Trust")
+        open_part(window, run_id, "Evidence")
         examination = window.page.locator("#examination")
         expect(examination).to_contain_text("No examination")
         window.send(f"/runs/{before}/cancel", {})

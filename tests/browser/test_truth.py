@@ -51,7 +51,7 @@ def test_a_run_whose_data_are_lost_fails_with_its_cause_and_what_to_try(people, 
         ends_as(window, "FAILED")
         reason = window.read(f"/api/v1/runs/{run_id}")["reason"]
         assert reason
-        head = window.page.locator("#run-head")
+        head = window.page.locator("#what-happened")
         expect(window.page.get_by_role("alert")).to_have_text(reason)
         expect(head).to_contain_text("clone this run and edit it")
         expect(head.get_by_role("list", name="Last lines of the log")).to_contain_text("RUNNING: attempt 1")
@@ -64,10 +64,11 @@ def test_a_run_whose_data_are_lost_fails_with_its_cause_and_what_to_try(people, 
         head.get_by_role("link", name="Whole log").click()
         window.page.get_by_role("link", name=re.compile("^Errors")).click()
         expect(window.page.get_by_role("listitem").filter(has_text=f"FAILED: {reason}")).to_be_visible()
-        assert window.page.url.endswith("part=log&level=error")
+        assert window.page.url.endswith("part=record&level=error#log")
         assert window.barriers() == []
         window.shoot("41-failed-log")
-        head.get_by_role("link", name="Run it again").click()
+        window.page.locator("#verdict summary").click()
+        window.page.locator("#verdict").get_by_role("link", name="Run it again").click()
         expect(window.page.get_by_label("Label")).to_have_value(re.compile("Its data are gone"))
 
 
@@ -80,7 +81,7 @@ def test_a_cancelled_run_says_who_stopped_it_and_keeps_no_result(people, batch_r
         expect(window.page.locator("#run-head")).to_contain_text("RUNNING")
         window.page.get_by_role("button", name="Cancel run").click()
         ends_as(window, "CANCELLED")
-        expect(window.page.locator("#run-head")).to_contain_text("Cancelled by Ada Analyst")
+        expect(window.page.locator("#what-happened")).to_contain_text("Cancelled by Ada Analyst")
         expect(window.page.get_by_role("button", name="Cancel run")).to_have_count(0)
         expect(window.page.locator("#verdict")).to_contain_text("the run ended as CANCELLED before it had a result")
         expect(window.page.locator("plot-figure")).to_have_count(0)

@@ -156,13 +156,22 @@ class Window:
         )
 
     def figures_drawn(self) -> None:
-        waiting = "plot-figure:not([data-state=ready]):not([data-state=empty])"
+        waiting = ":not(details:not([open]) *) > plot-figure:not([data-state=ready]):not([data-state=empty])"
         expect(self.page.locator(waiting)).to_have_count(0)
 
     def figure(self, name: str) -> Locator:
         return self.page.locator(f"#figure-{name}")
 
+    def unfold(self) -> None:
+        """Open what is for research, and let its figures be drawn."""
+        self.page.locator("details.advanced").evaluate_all("all => { for (const one of all) one.open = true; }")
+        for figure in self.page.locator("details.advanced plot-figure").all():
+            figure.scroll_into_view_if_needed()
+        self.figures_drawn()
+
     def drawn(self, name: str) -> list[dict[str, Any]]:
+        self.figure(name).evaluate("one => { for (let at = one; at; at = at.parentElement) if (at.localName === 'details') at.open = true; }")
+        self.figure(name).scroll_into_view_if_needed()
         drawing = self.figure(name).locator(".js-plotly-plot")
         expect(drawing).to_have_count(1)
         return drawing.evaluate(f"figure => {{ {PLAIN} return ({TRACES})(figure) }}")

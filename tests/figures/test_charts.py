@@ -18,13 +18,18 @@ from boresight.calibration.calibration import (
     Values,
 )  # fmt: skip
 from boresight.calibration.evaluation.contrast import RadialContrast
+from boresight.estimation.statistics.observability import WEAK
 from boresight.figures import FIGURES, Trace
 from boresight.figures.chart import tailed
 from boresight.figures.charts import radial as radial_contrast
 from boresight.figures.charts.methods import method_scores
 from boresight.figures.factory import column
 from boresight.figures.style.axes import EXTRAPOLATED
+from boresight.verdicts.answers import make_four_views
+from boresight.verdicts.gates.measurements import GATES
 from boresight.verdicts.history import settled_step, sigma_of_rms, summarise_tail
+
+from boresight.verdicts.verdict import summarise_run
 
 
 def named(drawn, name):
@@ -39,10 +44,12 @@ def draw(name, *results, **changes):
 
 def test_rms_is_in_microradians_with_both_levels_and_a_dash_for_tail_and_aggregate(sequential_result):
     drawn = draw("rms", sequential_result)
-    assert named(drawn, "initial parameters")[0].y[0] == pytest.approx(412.9)
-    assert named(drawn, "final parameters")[0].y[0] == pytest.approx(82.6)
+    assert named(drawn, "old parameters")[0].y[0] == pytest.approx(412.9)
+    assert named(drawn, "new parameters")[0].y[0] == pytest.approx(82.6)
     assert "µrad" in drawn.layout.yaxis.title.text
-    assert [named(drawn, f"Run · {kind}")[0].line.dash for kind in ("tail", "aggregate")] == ["solid", "dot"]
+    curves = [named(drawn, f"Run · {kind}")[0].line for kind in ("tail", "aggregate")]
+    assert [line.dash for line in curves] == ["solid", "dot"]
+    assert curves[0].color != curves[1].color
 
 
 def test_the_tail_begins_where_the_run_had_settled_or_where_a_reader_wants_it(sequential_result):
@@ -53,9 +60,10 @@ def test_the_tail_begins_where_the_run_had_settled_or_where_a_reader_wants_it(se
         (running, 40),
     )  # a fifth is left out
     for trace, start in starts:
-        whole, tail = named(FIGURES["rms"].draw([trace]), "Run · tail")
+        drawn = FIGURES["rms"].draw([trace])
+        (whole,), (mark,) = named(drawn, "Run · tail"), [shape for shape in drawn.layout.shapes if shape.x0 == shape.x1]
         assert min(whole.x) == 0
-        assert min(tail.x) == pytest.approx(start, abs=1)
+        assert mark.x0 == pytest.approx(start, abs=1)
 
 
 def test_the_tail_s_mean_and_sigma_are_those_of_the_window_and_an_rms_scatters_by_its_sigma(sequential_result):
@@ -70,7 +78,7 @@ def test_the_tail_s_mean_and_sigma_are_those_of_the_window_and_an_rms_scatters_b
     assert rms.std() == pytest.approx(sigma_of_rms(1.0, 200), rel=0.05)
 
 
-@pytest.mark.parametrize(("name", "panels"), [("distortion", 1), ("radial", 2)])
+@pytest.mark.parametrize(("name", "panels"), [("distortion", 1), ("radial", 3)])
 def test_radii_without_stars_are_hatched_from_the_outermost_star_on_and_named_once(name, panels, sequential_result):
     hatched = named(draw(name, sequential_result), "no stars: extrapolated")
     reached, last = sequential_result.radial.data_radius_px, sequential_result.radial.radius_px[-1]
@@ -93,7 +101,7 @@ def test_correlations_are_the_covariance_over_the_sigmas_and_name_the_strongest_
     drawn = draw("correlation", result)
     assert np.array(drawn.data[0].z, float)[0, 1] == pytest.approx(-0.9)
     assert np.isnan(np.array(drawn.data[0].z, float)[0, 0])
-    assert "−0.9: read them together" in drawn.layout.title.text
+    assert "−0.900: read them together" in drawn.layout.title.text
     assert FIGURES["correlation"].table(result)["correlation"] == pytest.approx([1.0, -0.9, 1.0])
 
 
@@ -134,6 +142,56 @@ def test_each_direction_is_a_column_with_its_largest_share_positive_and_the_weak
     assert any("g_y and f move together" in annotation.text for annotation in drawn.layout.annotations)
     open_one = replace(seen, singular_values=[*seen.singular_values[:-1], 0.0], condition_number=None)
     assert "infinite" in draw("observability", sequential_result, observability=open_one).layout.title.text
+
+
+def test_a_direction_that_is_not_seen_is_amber_and_hatched_and_figure_view_verdict_and_gate_have_one_limit(
+    sequential_result,
+):
+    seen = sequential_result.observability
+    spread = [0.1] * 5 + [WEAK, 1.01 * WEAK, None]
+    values = [0.0 if one is None else 1 / one for one in spread]
+    weak = replace(seen, singular_values=values, sigma_of_direction=spread, condition_number=None)
+    for drawn in (draw("observability", sequential_result, observability=weak), draw_small("observability", weak, sequential_result)):
+        assert list(drawn.data[0].marker.pattern.shape) == [""] * 6 + ["/"] * 2
+        assert len(set(drawn.data[0].marker.color[:6])) == len(set(drawn.data[0].marker.color[6:])) == 1
+        assert drawn.data[0].marker.color[0] != drawn.data[0].marker.color[-1]
+    result = replace(sequential_result, observability=weak)
+    said = "2 of 8 directions are not seen"
+    assert said in draw("observability", result).layout.title.text
+    assert said in make_four_views(result)[3].answer.sentence
+    assert summarise_run(result).weak_directions == 2
+    assert GATES["weak-directions"].marginal == WEAK
+
+
+def draw_small(name, seen, result):
+    return FIGURES[name].small([Trace("Run", replace(result, observability=seen))])
+
+
+def test_the_four_views_have_small_figures_without_title_or_legend_that_grow_as_the_large_ones_do(running):
+    for view in make_four_views(running):
+        drawn = FIGURES[view.figure].small([Trace("Run", running)])
+        assert not drawn.layout.title.text
+        assert not drawn.layout.showlegend
+    small = FIGURES["convergence"].small([Trace("Run", running)])
+    curves = [one for one in small.data if (one.meta or {}).get("follow", {}).get("index") is not None]
+    assert len([one for one in curves if not one.fill]) == len(running.free)
+    for one in curves:
+        if not one.fill:
+            shown = np.asarray(one.y, float)
+            assert grown(one.meta["follow"], running.history, -1) == pytest.approx(shown[-1:], abs=1e-4)
+
+
+def test_the_band_of_the_radial_difference_has_a_panel_of_its_own_around_nought(sequential_result):
+    drawn = draw("radial", sequential_result)
+    (curve,), (band,) = named(drawn, "Run"), named(drawn, "Run ±3σ")
+    assert curve.yaxis != band.yaxis
+    y = np.asarray(band.y, float)
+    assert max(y) == pytest.approx(-min(y)) == pytest.approx(3 * max(sequential_result.radial.sigma_px), rel=1e-4)
+
+
+def test_bands_are_named_in_the_legend_once_a_run(sequential_result):
+    for name in ("convergence", "rms", "radial"):
+        assert [one.showlegend for one in named(draw(name, sequential_result), "Run ±3σ")].count(True) == 1
 
 
 def test_the_first_detector_row_is_at_the_top_and_empty_cells_are_gaps(sequential_result):
@@ -261,7 +319,7 @@ def test_what_a_trace_says_of_its_growth_gives_the_points_that_it_shows(running,
     figure = draw(name, running)
     growing = [trace for trace in figure.data if "follow" in (trace.meta or {})]
     curves = [trace for trace in growing if not {"band", "level"} & set(trace.meta["follow"])]
-    assert len(curves) == {"convergence": 9, "rms": 4}[name]
+    assert len(curves) == {"convergence": 9, "rms": 2}[name]
     for trace in curves:
         follow = trace.meta["follow"]
         if follow["column"] == "nis_per_dof":

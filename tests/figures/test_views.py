@@ -19,6 +19,7 @@ from boresight.figures.style.theme import THEMES, TOKENS, label_styles, read_the
 from boresight.figures.style.thinning import POINT_LIMIT, keep_extremes, thinning
 from boresight.figures.views import POINT_BUDGET, aligned, as_band, find_span, focus
 from boresight.resources import folder
+from boresight.verdicts.numbers import signed
 from tests.calibrations import changed
 from tests.figures.examined import examined, sequential, shadow, trust
 
@@ -99,7 +100,7 @@ def test_a_band_keeps_the_reference_and_replaces_all_others(labels):
     traces = [Trace(label, sequential(60, seed=k)) for k, label in enumerate(labels)]
     figure, band = as_band(FIGURES["rms"].draw(traces), traces), f"lowest to highest of {len(labels) - 1} runs"
     assert {drawn.name for drawn in figure.data} == {f"{labels[0]} · tail", f"{labels[0]} · aggregate", band}
-    assert sum(drawn.name == band for drawn in figure.data) == 4  # two panels, two curves
+    assert sum(drawn.name == band for drawn in figure.data) == 2  # of two curves
     assert len(labels) < 12 or len(figure_json(figure)) < len(figure_json(FIGURES["rms"].draw(traces))) / 2
 
 
@@ -251,7 +252,7 @@ def test_the_first_colours_stay_apart_for_deficient_colour_vision(deficiency):
 
 def test_neighbouring_runs_differ_by_dash_too_and_numbers_are_signed_with_a_true_minus():
     assert all(a != b for a, b in itertools.pairwise(theme.RUN_DASHES))
-    assert [theme.signed(number) for number in (-1140.3, 0.0123)] == ["−1,140", "+0.0123"]
+    assert [signed(number) for number in (-1140.3, 0.0123)] == ["−1\u202f140", "+0.0123"]
 
 
 STATIC = folder("frontend") / "static"

@@ -32,7 +32,7 @@ CHAPTERS: dict[str, tuple[Figure, ...]] = {
     "summary": (PARAMETERS, CORRELATION),
     "convergence": (CONVERGENCE, METHODS),
     "rms": (RMS, RMS_AXES),
-    "distortion": (DISTORTION, RADIAL, COVERAGE),
+    "distortion": (RADIAL, DISTORTION, COVERAGE),
     "observability": (OBSERVABILITY, FRAME_OBSERVABILITY, REFERENCE_INFORMATION),
     "residuals": (
         RESIDUAL_QUIVER,

@@ -34,7 +34,7 @@ from boresight.figures.style import theme
 from boresight.figures.style.axes import axis_title, counted, frame_grid, grid_place, offer_log, share_cursor
 from boresight.figures.style.thinning import keep_extremes
 from boresight.verdicts.history import History, free_names, read_history, settled_step
-from boresight.verdicts.numbers import change_label, number, quantity
+from boresight.verdicts.numbers import LARGE, RAISED, Quantity, change_label, grouped, quantity
 
 PANELS = 2
 POINT_BUDGET = 1200  # a panel, of all runs together
@@ -117,7 +117,7 @@ def mark_settled(
 
 def _words(style: theme.RunStyle, x: float, n_runs: int) -> str:
     whose = f"{style.label} · " if n_runs > 1 else ""
-    return f"{whose}settled at {number(x, 5)}"
+    return f"{whose}settled at {grouped(format(x, '.5g'))}"
 
 
 TITLE = "Convergence"
@@ -203,13 +203,24 @@ def _panels(traces: Sequence[Trace], histories: Sequence[History]) -> list[Conve
     return [
         ConvergencePanel(
             name,
-            quantity(name, traces[0].result),
+            _written(quantity(name, traces[0].result), name, histories),
             _origin(name, traces, histories),
             *divmod(i, _columns(len(names) + PANELS)),
             [],
         )
         for i, name in enumerate(names)
     ]
+
+
+def _written(item: Quantity, name: str, histories: Sequence[History]) -> Quantity:
+    """Put the power of ten of large numbers into the unit, where a table has it too: the axis has room for few digits."""
+    ends = [abs(float(one.value[-1, one.names.index(name)])) * item.factor for one in histories if name in one.names]
+    largest = max((end for end in ends if np.isfinite(end)), default=0.0)
+    if largest < LARGE:
+        return item
+    power = int(np.floor(np.log10(largest * item.change_factor / item.factor)))
+    unit = f"10{str(power).translate(RAISED)} {item.change_unit}".strip()
+    return replace(item, change_factor=item.change_factor / 10.0**power, change_unit=unit)
 
 
 def _origin(name: str, traces: Sequence[Trace], histories: Sequence[History]) -> float:

@@ -119,9 +119,9 @@ def _dress(figure: go.Figure, drawn: Sequence[Part[Observability]]) -> None:
         )
 
 
-def _scale(figure: go.Figure, drawn: Sequence[Part[Observability]], **place: int) -> None:
+def _scale(figure: go.Figure, drawn: Sequence[Part[Observability]], room: float = 0.5, **place: int) -> None:
     """Choose the decades of the log axis, each written as a table writes it."""
-    low, high = _window(drawn)
+    low, high = _window(drawn, room)
     decades = [10.0**power for power in range(int(np.ceil(low)), int(np.floor(high)) + 1)]
     written = {"tickvals": decades, "ticktext": [number(decade, 1) for decade in decades]}
     figure.update_yaxes(type="log", range=[low, high], **written, **place)
@@ -129,9 +129,10 @@ def _scale(figure: go.Figure, drawn: Sequence[Part[Observability]], **place: int
 
 def _draw_threshold(figure: go.Figure, **place: int) -> None:
     """Draw the value below which a direction is not seen, and say so."""
-    words = {"annotation_text": f"below {THRESHOLD:g}: not seen", "annotation_position": "bottom right"}
-    figure.add_hline(y=THRESHOLD, line={**theme.LEVEL, "color": WEAK_COLOUR}, **words, **place)
-    figure.update_annotations(selector={"text": words["annotation_text"]}, font={"color": WEAK_COLOUR})
+    figure.add_hline(y=THRESHOLD, line={**theme.LEVEL, "color": WEAK_COLOUR}, **place)
+    beside = {"x": 1, "xref": "x domain", "xanchor": "left", "y": float(np.log10(THRESHOLD)), "yanchor": "middle"}
+    words = f"below {THRESHOLD:g}:<br>not seen"
+    figure.add_annotation(text=words, align="left", font={"color": WEAK_COLOUR}, showarrow=False, **beside, **place)
 
 
 def draw_small(drawn: Sequence[Part[Observability]]) -> go.Figure:
@@ -139,12 +140,12 @@ def draw_small(drawn: Sequence[Part[Observability]]) -> go.Figure:
     (trace, style, seen), figure = drawn[0], go.Figure()
     figure.add_trace(_bars(seen, style, labelled=False))
     figure.update_traces(text=_mixtures(trace.result, seen), textposition="outside", cliponaxis=False, textangle=0)
-    theme.shrink(figure, l=50, t=4)
-    _scale(figure, drawn[:1])
+    theme.shrink(figure, l=50, t=4, r=54)
+    _scale(figure, drawn[:1], room=1.1)
     figure.update_yaxes(title_text="times better than typical")
     figure.update_xaxes(title_text="direction, best known to weakest", type="category", showgrid=False, nticks=0)
     _draw_threshold(figure)
-    figure.update_annotations(font={"size": 10})
+    figure.update_annotations(font={"size": 10, "color": WEAK_COLOUR})
     return figure
 
 
@@ -161,12 +162,12 @@ def _mixtures(result: Calibration, seen: Observability) -> list[str]:
     return told
 
 
-def _window(drawn: Sequence[Part[Observability]]) -> list[float]:
-    """Choose the decades of the log axis: every bar can be seen, and the threshold too."""
+def _window(drawn: Sequence[Part[Observability]], room: float) -> list[float]:
+    """Choose the decades of the log axis: every bar can be seen, the threshold too, and its label in the room above."""
     values = np.concatenate([seen.singular_values for _, _, seen in drawn])
     known = values[values > 0]
     low, high = float(np.min(known, initial=THRESHOLD)), float(np.max(known, initial=THRESHOLD))
-    return [float(np.log10(low)) - 0.5, float(np.log10(high)) + 0.5]
+    return [float(np.log10(low)) - 0.5, float(np.log10(high)) + room]
 
 
 def _sentence(seen: Observability) -> str:
@@ -198,9 +199,9 @@ OBSERVABILITY = make_figure(
     name="observability",
     title="Observability",
     guide=(
-        "Each column is one direction in parameter space: the bar is how strongly the stars determine it, the "
-        "colours below are the parameters it mixes. A bar is the singular value: how many times better than the spread from "
-        f"one such sensor to the next the direction is known. Below {THRESHOLD:g} (dotted) it is not seen: amber and hatched."
+        "Each column is one direction in parameter space: the bar, its singular value, is how many times better than the "
+        "spread from one such sensor to the next the stars determine it, the colours below are the parameters it mixes. "
+        f"Below {THRESHOLD:g} (dotted) a direction is not seen: amber and hatched."
     ),
     wide=True,
     small=draw_small,

@@ -203,7 +203,7 @@ def _mark_tail(figure: go.Figure, traces: Sequence[Trace], axis: str) -> None:
     ]
     if axis != "frame" or not starts:
         return
-    words = {"annotation_text": f"tail from {number(max(starts), 5)}", "annotation_position": "bottom right"}
+    words = {"annotation_text": f"tail from {max(starts):.5g}", "annotation_position": "bottom right"}
     figure.add_vline(x=max(starts), line=theme.LEVEL, **words)
 
 

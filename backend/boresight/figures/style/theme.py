@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from boresight.figures.chart import Trace
 from boresight.resources import folder
-from boresight.verdicts.numbers import NARROW_SPACE
+from boresight.verdicts.numbers import MINUS, NARROW_SPACE
 
 Tokens = dict[str, str]
 
@@ -254,7 +254,7 @@ def bars(style: RunStyle, x: Sequence[Any], y: NDArray[np.float64], hover: str, 
 
 def signed_map(x: Sequence[str], y: Sequence[str], z: NDArray[np.float64], least: float, **options: Any) -> go.Heatmap:
     """Draw shares between -1 and 1, (n_y, n_x), written where they are no smaller than `least`."""
-    text = [["" if abs(v) < least or not np.isfinite(v) else f"{v:+.2f}" for v in row] for row in z]
+    text = [["" if abs(v) < least or not np.isfinite(v) else f"{v:+.2f}".replace("-", MINUS) for v in row] for row in z]
     settings: dict[str, Any] = {"zmin": -1, "zmax": 1, "colorscale": DIVERGING, "xgap": 2, "ygap": 2} | options
     return go.Heatmap(x=x, y=y, z=short(z), text=text, texttemplate="%{text}", **settings)
 
