@@ -41,7 +41,7 @@ def run_id():
 
 
 def frames_page(site, run_id, **query):
-    address = "&".join(f"{name}={value}" for name, value in {"part": "frames", **query}.items())
+    address = "&".join(f"{name}={value}" for name, value in {"part": "evidence", "frame": "", **query}.items())
     return site.visitor("victor").get(f"/runs/{run_id}?{address}")
 
 
