@@ -55,7 +55,9 @@ CUT = """() => [...document.querySelectorAll(".scroll")]
     .filter(panel => panel.scrollWidth > panel.clientWidth).map(panel => panel.ariaLabel)"""
 GLANCE, HIGHEST_PX = {"width": 1280, "height": 720}, 420
 FIRST = "() => document.querySelector('plot-figure, .answer').getBoundingClientRect().top"
-LAST_VIEW = "() => Math.max(...[...document.querySelectorAll('.small-view')].map(one => one.getBoundingClientRect().bottom))"
+LAST_VIEW = (
+    "() => Math.max(...[...document.querySelectorAll('.small-view')].map(one => one.getBoundingClientRect().bottom))"
+)
 LONG_NAME = "Wolfeschlegelsteinhausenbergerdorffwelchevoralternwarengewis"
 
 
@@ -71,8 +73,12 @@ def visit(window, name, numbers):
 def stands_under_the_verdict(window, part):
     expect(window.page.locator("#parts [aria-current]")).to_contain_text(PARTS[part].title)
     expect(window.page.locator("#verdict")).to_contain_text("converged")
-    drawn = window.page.locator("plot-figure:not([small])").evaluate_all("all => all.map(one => one.closest('section').id)")
-    assert set(drawn) == {f"figure-{one.name}" for chapter in PARTS[part].chapters for one in CHAPTERS[chapter]} - {"figure-shadow"}
+    drawn = window.page.locator("plot-figure:not([small])").evaluate_all(
+        "all => all.map(one => one.closest('section').id)"
+    )
+    assert set(drawn) == {f"figure-{one.name}" for chapter in PARTS[part].chapters for one in CHAPTERS[chapter]} - {
+        "figure-shadow"
+    }
     window.page.set_viewport_size(GLANCE)
     top = window.page.evaluate(FIRST)
     assert top <= HIGHEST_PX, f"the first figure of {part} begins at {top} px"

@@ -188,7 +188,9 @@ def test_the_page_can_be_read_before_its_figures_are_drawn(people, batch_run):
         window.page.unroute_all(behavior="ignoreErrors")
 
 
-def test_figures_far_below_are_drawn_without_being_scrolled_to_and_folded_ones_when_they_are_unfolded(people, batch_run):
+def test_figures_far_below_are_drawn_without_being_scrolled_to_and_folded_ones_when_they_are_unfolded(
+    people, batch_run
+):
     with people.seat("analyst") as window:
         window.open(f"/runs/{batch_run}?part=evidence")
         window.figures_drawn()
@@ -265,3 +267,33 @@ def test_trust_appears_by_itself_when_the_run_that_is_watched_ends(people, batch
         window.figures_drawn()
         assert len(window.drawn("efficiency")[0]["y"]) == len(window.result(run_id)["free"])
         expect(window.page.locator("#parts")).to_contain_text("doubt")
+
+
+LABELS = ".annotation-text, .legendtext, .xtick text, .ytick text, .xtitle, .ytitle"
+OVERLAPS = """labels => [...document.querySelectorAll("plot-figure .js-plotly-plot")].flatMap(figure => {
+    const texts = [...figure.querySelectorAll(labels)].filter(one => one.checkVisibility() && one.textContent.trim());
+    const boxes = texts.map(one => [one.textContent, one.getBoundingClientRect()]);
+    const over = ([, a], [, b]) => Math.min(a.right, b.right) - Math.max(a.left, b.left) > 2
+        && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 2;
+    return boxes.flatMap((one, k) => boxes.slice(k + 1).filter(other => over(one, other)).map(other => [one[0], other[0]]));
+})"""
+
+
+@pytest.mark.parametrize("part", ["result", "convergence", "distortion", "observability"])
+def test_no_label_of_a_figure_lies_over_another_on_a_phone_or_a_desk(people, sequential_run, part):
+    with people.seat("analyst") as window:
+        for size in ({"width": 390, "height": 844}, {"width": 1280, "height": 720}):
+            window.page.set_viewport_size(size)
+            window.open(f"/runs/{sequential_run}?part={part}")
+            window.figures_drawn()
+            assert window.page.evaluate(OVERLAPS, LABELS) == [], f"{part} at {size['width']} px"
+
+
+def test_the_parts_stay_in_sight_and_a_view_opens_its_large_figure(window, sequential_run):
+    window.page.set_viewport_size({"width": 1280, "height": 720})
+    window.open(f"/runs/{sequential_run}")
+    window.page.get_by_role("link", name="Radial difference").click()
+    window.page.wait_for_url("**?part=distortion#figure-radial")
+    window.figures_drawn()
+    window.page.evaluate("scrollTo(0, 900)")
+    expect(window.page.locator("#parts [aria-current]")).to_be_in_viewport()

@@ -170,7 +170,9 @@ class Window:
         self.figures_drawn()
 
     def drawn(self, name: str) -> list[dict[str, Any]]:
-        self.figure(name).evaluate("one => { for (let at = one; at; at = at.parentElement) if (at.localName === 'details') at.open = true; }")
+        self.figure(name).evaluate(
+            "one => { for (let at = one; at; at = at.parentElement) if (at.localName === 'details') at.open = true; }"
+        )
         self.figure(name).scroll_into_view_if_needed()
         drawing = self.figure(name).locator(".js-plotly-plot")
         expect(drawing).to_have_count(1)

@@ -28,7 +28,6 @@ from boresight.figures.style.axes import EXTRAPOLATED
 from boresight.verdicts.answers import make_four_views
 from boresight.verdicts.gates.measurements import GATES
 from boresight.verdicts.history import settled_step, sigma_of_rms, summarise_tail
-
 from boresight.verdicts.verdict import summarise_run
 
 
@@ -151,7 +150,10 @@ def test_a_direction_that_is_not_seen_is_amber_and_hatched_and_figure_view_verdi
     spread = [0.1] * 5 + [WEAK, 1.01 * WEAK, None]
     values = [0.0 if one is None else 1 / one for one in spread]
     weak = replace(seen, singular_values=values, sigma_of_direction=spread, condition_number=None)
-    for drawn in (draw("observability", sequential_result, observability=weak), draw_small("observability", weak, sequential_result)):
+    for drawn in (
+        draw("observability", sequential_result, observability=weak),
+        draw_small("observability", weak, sequential_result),
+    ):
         assert list(drawn.data[0].marker.pattern.shape) == [""] * 6 + ["/"] * 2
         assert len(set(drawn.data[0].marker.color[:6])) == len(set(drawn.data[0].marker.color[6:])) == 1
         assert drawn.data[0].marker.color[0] != drawn.data[0].marker.color[-1]
@@ -164,15 +166,15 @@ def test_a_direction_that_is_not_seen_is_amber_and_hatched_and_figure_view_verdi
 
 
 def draw_small(name, seen, result):
-    return FIGURES[name].small([Trace("Run", replace(result, observability=seen))])
+    return FIGURES[name].forms["small"]([Trace("Run", replace(result, observability=seen))])
 
 
 def test_the_four_views_have_small_figures_without_title_or_legend_that_grow_as_the_large_ones_do(running):
     for view in make_four_views(running):
-        drawn = FIGURES[view.figure].small([Trace("Run", running)])
+        drawn = FIGURES[view.figure].forms["small"]([Trace("Run", running)])
         assert not drawn.layout.title.text
         assert not drawn.layout.showlegend
-    small = FIGURES["convergence"].small([Trace("Run", running)])
+    small = FIGURES["convergence"].forms["small"]([Trace("Run", running)])
     curves = [one for one in small.data if (one.meta or {}).get("follow", {}).get("index") is not None]
     assert len([one for one in curves if not one.fill]) == len(running.free)
     for one in curves:

@@ -7,7 +7,7 @@ A run that is still computing gives a calibration with members missing; the figu
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import orjson
@@ -47,7 +47,8 @@ class Figure:
     """One chart of the registry.
 
     `table`: One calibration to the columns of its CSV: complete, in SI, never thinned. `wide`: It takes a page's width.
-    `advanced`: For research; a run's page folds it away. `small`: What is drawn in a view of about 430 by 200 px.
+    `advanced`: For research; a run's page folds it away. `forms`: What else than `draw` draws it: `small` in a view of about
+    430 by 200 px, `narrow` on a phone where that is laid out otherwise.
     """
 
     name: str
@@ -57,7 +58,7 @@ class Figure:
     table: Callable[[Calibration], Table]
     wide: bool = False
     advanced: bool = False
-    small: Callable[[Sequence[Trace]], go.Figure] | None = None
+    forms: Mapping[str, Callable[[Sequence[Trace]], go.Figure]] = field(default_factory=dict)
 
 
 def figure_json(figure: go.Figure) -> bytes:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -28,7 +29,7 @@ def make_figure(
     name: str,
     title: str,
     guide: str,
-    small: Callable[[Sequence[Part[P]]], go.Figure] | None = None,
+    forms: Mapping[str, Callable[[Sequence[Part[P]]], go.Figure]] = MappingProxyType({}),
     **looks: bool,
 ) -> Figure:
     """Make a figure of what `read` finds in calibrations; where the first run has nothing, `why` says so in its place."""
@@ -40,8 +41,8 @@ def make_figure(
     def list_run(result: Calibration) -> Table:
         return table(part) if (part := read(result)) else {}
 
-    drawn_small = partial(draw_with, small) if small else None
-    return Figure(name, title, guide, partial(draw_with, draw), list_run, small=drawn_small, **looks)
+    others = {form: partial(draw_with, drawing) for form, drawing in forms.items()}
+    return Figure(name, title, guide, partial(draw_with, draw), list_run, forms=others, **looks)
 
 
 def part_figure(

@@ -37,6 +37,7 @@ from boresight.figures.tables import (
     to_flag,
 )
 from boresight.resources import folder
+from boresight.verdicts.numbers import count
 from boresight.verdicts.verdict import make_verdict, prospects, trust_marks, why_absent
 
 
@@ -118,11 +119,11 @@ def _summary(result: Calibration) -> Iterator[tuple[str, str]]:
     yield "Camera model", result.camera_model or "–"
     yield "Free parameters", ", ".join(result.free) or "–"
     if result.frames or result.status != "running":
-        yield "Frames", f"{result.frames:,}"
-        yield "Exposures", f"{result.exposures:,}"
-        yield "Stars", f"{result.stars:,}"
-        yield "Pairs", f"{result.pairs:,}"
-        yield "Iterations", f"{result.iterations:,}"
+        yield "Frames", count(result.frames)
+        yield "Exposures", count(result.exposures)
+        yield "Stars", count(result.stars)
+        yield "Pairs", count(result.pairs)
+        yield "Iterations", count(result.iterations)
     yield "RMS arc error", _pair(result.rms_arc_rad)
     if result.chi2_per_dof is not None:
         yield "χ² per degree of freedom", f"{result.chi2_per_dof:.4g}"

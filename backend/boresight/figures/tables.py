@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass
-from decimal import Decimal
 
 from boresight.calibration.calibration import (
     Calibration,
@@ -29,12 +28,12 @@ from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import FAR_TYPICAL_SIGMAS
 from boresight.figures.chart import Table
 from boresight.verdicts.numbers import (
-    MINUS,
     MISSING,
     NARROW_SPACE,
     Quantity,
     count,
     fixed,
+    grouped,
     number,
     percent,
     quantity,
@@ -214,9 +213,8 @@ def digits(value: float | None, sigma: float | None) -> str:
     if value is None:
         return MISSING
     if not sigma or not math.isfinite(sigma):
-        return f"{value:.6g}".replace("-", MINUS)
-    text = to_second_digit(value, sigma, LARGE)
-    return (text if "e" in text else f"{Decimal(text):,}").replace("-", MINUS)
+        return grouped(f"{value:.6g}")
+    return grouped(to_second_digit(value, sigma, LARGE))
 
 
 def _changed(change: float | None, sigma: float | None) -> str:
@@ -225,7 +223,7 @@ def _changed(change: float | None, sigma: float | None) -> str:
 
 
 def _signed(value: float | None) -> str:
-    return MISSING if value is None else f"{value:+,.1f}".replace("-", MINUS)
+    return MISSING if value is None else f"{'+' if value > 0 else ''}{fixed(value, 1)}"
 
 
 @dataclass(frozen=True)

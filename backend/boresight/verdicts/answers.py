@@ -157,17 +157,14 @@ class LargestChange:
 def find_largest_change(radial: RadialDifference) -> LargestChange | None:
     """Find the largest change at the radii where stars were; None where no change is known."""
     edge = np.inf if radial.data_radius_px is None else radial.data_radius_px
-    known = [
-        place
-        for place, (radius, change) in enumerate(zip(radial.radius_px, radial.difference_px, strict=False))
-        if change is not None and np.isfinite(change) and radius <= edge
-    ]
-    if not known:
+    radius, change = (np.array(values, dtype=np.float64) for values in (radial.radius_px, radial.difference_px))
+    known = np.isfinite(change) & (radius <= edge) if change.shape == radius.shape else np.zeros(0, dtype=bool)
+    if not known.any():
         return None
-    worst = max(known, key=lambda place: abs(radial.difference_px[place] or 0.0))
+    worst = int(np.argmax(np.where(known, np.abs(change), -1.0)))
     sigma = radial.sigma_px[worst] if worst < len(radial.sigma_px) else None
     reach = 3 * sigma if sigma is not None and np.isfinite(sigma) else None
-    return LargestChange(float(radial.difference_px[worst] or 0.0), reach, radial.radius_px[worst])
+    return LargestChange(float(change[worst]), reach, float(radius[worst]))
 
 
 def describe_largest_change(radial: RadialDifference) -> str:

@@ -15,6 +15,7 @@ import { clear, draw, fit, makeImage, isDrawn, load, getRange } from "./plotly.j
 import { BACKGROUND, Problem, fetchJson, describeError } from "./requests.js";
 
 const SLOW_MS = 10_000;
+const NARROW_PX = 560;
 const WAIT_MS = 250; // a zoom is asked for when it has come to rest
 
 // Figures near the window are drawn at once; the others one after another whenever the browser has nothing better to do
@@ -173,6 +174,7 @@ export class PlotFigure extends HTMLElement {
   /** The figure's address, with the window that is looked at. @param {[number, number] | null} window */
   #address(window) {
     const address = new URL(this.getAttribute("src") ?? "", location.href);
+    if (!this.isSmall && this.canvas.clientWidth < NARROW_PX) address.searchParams.set("size", "narrow");
     for (const [place, name] of ["x_from", "x_to"].entries()) if (window) address.searchParams.set(name, String(window[place]));
     return address.pathname + address.search;
   }

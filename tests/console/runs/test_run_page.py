@@ -242,14 +242,16 @@ def test_an_older_address_leads_to_the_part_that_shows_the_same_with_its_view(si
 def test_the_result_opens_on_four_views_each_with_its_answer_and_the_way_to_its_large_figure(site, read, results):
     page = site.visitor("victor").get("/runs/2")
     views = make_four_views(parse_calibration(results["sqrf"]))
-    assert list_small_figures(page) == [view.figure for view in views] == ["convergence", "rms", "radial", "observability"]
+    assert (
+        list_small_figures(page) == [view.figure for view in views] == ["convergence", "rms", "radial", "observability"]
+    )
     for view in views:
         assert " ".join(view.answer.sentence.split()) in read(page)
         assert f'href="/runs/2?part={view.part}#figure-{view.figure}"' in page
         assert f'id="figure-{view.figure}"' in site.visitor("victor").get(f"/runs/2?part={view.part}")
 
 
-def test_the_line_of_the_verdict_has_the_worst_warning_and_how_many_more_there_are(site, read, results):
+def test_the_line_of_the_verdict_has_the_worst_warning_and_how_many_more_there_are(site, results):
     run_id = site.add_run(state="SUCCEEDED", result={**results["batch"], "advice": ["One.", "Two.", "Three."]})
     page = site.visitor("victor").get(f"/runs/{run_id}")
     line, rest = page.split("<summary>")[1].split('id="parts"')[0].split("</summary>")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
 import orjson
@@ -60,8 +60,10 @@ class View:
     ] = None
 
     size: Annotated[
-        Literal["large", "small"],
-        Query(description="Draw the figure of a page, or, of the four views of a result, the small one of one run."),
+        Literal["large", "narrow", "small"],
+        Query(
+            description="Draw the figure of a page, the same for a phone, or, of the four views of a result, the small one."
+        ),
     ] = "large"
 
     def draw(self, figure: Figure, traces: list[Trace]) -> bytes:
@@ -69,7 +71,9 @@ class View:
         if (self.x_from is None) != (self.x_to is None):
             raise RefusedInputError("Give both ends of the window, x_from and x_to, or none.")
         with thinning(whole=self.x_from is not None) as watched:
-            drawing = figure.draw if self.size == "large" else figure.small
+            drawing = figure.forms.get(self.size) or (None if self.size == "small" else figure.draw)
+            if self.size == "narrow":
+                traces = [replace(trace, label=trace.short or trace.label) for trace in traces]
             if drawing is None:
                 raise RefusedInputError(f"There is no small figure {figure.name}; ask for the large one.")
             drawn = drawing(tailed(aligned(traces, self.align), self.tail_from))

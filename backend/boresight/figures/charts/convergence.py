@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -143,16 +144,16 @@ class ConvergencePanel(Panel):
         return np.asarray((np.asarray(value, dtype=np.float64) - self.origin) * self.item.change_factor)
 
 
-def draw(traces: Sequence[Trace]) -> go.Figure:
+def draw(traces: Sequence[Trace], most_columns: int = 4) -> go.Figure:
     """Draw every free parameter's change with its 3-sigma band."""
     histories = [read_history(trace.result) for trace in traces]
     found = [history for history in histories if history is not None]
     if not found:
         return theme.missing(TITLE, "No frame or iteration has been recorded yet: the curves appear as the run moves.")
     axis = "frame" if any(history.axis == "frame" for history in found) else "iteration"
-    panels = _panels(traces, found)
+    panels = _panels(traces, found, most_columns)
     n_panels = len(panels) + PANELS
-    columns = _columns(n_panels)
+    columns = _columns(n_panels, most_columns)
     n_rows = -(-n_panels // columns)
     figure = make_subplots(
         n_rows, columns, shared_xaxes="all", horizontal_spacing=0.24 / columns, vertical_spacing=0.16 / n_rows
@@ -167,7 +168,7 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     for panel in panels:
         _draw_references(figure, panel, traces, span)
         _frame_panel(figure, panel)
-    _dress(figure, traces, axis, n_panels)
+    _dress(figure, traces, axis, n_panels, columns)
     along = [history if history and history.axis == axis else None for history in histories]
     judges = [grid_place(number, columns) for number in (n_panels - 2, n_panels - 1)]
     draw_panels(figure, judges, along, traces)
@@ -177,12 +178,11 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     return share_cursor(figure, counted(axis, traces))
 
 
-def _columns(n_panels: int) -> int:
-    return 3 if n_panels <= FEW_PANELS else 4
+def _columns(n_panels: int, most: int) -> int:
+    return min(most, 3 if n_panels <= FEW_PANELS else 4)
 
 
-def _dress(figure: go.Figure, traces: Sequence[Trace], axis: str, n_panels: int) -> None:
-    columns = _columns(n_panels)
+def _dress(figure: go.Figure, traces: Sequence[Trace], axis: str, n_panels: int, columns: int) -> None:
     theme.dress(figure, title=_headline(traces), height_px=110 - (-n_panels // columns) * PANEL_HEIGHT_PX)
     figure.update_xaxes(showticklabels=True)
     frame_grid(figure, n_panels, columns, axis_title(axis, traces))
@@ -196,7 +196,7 @@ def _headline(traces: Sequence[Trace]) -> str:
     return f"Change since the initial parameters, band ±3σ{state}"
 
 
-def _panels(traces: Sequence[Trace], histories: Sequence[History]) -> list[ConvergencePanel]:
+def _panels(traces: Sequence[Trace], histories: Sequence[History], most_columns: int) -> list[ConvergencePanel]:
     """Lay out one panel a parameter that any run estimates."""
     names = list(dict.fromkeys(name for trace in traces for name in free_names(trace.result)))
     names = [name for name in names if any(name in history.names for history in histories)]
@@ -205,7 +205,7 @@ def _panels(traces: Sequence[Trace], histories: Sequence[History]) -> list[Conve
             name,
             _written(quantity(name, traces[0].result), name, histories),
             _origin(name, traces, histories),
-            *divmod(i, _columns(len(names) + PANELS)),
+            *divmod(i, _columns(len(names) + PANELS, most_columns)),
             [],
         )
         for i, name in enumerate(names)
@@ -376,5 +376,5 @@ CONVERGENCE = Figure(
     draw=draw,
     table=table,
     wide=True,
-    small=draw_small,
+    forms={"small": draw_small, "narrow": partial(draw, most_columns=1)},
 )

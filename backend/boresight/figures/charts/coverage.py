@@ -12,6 +12,7 @@ from boresight.figures.chart import Table
 from boresight.figures.factory import Part, make_figure
 from boresight.figures.style import theme
 from boresight.figures.style.axes import MAX_MAPS, QUIET, lay_maps
+from boresight.verdicts.numbers import count
 
 
 def read_coverage(result: Calibration) -> Coverage | None:
@@ -65,7 +66,7 @@ def _headline(drawn: Sequence[Part[Coverage]]) -> str:
     counts = np.array(drawn[0][2].counts)
     empty = int((counts == 0).sum())
     cells = "no cell is empty" if not empty else f"{empty} of {counts.size} cells are empty"
-    return f"{int(counts.sum()):,} stars on the detector, {cells}"
+    return f"{count(int(counts.sum()))} stars on the detector, {cells}"
 
 
 def table(coverage: Coverage) -> Table:

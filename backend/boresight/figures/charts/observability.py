@@ -84,7 +84,7 @@ def _directions(result: Calibration, seen: Observability) -> go.Heatmap:
         V = np.full((len(names), n_modes), np.nan)
     return theme.signed_map(
         _modes(n_modes), [quantity(name, result).markup for name in names], V, 0.1,
-        colorbar={"title": {"text": "share"}, "len": 0.55, "y": 0, "yanchor": "bottom", "thickness": 10},
+        colorbar={"title": {"text": "share", "side": "right"}, "len": 0.55, "y": 0, "yanchor": "bottom", "thickness": 10},
         hovertemplate="%{y}: %{z:+.3f} of direction %{x}<extra></extra>",
     )  # fmt: skip
 
@@ -122,7 +122,7 @@ def _dress(figure: go.Figure, drawn: Sequence[Part[Observability]]) -> None:
 def _scale(figure: go.Figure, drawn: Sequence[Part[Observability]], room: float = 0.5, **place: int) -> None:
     """Choose the decades of the log axis, each written as a table writes it."""
     low, high = _window(drawn, room)
-    decades = [10.0**power for power in range(int(np.ceil(low)), int(np.floor(high)) + 1)]
+    decades = [10.0**power for power in range(int(np.ceil(low)), int(np.floor(high - room)) + 1)]
     written = {"tickvals": decades, "ticktext": [number(decade, 1) for decade in decades]}
     figure.update_yaxes(type="log", range=[low, high], **written, **place)
 
@@ -133,6 +133,15 @@ def _draw_threshold(figure: go.Figure, **place: int) -> None:
     beside = {"x": 1, "xref": "x domain", "xanchor": "left", "y": float(np.log10(THRESHOLD)), "yanchor": "middle"}
     words = f"below {THRESHOLD:g}:<br>not seen"
     figure.add_annotation(text=words, align="left", font={"color": WEAK_COLOUR}, showarrow=False, **beside, **place)
+
+
+def draw_narrow(drawn: Sequence[Part[Observability]]) -> go.Figure:
+    """Draw the same without numbers in the cells and words below, for which a phone has no room: the page's table has them."""
+    figure = draw(drawn)
+    figure.update_traces(texttemplate="", showscale=False, selector={"type": "heatmap"})
+    figure.update_traces(text=None, selector={"type": "bar"})
+    figure.update_annotations(selector={"xref": "paper"}, text="")
+    return figure
 
 
 def draw_small(drawn: Sequence[Part[Observability]]) -> go.Figure:
@@ -204,7 +213,7 @@ OBSERVABILITY = make_figure(
         f"Below {THRESHOLD:g} (dotted) a direction is not seen: amber and hatched."
     ),
     wide=True,
-    small=draw_small,
+    forms={"small": draw_small, "narrow": draw_narrow},
 )
 
 

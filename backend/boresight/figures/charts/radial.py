@@ -219,7 +219,7 @@ RADIAL = make_figure(
         "is narrow: in the hatched part no star was seen and the curve is extrapolation."
     ),
     wide=True,
-    small=draw_small,
+    forms={"small": draw_small},
 )
 
 

@@ -18,6 +18,7 @@ from boresight.figures.chart import Table
 from boresight.figures.charts.residual_against import folded
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
+from boresight.verdicts.numbers import count
 
 MOST_REASONS = 8
 REASON_LETTERS = 34
@@ -99,7 +100,7 @@ def _reasons(one: Part[ResidualOutliers]) -> go.Bar:
         legendgroup=style.label,
         showlegend=False,
         marker={"color": style.colour},
-        text=[f"{count:,}" for count in found.values()],
+        text=[count(times) for times in found.values()],
         textposition="auto",
         hovertemplate=f"%{{y}}: %{{x}}<extra>{style.label}</extra>",
     )
@@ -109,7 +110,9 @@ def _headline(drawn: Sequence[Part[ResidualOutliers]]) -> str:
     part = drawn[0][2]
     if len(drawn) > 1:
         return f"Sightings beyond {part.limit:g} σ, {len(drawn)} runs"
-    return f"{part.in_all} of {part.stars_in_all:,} sightings beyond {part.limit:g} σ, {part.expected:.1f} expected"
+    return (
+        f"{part.in_all} of {count(part.stars_in_all)} sightings beyond {part.limit:g} σ, {part.expected:.1f} expected"
+    )
 
 
 def table(part: ResidualOutliers) -> Table:

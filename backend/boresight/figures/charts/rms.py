@@ -77,7 +77,7 @@ def draw_small(traces: Sequence[Trace]) -> go.Figure:
 
 def _name_curves(figure: go.Figure) -> None:
     """Name tail and aggregate in the corners of their sides: the higher one at its end above, the lower one below."""
-    ends = {(trace.meta or {}).get("part"): trace for trace in figure.data if (trace.meta or {}).get("part")}
+    ends = {str(trace.meta["part"]): trace for trace in figure.data if (trace.meta or {}).get("part")}
     ordered = sorted(ends.items(), key=lambda item: -float(item[1].y[-1]))
     for (word, trace), (y, anchor) in zip(ordered, ((0.74, "bottom"), (0.04, "bottom")), strict=False):
         words = {"tail": "tail (whole set)", "aggregate": "aggregate (as it ran)"}.get(word, word)
@@ -203,7 +203,7 @@ def _mark_tail(figure: go.Figure, traces: Sequence[Trace], axis: str) -> None:
     ]
     if axis != "frame" or not starts:
         return
-    words = {"annotation_text": f"tail from {max(starts):.5g}", "annotation_position": "bottom right"}
+    words: dict[str, Any] = {"annotation_text": f"tail from {max(starts):.5g}", "annotation_position": "bottom right"}
     figure.add_vline(x=max(starts), line=theme.LEVEL, **words)
 
 
@@ -238,7 +238,7 @@ RMS = Figure(
     draw=draw,
     table=table,
     wide=True,
-    small=draw_small,
+    forms={"small": draw_small},
 )
 
 

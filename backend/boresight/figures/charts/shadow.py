@@ -18,6 +18,7 @@ from boresight.figures.factory import Part, make_figure
 from boresight.figures.style import theme
 from boresight.figures.style.thinning import keep_extremes
 from boresight.figures.tables import shown
+from boresight.verdicts.numbers import count
 
 POINT_BUDGET = 6000  # of all runs and curves together
 SIDES = ("baseline", "candidate")
@@ -102,7 +103,9 @@ def _headline(drawn: Sequence[Part[tuple[str, ShadowOfSet]]]) -> str:
         return f"Stars matched by frame, {len(drawn)} runs"
     name, view = drawn[0][2]
     summary = view.summary
-    return f"{name.capitalize()} set: {summary.candidate_only:,} frames gained, {summary.baseline_only:,} lost"
+    return (
+        f"{name.capitalize()} set: {count(summary.candidate_only)} frames gained, {count(summary.baseline_only)} lost"
+    )
 
 
 def table(found: tuple[str, ShadowOfSet]) -> Table:

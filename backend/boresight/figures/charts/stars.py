@@ -15,6 +15,7 @@ from boresight.calibration.calibration import StarTrust, Trust
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
+from boresight.verdicts.numbers import count
 
 LONGEST = 200
 
@@ -63,7 +64,11 @@ def _headline(drawn: Sequence[Part[list[StarTrust]]]) -> str:
     trace, _, part = drawn[0]
     trust = trace.result.trust or Trust()
     suspects, in_all = trust.suspects, trust.stars_in_all or len(part)
-    word = "no star is suspect" if not suspects else f"{len(suspects):,} of {in_all:,} stars are suspect (diamonds)"
+    word = (
+        "no star is suspect"
+        if not suspects
+        else f"{count(len(suspects))} of {count(in_all)} stars are suspect (diamonds)"
+    )
     return word[0].upper() + word[1:]
 
 

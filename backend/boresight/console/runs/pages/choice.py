@@ -240,7 +240,9 @@ async def choose_camera(request: Request, actor: Who, run_id: int) -> Response:
     """Ask for the choice of a camera."""
     blobs = get_server(request).blobs
     change = partial(choices.request_choice, actor=actor, blobs=blobs, run_id=run_id)
-    return await make_change(request, change, f"/runs/{run_id}?part=distortion#choice", "The choice of a camera was asked for.")
+    return await make_change(
+        request, change, f"/runs/{run_id}?part=distortion#choice", "The choice of a camera was asked for."
+    )
 
 
 @router.get("/runs/{run_id:int}/choice/sensor.json")

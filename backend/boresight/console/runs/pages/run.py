@@ -287,7 +287,9 @@ def find_next_step(run: Run, made: ParameterSet | None, is_assessed: bool) -> Ne
         return NextStep("The page follows the run; the result stands here when it ends.")
     if run.state != "SUCCEEDED":
         telemetry = (f"/telemetry/{run.telemetry_set_id}", "Quality report")
-        return NextStep("Run it again, with what failed mended.", ((f"/runs/new?clone={run.id}", "Run it again"), telemetry))
+        return NextStep(
+            "Run it again, with what failed mended.", ((f"/runs/new?clone={run.id}", "Run it again"), telemetry)
+        )
     if made is None:
         return NextStep("Read the four views; then make a parameter set of the result.")
     if not is_assessed:
