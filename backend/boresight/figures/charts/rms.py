@@ -171,7 +171,7 @@ def _draw_levels(
         if value is None:
             continue
         name = f"{key} parameters" if single else f"{style.label} · final"
-        settings = {"hovertemplate": f"%{{y:.2f}} µrad<extra>{name}</extra>"}
+        settings: dict[str, Any] = {"hovertemplate": f"%{{y:.2f}} µrad<extra>{name}</extra>"}
         settings |= {} if single else {"meta": theme.of_run(style.label, "final")}
         figure.add_trace(theme.reference(span, value * URAD_PER_RAD, name, colour, dash, **settings))
     return [] if rms.final is None else [rms.final * URAD_PER_RAD]
