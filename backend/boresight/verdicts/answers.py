@@ -52,14 +52,14 @@ def make_headline(result: Calibration) -> Headline:
     doubts = [mark for mark in (*make_verdict_marks(result), *trust_marks(result)) if mark.reason]
     ordered = sorted(doubts, key=lambda mark: -LEVELS.index(mark.level))
     reasons = [mark.reason for mark in ordered] if judged.level != "normal" else []
-    rms, held_out = result.rms_arc_rad, result.validation.rms_arc_rad if result.validation else None
+    rms, unseen = result.rms_arc_rad, result.validation.rms_arc_rad if result.validation else None
     told = []
     if rms.initial is not None and rms.final is not None:
         told.append(f"RMS {urad(rms.initial, 3)} → {urad(rms.final, 3)} µrad")
-    if result.validation and held_out and held_out.initial is not None and held_out.final is not None:
-        sigma = sigma_of_rms(held_out.final, result.validation.common_pairs)
+    if result.validation and unseen and unseen.initial is not None and unseen.final is not None:
+        sigma = sigma_of_rms(unseen.final, result.validation.common_pairs)
         reach = "" if sigma is None else f" ± {urad(3 * sigma, 2)}"
-        told.append(f"held-out {urad(held_out.initial, 3)} → {urad(held_out.final, 3)}{reach}")
+        told.append(f"validation {urad(unseen.initial, 3)} → {urad(unseen.final, 3)}{reach}")
     seen = result.observability
     if seen and seen.singular_values:
         told.append("every direction is seen" if not count_weak(seen) else describe_weak(seen))
