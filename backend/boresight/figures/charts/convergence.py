@@ -203,7 +203,7 @@ def _panels(traces: Sequence[Trace], histories: Sequence[History], most_columns:
     return [
         ConvergencePanel(
             name,
-            _written(quantity(name, traces[0].result), name, histories),
+            _written(quantity(name, traces[0].result), traces[0].result.typical_sigma.get(name)),
             _origin(name, traces, histories),
             *divmod(i, _columns(len(names) + PANELS, most_columns)),
             [],
@@ -212,13 +212,12 @@ def _panels(traces: Sequence[Trace], histories: Sequence[History], most_columns:
     ]
 
 
-def _written(item: Quantity, name: str, histories: Sequence[History]) -> Quantity:
-    """Put the power of ten of large numbers into the unit, where a table has it too: the axis has room for few digits."""
-    ends = [abs(float(one.value[-1, one.names.index(name)])) * item.factor for one in histories if name in one.names]
-    largest = max((end for end in ends if np.isfinite(end)), default=0.0)
-    if largest < LARGE:
+def _written(item: Quantity, typical_sigma: float | None) -> Quantity:
+    """Put the power of ten of what typically is large into the unit, which is then the same however far a run has come."""
+    typical = (typical_sigma or 0.0) * item.factor
+    if typical < LARGE:
         return item
-    power = int(np.floor(np.log10(largest * item.change_factor / item.factor)))
+    power = int(np.floor(np.log10(typical * item.change_factor / item.factor)))
     unit = f"10{str(power).translate(RAISED)} {item.change_unit}".strip()
     return replace(item, change_factor=item.change_factor / 10.0**power, change_unit=unit)
 
