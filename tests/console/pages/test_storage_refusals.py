@@ -78,7 +78,10 @@ FORMS = {  # who sends which form to which page
     "/parameter-sets/{set_id:int}/withdraw": ("ada", {"version": "1"}),
     "/parameter-sets/{set_id:int}/promote": ("olga", {"version": "1"}),
     "/approvals/{approval_id:int}/sign": ("alan", SIGNED),
-    "/approvals/{approval_id:int}/sign-over-the-shoulder": ("ada", {**SIGNED, "name": "alan", "their_password": PASSWORD}),
+    "/approvals/{approval_id:int}/sign-over-the-shoulder": (
+        "ada",
+        {**SIGNED, "name": "alan", "their_password": PASSWORD},
+    ),
     "/campaigns/new": ("ada", {**CAMPAIGN, "intent": "queue"}),
     "/sensors/{sensor_id}": ("ada", {"document": "{}", "version": "1"}),
 }

@@ -61,6 +61,7 @@ from boresight.platform.audit import log as audit
 from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.paging import parse_row_id
+from boresight.verdicts.gates.judgement import STATUSES
 from boresight.verdicts.numbers import urad
 from boresight.verdicts.verdict import make_verdict_marks
 
@@ -163,6 +164,8 @@ def request_page(
     points = review.list_points(session, approval, (actor.user_id,))
     found = threads.list_threads(session, approval_id)
     changed = [one for one in rows if one.delta]
+    panel = make_gates_panel(session, actor, row, report_sha256=approval.bound.get("gate_report_sha256"))
+    against = [one for one in panel.rows if one.status != "PASS"]
     return render(
         request,
         "approvals/approval.html",
@@ -174,7 +177,8 @@ def request_page(
         names=read_names(session),
         changed=changed if incumbent is not None else rows,
         staying=len(rows) - len(changed),
-        panel=make_gates_panel(session, actor, row, report_sha256=approval.bound.get("gate_report_sha256")),
+        panel=panel,
+        against=sorted(against, key=lambda one: -STATUSES.index(one.status)),
         points=points,
         threads=group_threads(found),
         open_threads=sum(thread.state == "OPEN" for thread in found),
