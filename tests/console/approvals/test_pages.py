@@ -62,7 +62,7 @@ def test_the_request_is_read_from_what_stands_against_it_to_the_views_beside_the
     assert "Refuse PS-ST16-1-1" in read(page)
 
 
-def test_an_approval_that_leaves_a_point_open_is_refused_by_its_name_and_its_words_are_kept(site, request_page, read):
+def test_an_approval_that_leaves_a_point_open_is_refused_by_its_name_and_its_words_are_kept(site, request_page):
     alan = site.visitor("alan")
     given = answers(alan.get(request_page))
     gate = next(name for name in given if name.startswith("tick:gate:"))
@@ -154,9 +154,7 @@ def test_a_comment_stands_on_its_gate_is_answered_resolved_and_reopened(site, re
     assert ada.post(f"{request_page}/threads", **about, thread="1", text="Yes.").status_code == 303
     for action in ("resolved", "reopened"):
         ada.post(f"{request_page}/threads/1/{action}", version={"resolved": "1", "reopened": "2"}[action])
-        assert ("by Ada Analyst" in read(alan.get(request_page)).split("Detector coverage")[1]) == (
-            action == "resolved"
-        )
+        assert ("resolved by Ada Analyst" in read(alan.get(request_page))) == (action == "resolved")
     refused = alan.post(f"{request_page}/threads", **about, text="@nobody knows")
     assert refused.status_code == 422
     assert ">@nobody knows</textarea>" in refused.text

@@ -7,11 +7,10 @@ import pytest
 
 from boresight.console import list_queries as lists
 from boresight.console.access import api_keys, users
-from boresight.console.approvals import gate_profiles, gates, staleness
+from boresight.console.approvals import gate_profiles, gates, staleness, threads
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import queries as gate_rows
 from boresight.console.approvals import service as approvals
-from boresight.console.approvals import threads
 from boresight.console.approvals.tables import Approval, Signature
 from boresight.console.campaigns import service as campaigns
 from boresight.console.campaigns.tables import Campaign, CampaignRun
