@@ -65,6 +65,13 @@ class Point:
         return self.reason is None and self.opened_utc is None
 
     @property
+    def answer(self) -> str:
+        """How it was answered, as the audit log says it."""
+        if self.opened_utc is not None:
+            return f"opened {self.opened_utc}"
+        return self.reason or "left open"
+
+    @property
     def key(self) -> tuple[str, str]:
         """Its kind and name, which tell it from others of the request."""
         return self.kind, self.name

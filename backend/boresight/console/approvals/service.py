@@ -25,6 +25,7 @@ from boresight.console.approvals.review import (
     Acknowledgement,
     answer_points,
     list_points,
+    read_points,
     refuse_open_points,
     write_points,
 )
@@ -246,8 +247,7 @@ def _decide(
         "password_by": signature.password_by,
         "four_eyes": policy.four_eyes,
     }
-    if signature.points is not None:
-        told["points"] = signature.points
+    told |= {f"point {point.kind} {point.name}": point.answer for point in read_points(signature.points)}
     reason = f"{signature.meaning}: {signature.comment}" if signature.comment else signature.meaning
     if signature.decision == "REFUSE":
         approval.closed_utc = signature.signed_utc
