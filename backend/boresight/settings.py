@@ -115,6 +115,9 @@ class Settings:
     four_eyes: int = _setting("1", "0 or 1", "0 = one person works alone here and may sign what they submitted.")
     second_person: int = _setting("0", "0 or 1", "1 = somebody else must confirm new gate limits and table layouts.")
     approvals: int = _setting("1", "people", "Approvals that a request needs; two at least where a gate is waived.")
+    rest_review: int = _setting(
+        "0", "0 or 1", "1 = an approval over REST too must answer for every point of the request, as on its page."
+    )
     approval_days: float = _setting("30", "d", "A request that nobody decided on expires after so long.")
     rollback_days: float = _setting("3", "d", "The same for a request to go back to a former baseline.")
     audit_head_file: str = _setting(
@@ -132,6 +135,7 @@ class Settings:
             approval_days=self.approval_days,
             rollback_days=self.rollback_days,
             approvals=self.approvals,
+            rest_review=bool(self.rest_review),
         )
 
     @property

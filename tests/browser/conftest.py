@@ -195,10 +195,16 @@ def promoted(people, batch_run):
         window.shoot("05-submitted")
     with people.seat("approver") as window:
         window.open(f"/approvals/{request_id}")
+        for view in window.page.locator("[data-view] > summary").all():
+            view.click()
         window.figures_drawn()
+        expect(window.page.locator("[data-view] [data-opened]", has_text="not opened")).to_have_count(0)
+        for reason in window.page.locator("#sign .reason").all():
+            reason.fill("Known, and small.")
+        expect(window.page.locator("[data-left]")).to_have_text("0 points open")
         window.shoot("06-to-sign", wide=True)
         sign(window, "Approve", get_password("approver"))
-        expect(window.page.get_by_role("status").filter(has_text="Approved")).to_be_visible()
+        expect(window.page.get_by_role("heading", level=1)).to_contain_text("Approved")
     with people.seat("operator") as window:
         window.open(f"/approvals/{request_id}")
         window.page.get_by_role("button", name="Promote").click()

@@ -98,6 +98,22 @@ def _promote(house: House) -> Made:
     return "olga", {"parameter_set_id": row["id"], "headers": _versioned(row)}
 
 
+ABOUT_COVERAGE = {"kind": "gate", "name": "coverage", "text": "Is a corner empty?"}
+
+
+def _thread(house: House) -> dict[str, Any]:
+    approval_id = house.submitted()["id"]
+    made = house.person("ada").post(f"/api/v1/approvals/{approval_id}/threads", json=ABOUT_COVERAGE)
+    return {"approval_id": approval_id, "thread_id": made.json()["id"]}
+
+
+def _reopen_thread(house: House) -> Made:
+    path = _thread(house)
+    address = "/api/v1/approvals/{approval_id}/threads/{thread_id}:resolve".format(**path)
+    house.person("ada").post(address, headers={"If-Match": '"v1"'})
+    return "alan", {**path, "headers": {"If-Match": '"v2"'}}
+
+
 def _sign(house: House) -> Made:
     approval = house.submitted()
     body = {"meaning": "I have read it.", "comment": "Seen.", "password": PASSWORD}
@@ -291,7 +307,14 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "list_remarks": lambda house: ("victor", {"approval_id": house.submitted()["id"]}),
     "remark": lambda house: ("ada", {"approval_id": house.submitted()["id"], "json": {"text": "Was the heater on?"}}),
     "list_openings": lambda house: ("victor", {"approval_id": house.submitted()["id"]}),
-    "record_opening": lambda house: ("alan", {"approval_id": house.submitted()["id"], "json": {"evidence": "radial"}}),
+    "list_points": lambda house: ("alan", {"approval_id": house.submitted()["id"]}),
+    "open_figure": lambda house: ("alan", {"approval_id": house.submitted()["id"], "name": "radial"}),
+    "list_threads": lambda house: ("victor", {"approval_id": house.submitted()["id"]}),
+    "open_thread": lambda house: ("ada", {"approval_id": house.submitted()["id"], "json": ABOUT_COVERAGE}),
+    "get_thread": lambda house: ("victor", _thread(house)),
+    "answer_thread": lambda house: ("alan", {**_thread(house), "json": {"text": "It was."}}),
+    "resolve_thread": lambda house: ("alan", {**_thread(house), "headers": {"If-Match": '"v1"'}}),
+    "reopen_thread": _reopen_thread,
     "list_uplinks": lambda _: ("victor", {}),
     "record_uplink": _record,
     "get_uplink": onboard.uplink,

@@ -44,7 +44,15 @@ PEOPLE = {
     "promoter": ("operator",),
 }
 NO_REQUEST = ("/api/v1/approvals/999999", 1)
-BESIDE = {"assess", "waive", "export", "read-back", "activate"}  # of a set, and move no request and no ground state
+BESIDE = {
+    "assess",
+    "waive",
+    "export",
+    "read-back",
+    "activate",
+    "resolve",
+    "reopen",
+}  # of a set, and move no request and no ground state
 BETWEEN = {"api_keys": ("last_used_utc",)}  # columns that no transition writes
 
 

@@ -75,6 +75,11 @@ class ParameterRow:
         return _ratio(self.delta, self.sigma_with_misfit)
 
     @property
+    def delta_over_noise(self) -> float | None:
+        """Return the change in sigmas of noise alone."""
+        return _ratio(self.delta, self.sigma)
+
+    @property
     def delta_over_typical(self) -> float | None:
         """Return the change in unit-to-unit sigmas."""
         return _ratio(self.delta, self.typical_sigma)

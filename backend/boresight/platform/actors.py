@@ -23,6 +23,7 @@ class Policy:
     rollback_days: float = 3.0
     approvals: int = 1
     second_person: bool = False
+    rest_review: bool = False
 
     def needed(self, *, waived: bool) -> int:
         """Return the number of approvals that a request needs."""

@@ -4,13 +4,12 @@ import re
 
 import pytest
 
-from boresight.calibration.calibration import parse_calibration
+from boresight.calibration.parameter_set import ParameterSetDocument
 from boresight.console.approvals import gate_profiles
 from boresight.console.approvals import queries as approval_queries
-from boresight.console.approvals.pages.approval import list_warnings
+from boresight.console.approvals.review import warn_of_shifts
 from boresight.console.approvals.tables import Approval
 from boresight.console.parameter_sets import service as parameter_sets
-from boresight.figures.tables import parameter_rows
 from boresight.platform.db.sessions import open_reading, open_writing, utc_now
 from tests.sites import PASSWORD
 
@@ -29,6 +28,17 @@ def submitted(site, name, run_id):
     return person.post(f"{place}/submit", version=version, reason="The held-out RMS fell.").headers["location"]
 
 
+def answers(page):
+    """Every point of the panel ticked, with a reason."""
+    ticks = re.findall(r'name="(tick:[^"]+)"', page)
+    return dict.fromkeys(ticks, "1") | {tick.replace("tick", "reason", 1): "Known and accepted." for tick in ticks}
+
+
+def signed(visitor, request_page, action="sign", **given):
+    form = {"version": "1", "password": PASSWORD, **WORDS, **answers(visitor.get(request_page)), **given}
+    return visitor.post(f"{request_page}/{action}", **form)
+
+
 def test_the_inbox_says_what_waits_and_separates_what_is_mine_to_sign(site, read):
     assert 'class="empty"' in site.visitor("alan").get("/approvals")
     submitted(site, "ada", 1)
@@ -38,22 +48,55 @@ def test_the_inbox_says_what_waits_and_separates_what_is_mine_to_sign(site, read
     assert 'class="empty"' in site.visitor("ada").get("/approvals?show=mine")
 
 
-def test_the_request_is_read_in_the_order_of_a_review_to_buttons_that_name_their_effect(site, request_page, read):
+def test_the_request_is_read_from_what_stands_against_it_to_the_views_beside_the_panel(site, request_page, read):
     page = site.visitor("alan").get(request_page)
-    order = ("reason", "change", "gates", "warnings", "evidence", "discussion", "signed", "sign")
+    order = ("warnings", "gates", "change", "views", "discussion", "signed", "sign")
     places = [page.index(f'id="{name}-title"') for name in order]
     assert places == sorted(places)
-    assert 'src="/api/v1/runs/1/figures/radial"' in page
+    against, _, passing = page.split('id="gates-title"')[1].split('id="change-title"')[0].partition("gates pass")
+    assert (against.count("<tr id="), 'id="gate-quantisation"' in against) == (1, True)
+    assert passing.count("<tr id=") > 1
+    for name in ("convergence", "rms", "radial", "observability"):
+        assert f'src="/api/v1/approvals/1/figures/{name}"' in page
     assert "Approve PS-ST16-1-1 for baseline" in read(page)
     assert "Refuse PS-ST16-1-1" in read(page)
 
 
-def test_a_signature_approves_and_stands_in_the_roll_with_name_meaning_and_comment(site, request_page, read):
-    answer = site.visitor("alan").post(f"{request_page}/sign", version="1", password=PASSWORD, **WORDS)
-    assert answer.headers["location"] == request_page
+def test_an_approval_that_leaves_a_point_open_is_refused_by_its_name_and_its_words_are_kept(site, request_page):
+    alan = site.visitor("alan")
+    given = answers(alan.get(request_page))
+    gate = next(name for name in given if name.startswith("tick:gate:"))
+    for missing, changed in ((gate, {}), (gate.replace("tick", "reason", 1), {gate.replace("tick", "reason", 1): " "})):
+        form = {name: value for name, value in given.items() if name != missing} | changed
+        refused = alan.post(f"{request_page}/sign", version="1", password=PASSWORD, **WORDS, **form)
+        assert refused.status_code == 422
+        assert "Known and accepted." in refused.text
+    with open_reading(site.engine) as session:
+        assert session.get_known(Approval, 1).state == "OPEN"
+
+
+def test_a_signature_lands_on_its_confirmation_and_stands_in_the_roll_with_its_reasons(site, request_page, read):
+    alan = site.visitor("alan")
+    answer = signed(alan, request_page)
+    assert answer.headers["location"] == f"{request_page}/signatures/1"
+    confirmed = read(alan.get(answer.headers["location"]))
+    for words in ("Alan Approver", "I approve this set for baseline.", "now APPROVED", "Olga Operator"):
+        assert words in confirmed
+    assert re.search(r"# ?\d+ of the audit log", confirmed)
     text = read(site.visitor("victor").get(request_page))
-    for words in ("Alan Approver", "APPROVE", "I approve this set for baseline.", "Read all of it."):
+    for words in ("Alan Approver", "APPROVE", "Read all of it.", "Known and accepted.", "not opened Radial difference"):
         assert words in text
+    site.visitor("victor").get(f"{request_page}/signatures/9", status=404)
+
+
+def test_a_figure_given_to_a_person_is_opened_by_that_person_and_needs_no_reason(site, request_page):
+    alan = site.visitor("alan")
+    for _ in range(2):
+        alan.get("/api/v1/approvals/1/figures/radial")
+    page = alan.get(request_page)
+    assert 'name="tick:evidence:radial"' not in page
+    assert 'name="tick:evidence:rms"' in page
+    assert 'name="tick:evidence:radial"' in site.visitor("both").get(request_page)
 
 
 def test_a_wrong_password_is_refused_in_its_place_and_everything_else_is_kept(site, request_page, read):
@@ -87,42 +130,36 @@ def test_the_submitter_is_told_that_another_approver_must_sign(site):
 def test_a_request_of_before_a_promotion_is_stale_and_cannot_be_signed(site, request_page, read):
     other = submitted(site, "ada", 2)
     alan, olga = site.visitor("alan"), site.visitor("olga")
-    alan.post(f"{request_page}/sign", version="1", password=PASSWORD, **WORDS)
+    signed(alan, request_page)
     page = olga.get(request_page)
     olga.post("/parameter-sets/2/promote", version=page.split('name="version" value="')[1].split('"')[0])
     text = read(alan.get(other))
     assert "STALE" in text
 
 
-def test_a_change_beyond_what_such_sensors_make_and_a_result_without_validation_are_warnings(results):
-    moved = parse_calibration({**results["batch"], "initial": {**results["batch"]["initial"], "f_m": 0.0150}})
-    said = list_warnings(moved, parameter_rows(moved), is_ground=False)
-    assert any(sentence.startswith("f_m moves by") for sentence in said)
-    assert not any("g_y" in sentence for sentence in said)
-    said = list_warnings(parse_calibration({**results["batch"], "validation": None}), [], is_ground=False)
-    assert "No validation set" in said[-1]
+@pytest.mark.parametrize(("typical_sigmas", "warned"), [(14.0, False), (16.0, True), (-16.0, True)])
+def test_an_estimate_farther_than_sensors_move_is_a_warning_and_a_held_parameter_is_none(typical_sigmas, warned):
+    moved = {"f_m": 0.016 + typical_sigmas * 1e-4, "g_y": 9.0}
+    found = ParameterSetDocument(camera_model="inverted_wang", parameters=moved, sigma={"f_m": 1e-6, "g_y": None})
+    said = warn_of_shifts(found, {"f_m": 0.016, "g_y": 1.0}, {"f_m": 1e-4, "g_y": 1e-3})
+    assert list(said) == (["shift-f_m"] if warned else [])
 
 
-@pytest.mark.parametrize(("typical_sigmas", "warned"), [(14.0, False), (16.0, True)])
-def test_an_approver_is_warned_where_the_advice_and_the_readme_say_it_is_far(results, typical_sigmas, warned):
-    result = results["batch"]
-    start = result["parameters"]["f_m"] - typical_sigmas * result["typical_sigma"]["f_m"]
-    moved = parse_calibration({**result, "initial": {**result["initial"], "f_m": start}})
-    said = list_warnings(moved, parameter_rows(moved), is_ground=False)
-    assert any(sentence.startswith("f_m moves by") and "more than 15:" in sentence for sentence in said) == warned
-
-
-SEEN = {"decision": "APPROVE", "meaning": "", "comment": "Seen."}
-
-
-def test_opening_evidence_leads_there_and_is_shown_once(site, request_page, read):
-    alan = site.visitor("alan")
-    for _ in range(2):
-        answer = alan.post(f"{request_page}/open", evidence="trust")
-        assert answer.headers["location"] == "/runs/1?part=trust"
-    row = read(alan.get(request_page)).split("Trust: two halves")[1].split("Open")[0]
-    assert row.count("Alan Approver") == 1
-    assert alan.post(f"{request_page}/open", evidence="the-moon").status_code == 404
+def test_a_comment_stands_on_its_gate_is_answered_resolved_and_reopened(site, request_page, read):
+    alan, ada = site.visitor("alan"), site.visitor("ada")
+    about = {"kind": "gate", "name": "coverage"}
+    made = alan.post(f"{request_page}/threads", **about, text="@ada is one <b>corner</b> empty?")
+    assert made.headers["location"] == f"{request_page}#thread-gate-coverage"
+    assert '<b class="mention">@ada</b> is one &lt;b&gt;corner' in ada.get(request_page)
+    assert ada.post(f"{request_page}/threads", **about, thread="1", text="Yes.").status_code == 303
+    for action in ("resolved", "reopened"):
+        ada.post(f"{request_page}/threads/1/{action}", version={"resolved": "1", "reopened": "2"}[action])
+        assert ("resolved by Ada Analyst" in read(alan.get(request_page))) == (action == "resolved")
+    refused = alan.post(f"{request_page}/threads", **about, text="@nobody knows")
+    assert refused.status_code == 422
+    assert ">@nobody knows</textarea>" in refused.text
+    assert alan.post(f"{request_page}/threads/1/forgotten", version="3").status_code == 404
+    assert f'action="{request_page}/threads' not in site.visitor("victor").get(request_page)
 
 
 def test_a_remark_stands_under_its_name_and_a_refused_one_is_kept_in_its_place(site, request_page, read):
@@ -154,7 +191,7 @@ def test_a_request_is_asked_of_one_who_may_sign_and_the_inbox_says_whom(site, re
 
 def test_a_second_person_signs_at_the_submitters_console_and_the_roll_says_so(site, request_page, read):
     ada = site.visitor("ada")
-    answer = ada.post(f"{request_page}/sign-over-the-shoulder", version="1", name="alan", password=PASSWORD, **SEEN)
+    answer = signed(ada, request_page, "sign-over-the-shoulder", name="alan", their_password=PASSWORD)
     assert answer.status_code == 303
     text = read(ada.get(request_page))
     assert "Alan Approver at the console of Ada Analyst Password given by Command line at 20" in text
@@ -165,7 +202,7 @@ def test_a_second_person_signs_at_the_submitters_console_and_the_roll_says_so(si
 
 def test_nobody_signs_over_ones_own_shoulder(site, request_page):
     alan = site.visitor("alan")
-    refused = alan.post(f"{request_page}/sign-over-the-shoulder", version="1", name="alan", password=PASSWORD, **SEEN)
+    refused = signed(alan, request_page, "sign-over-the-shoulder", name="alan", their_password=PASSWORD)
     assert refused.status_code == 403
     assert 'value="alan"' in refused.text
     assert PASSWORD not in refused.text

@@ -19,6 +19,7 @@ from boresight.console.access import api_keys, users
 from boresight.console.alarms import rules
 from boresight.console.alarms.rules import check_chain
 from boresight.console.approvals import service as approvals
+from boresight.console.approvals import threads
 from boresight.console.approvals.tables import Approval, GateProfile, GateReport, Waiver
 from boresight.console.campaigns.tables import Campaign, CampaignRun
 from boresight.console.change_proposals.tables import ChangeProposal
@@ -71,7 +72,7 @@ def _go_the_whole_way(engine: Engine, people: Mapping[str, Actor], row: Paramete
         for state in ("SENT", "LOADED"):
             uplinks.record(session, people["dee"], row.id, state, "pass 4711")
         approval = lists.list_newest(session, Approval, set=row.id)[0]
-        approvals.add_remark(session, people["ana"], approval.id, "The focus moved.")
+        threads.open_thread(session, people["ana"], approval.id, "gate", "coverage", "The focus moved.")
         api_keys.create_key(session, people["ana"], label="passes", scopes=["runs"])
         users.change_roles(session, people["root"], people["eve"].user_id or 0, ["viewer", "operator"])
         with tempfile.TemporaryDirectory() as folder:

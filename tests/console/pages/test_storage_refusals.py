@@ -57,7 +57,8 @@ FORMS = {  # who sends which form to which page
     "/sensors/propose": ("ada", {}),
     "/campaigns/{campaign_id:int}/cancel": ("ada", {"reason": "x"}),
     "/campaigns/{campaign_id:int}/launch-failed": ("ada", {}),
-    "/approvals/{approval_id:int}/open": ("alan", {"evidence": "trust"}),
+    "/approvals/{approval_id:int}/threads": ("alan", {"kind": "gate", "name": "coverage", "text": "Why?"}),
+    "/approvals/{approval_id:int}/threads/{thread_id:int}/{action}": ("alan", {"version": "1"}),
     "/approvals/{approval_id:int}/remarks": ("alan", {"text": "Why?"}),
     "/approvals/{approval_id:int}/assign": ("ada", {"person": "", "version": "1"}),
     "/parameter-sets/{set_id:int}/assess": ("ada", {}),
@@ -77,7 +78,10 @@ FORMS = {  # who sends which form to which page
     "/parameter-sets/{set_id:int}/withdraw": ("ada", {"version": "1"}),
     "/parameter-sets/{set_id:int}/promote": ("olga", {"version": "1"}),
     "/approvals/{approval_id:int}/sign": ("alan", SIGNED),
-    "/approvals/{approval_id:int}/sign-over-the-shoulder": ("ada", {**SIGNED, "name": "alan"}),
+    "/approvals/{approval_id:int}/sign-over-the-shoulder": (
+        "ada",
+        {**SIGNED, "name": "alan", "their_password": PASSWORD},
+    ),
     "/campaigns/new": ("ada", {**CAMPAIGN, "intent": "queue"}),
     "/sensors/{sensor_id}": ("ada", {"document": "{}", "version": "1"}),
 }
@@ -129,7 +133,7 @@ def test_a_full_disk_is_503_with_retry_after_by_every_form(request, site, monkey
         monkeypatch.setattr(new_sensor, "_solve", on_a_full_folder)
     visitor = site.visitor(name)
     monkeypatch.setattr(attempts, "_transaction", on_a_full_disk)
-    path = route.replace("{step}", "acknowledge").replace("{kind}", "runs")
+    path = route.replace("{step}", "acknowledge").replace("{kind}", "runs").replace("{action}", "resolved")
     path = "/".join("1" if part.startswith("{") else part for part in path.split("/"))
     given = {"headers": {"Accept": "text/html"}}
     data = {"csrf_token": visitor.csrf_token, **form}

@@ -13,6 +13,7 @@ from boresight.console.approvals.tables import (
     Opening,
     Remark,
     Signature,
+    Thread,
     Waiver,
 )
 from boresight.console.parameter_sets.tables import ParameterSet
@@ -73,8 +74,14 @@ def find_signature(session: Session, approval_id: int, user_id: int) -> Signatur
 
 
 def list_remarks(session: Session, approval_id: int) -> Sequence[Remark]:
-    """Return what was said about a request, in order."""
-    return session.scalars(sa.select(Remark).where(Remark.approval_id == approval_id).order_by(Remark.id)).all()
+    """Return what was said about a request as a whole, in order."""
+    of_all = (Remark.approval_id == approval_id, Remark.thread_id.is_(None))
+    return session.scalars(sa.select(Remark).where(*of_all).order_by(Remark.id)).all()
+
+
+def list_threads(session: Session, approval_id: int) -> Sequence[Thread]:
+    """Return the threads of a request, in order."""
+    return session.scalars(sa.select(Thread).where(Thread.approval_id == approval_id).order_by(Thread.id)).all()
 
 
 def list_openings(session: Session, approval_id: int) -> Sequence[Opening]:

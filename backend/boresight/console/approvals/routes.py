@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from typing import Annotated, Any, Literal
 
 from fastapi import Depends, Query
+from fastapi.concurrency import run_in_threadpool
 from pydantic import Field, SecretStr
 from starlette.requests import Request
+from starlette.responses import Response
 
 from boresight.console import list_queries as lists
 from boresight.console.access.dependencies import (
@@ -17,24 +21,31 @@ from boresight.console.access.dependencies import (
     PasswordChecks,
     Reading,
     SeenVersion,
+    ServerFigureCache,
     ServerPolicy,
     Who,
     Writing,
     get_client,
+    open_write_session,
     own_password,
 )
 from boresight.console.access.passwords import PasswordProof
-from boresight.console.approvals import gate_profiles, gates, schemas
+from boresight.console.approvals import gate_profiles, gates, review, schemas, threads
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.gates import read_gate_inputs
+from boresight.console.approvals.review import Acknowledgement, Point
 from boresight.console.approvals.service import Decision
-from boresight.console.approvals.tables import Approval, GateProfile, GateReport, Opening, Remark, Waiver
+from boresight.console.approvals.tables import Approval, GateProfile, GateReport, Opening, Remark, Thread, Waiver
 from boresight.console.change_proposals import service as proposals
 from boresight.console.change_proposals.routes import PROPOSED, in_force_or_proposed
 from boresight.console.operation import Answer, Beside, operations
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.figure_routes import FigureName, Seen, get_figure
+from boresight.console.runs.schemas import PlotlyFigure
 from boresight.console.schemas import Shape
 from boresight.console.uplinks.tables import TableDefinition
+from boresight.errors import NotFoundError
 from boresight.platform.actors import require_role, require_scope
 from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.openapi import refuses
@@ -197,16 +208,36 @@ def waive_gate(
 router = operations("/approvals", tags=["approvals"])
 
 
+class Acknowledged(Shape):
+    """A point that the signature accepts."""
+
+    kind: Literal["gate", "warning", "evidence"]
+    name: str = Field(max_length=200, examples=["coverage"])
+    reason: str = Field(
+        description="Why it is accepted; of a figure, why it was not opened.", examples=["The corner was in eclipse."]
+    )
+
+
 class Signing(Shape):
     """A signature: what it means, and the password again."""
 
     meaning: str = Field(examples=["I reviewed the evidence and approve this set for baseline."])
     password: SecretStr = Field(description="The signer's own, given again.")
     comment: str = Field("", description="Needed to refuse.")
+    acknowledged: list[Acknowledged] | None = Field(
+        None,
+        max_length=200,
+        description="Of an approval: a reason for each point of the request that no opening closes. Where it is given, or "
+        "BORESIGHT_REST_REVIEW is 1, an approval that leaves a point open is refused; otherwise the record says what was "
+        "left open.",
+    )
 
     def decided(self, decision: str) -> Decision:
         """Return the body as a decision."""
-        return Decision(decision, self.meaning, self.comment)
+        points = (
+            None if self.acknowledged is None else [Acknowledgement(**one.model_dump()) for one in self.acknowledged]
+        )
+        return Decision(decision, self.meaning, self.comment, points)
 
 
 class SigningByName(Signing):
@@ -323,10 +354,11 @@ class NewRemark(Shape):
     text: str = Field(examples=["Was the focus heater on during this pass?"])
 
 
-class NewOpening(Shape):
-    """Which evidence was opened."""
+class NewThread(NewRemark):
+    """What a thread is about, and its first comment."""
 
-    evidence: str = Field(examples=["gate-report"])
+    kind: Literal["gate", "parameter", "figure"]
+    name: str = Field(max_length=200, examples=["coverage"])
 
 
 @discussion_router.post(":assign", summary="Ask a person to decide", response_model=schemas.Approval)
@@ -346,7 +378,7 @@ def list_remarks(approval_id: Id, session: Reading) -> Listing[Remark]:
 @discussion_router.post("/remarks", summary="Say something about it", status_code=201, response_model=schemas.Remark)
 def remark(approval_id: Id, new: NewRemark, actor: Who, session: Writing) -> Remark:
     """Add a remark to a request, be it decided or not; it is never edited."""
-    return approvals.add_remark(session, actor, approval_id, new.text)
+    return threads.add_remark(session, actor, approval_id, new.text)
 
 
 @discussion_router.get("/openings", summary="Read who opened which evidence", response_model=Page[schemas.Opening])
@@ -355,9 +387,82 @@ def list_openings(approval_id: Id, session: Reading) -> Listing[Opening]:
     return Listing(approvals.list_openings(session, approval_id))
 
 
-@discussion_router.post(
-    "/openings", summary="Say that you opened a piece of evidence", status_code=201, response_model=schemas.Opening
+@discussion_router.get("/points", summary="Read what a signature answers for", response_model=Page[schemas.Point])
+def list_points(approval_id: Id, actor: Who, session: Reading) -> Listing[Point]:
+    """Read the points of a request, gates first, with the figures that you opened."""
+    return Listing(review.list_points(session, session.get_known(Approval, approval_id), (actor.user_id,)))
+
+
+async def keep_opening(
+    request: Request, actor: Who, approval_id: Id, name: FigureName, engine: Database
+) -> AsyncIterator[None]:
+    """Keep, once the figure was made, that the person who asked was given it."""
+    yield
+    with open_reading(engine) as session:
+        is_first = name in review.VIEWS and approvals.must_record_opening(session, actor, approval_id, name)
+    if is_first:
+        async with asynccontextmanager(open_write_session)(request) as session:
+            await run_in_threadpool(approvals.record_opening, session, actor, approval_id, name)
+
+
+@discussion_router.get(
+    "/figures/{name}",
+    summary="Open a figure of the evidence",
+    response_model=PlotlyFigure,
+    dependencies=[Depends(keep_opening, scope="function")],
 )
-def record_opening(approval_id: Id, new: NewOpening, actor: Who, session: Writing) -> Opening:
-    """Record that you opened a piece of evidence; only the first time counts."""
-    return approvals.record_opening(session, actor, approval_id, new.evidence)
+def open_figure(
+    approval_id: Id,
+    name: FigureName,
+    session: Reading,
+    blobs: Blobs,
+    figure_cache: ServerFigureCache,
+    request: Request,
+    seen: Seen,
+) -> Response:
+    """Read a figure of the run behind a request. While it is open the server keeps that you, a person, were given it."""
+    approval = session.get_known(Approval, approval_id)
+    row = session.get_one(ParameterSet, approval.parameter_set_id)
+    if row.run_id is None:
+        raise NotFoundError(f"{row.name} comes from no run, so there is no figure; read the set itself.")
+    return get_figure(row.run_id, name, session, blobs, figure_cache, request, seen)
+
+
+@discussion_router.get("/threads", summary="List the threads", response_model=Page[schemas.Thread])
+def list_threads(approval_id: Id, session: Reading) -> Listing[Thread]:
+    """List the threads about gates, parameters and figures of a request, each with its comments, in order."""
+    return Listing(threads.list_threads(session, approval_id))
+
+
+@discussion_router.post(
+    "/threads", summary="Comment on a gate, parameter or figure", status_code=201, response_model=schemas.Thread
+)
+def open_thread(approval_id: Id, new: NewThread, actor: Who, session: Writing) -> Thread:
+    """Open a thread with its first comment; `@name` mentions a person by log-in name."""
+    return threads.open_thread(session, actor, approval_id, new.kind, new.name, new.text)
+
+
+@discussion_router.get("/threads/{thread_id}", summary="Read a thread", response_model=schemas.Thread)
+def get_thread(approval_id: Id, thread_id: Id, session: Reading) -> Thread:
+    """Read a thread; the ETag is for resolving it."""
+    return threads.get_thread(session, approval_id, thread_id)
+
+
+@discussion_router.post(
+    "/threads/{thread_id}/remarks", summary="Answer in a thread", status_code=201, response_model=schemas.Remark
+)
+def answer_thread(approval_id: Id, thread_id: Id, new: NewRemark, actor: Who, session: Writing) -> Remark:
+    """Add a comment to a thread, open or resolved; it is never edited."""
+    return threads.add_remark(session, actor, approval_id, new.text, thread_id)
+
+
+@discussion_router.post("/threads/{thread_id}:resolve", summary="Resolve a thread", response_model=schemas.Thread)
+def resolve_thread(approval_id: Id, thread_id: Id, actor: Who, seen: SeenVersion, session: Writing) -> Thread:
+    """Mark a thread as resolved, with your name and the time."""
+    return threads.set_resolved(session, actor, approval_id, thread_id, "resolved", seen)
+
+
+@discussion_router.post("/threads/{thread_id}:reopen", summary="Reopen a thread", response_model=schemas.Thread)
+def reopen_thread(approval_id: Id, thread_id: Id, actor: Who, seen: SeenVersion, session: Writing) -> Thread:
+    """Open a resolved thread again."""
+    return threads.set_resolved(session, actor, approval_id, thread_id, "reopened", seen)

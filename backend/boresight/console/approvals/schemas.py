@@ -9,6 +9,22 @@ from pydantic import BaseModel, Field
 from boresight.console.schemas import Document, Row, Shape
 
 
+class Point(Row):
+    """Something that a signature answers for: a gate that is not PASS, a warning, or a figure to be opened."""
+
+    kind: Literal["gate", "warning", "evidence"]
+    name: str = Field(description="With the kind it tells the point from others of the request.")
+    title: str
+    said: str = Field(description="What the gate or the warning says.")
+    status: str = Field(description="The gate's answer; empty otherwise.")
+    reason: str | None = Field(
+        description="Why it is accepted, or why the figure was not opened; null where none is given."
+    )
+    opened_utc: str | None = Field(
+        description="When the server first gave the figure to the signer; null where it did not."
+    )
+
+
 class Signature(Row):
     """A person's decision on a request."""
 
@@ -24,6 +40,10 @@ class Signature(Row):
     password_by: str | None = Field(
         description="Who else gave the password that it was signed with, and when; null where the signer chose it, a day "
         "or more after anybody else had given one."
+    )
+    points: list[Point] | None = Field(
+        description="Every point of the request, and how this approval answered it: with neither reason nor time it was "
+        "left open, which the page never allows. Null of a refusal, and of signatures of before."
     )
 
 
@@ -66,7 +86,7 @@ class Signer(Shape):
 
 
 class Remark(Row):
-    """A word in the discussion of a request; never edited."""
+    """A word in the discussion of a request, or in one of its threads; never edited."""
 
     id: int
     approval_id: int
@@ -74,10 +94,33 @@ class Remark(Row):
     printed_name: str
     text: str
     made_utc: str
+    thread_id: int | None = Field(description="The thread that it stands in; null where it is about the whole request.")
+    mentions: list[str] | None = Field(description="Log-in names that the text mentions by `@name`.")
+
+
+class Thread(Row):
+    """A discussion of one gate, parameter or figure of a request."""
+
+    versioned_by = ("version",)
+    location = "/approvals/{row.approval_id}/threads/{row.id}"
+
+    id: int
+    approval_id: int
+    kind: Literal["gate", "parameter", "figure"]
+    name: str
+    state: Literal["OPEN", "RESOLVED"]
+    version: int = Field(description='Counts transitions; the ETag is `"v<version>"`.')
+    opened_by: int
+    printed_name: str
+    opened_utc: str
+    resolved_by: int | None
+    resolver: str | None = Field(description="Printed name of who resolved it.")
+    resolved_utc: str | None
+    remarks: list[Remark]
 
 
 class Opening(Row):
-    """A person opened a piece of a request's evidence."""
+    """The server gave a person a figure of a request while it was open."""
 
     id: int
     approval_id: int

@@ -8,10 +8,10 @@ roll-back.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 from boresight.console.access import users
 from boresight.console.access.passwords import PasswordProof, name_password_setter
@@ -21,6 +21,14 @@ from boresight.console.alarms.rules import update_alarms
 from boresight.console.approvals import gates
 from boresight.console.approvals import queries as rows
 from boresight.console.approvals.gates import GateAssessment
+from boresight.console.approvals.review import (
+    Acknowledgement,
+    answer_points,
+    list_points,
+    read_points,
+    refuse_open_points,
+    write_points,
+)
 from boresight.console.approvals.signers import (
     Signer,
     list_second_persons,
@@ -75,6 +83,7 @@ class Decision:
     decision: str
     meaning: str
     comment: str = ""
+    acknowledged: Sequence[Acknowledgement] | None = None  # None: by a client that was not asked for points
 
     def check(self) -> None:
         """Check that the decision is complete."""
@@ -150,7 +159,7 @@ def sign_over_the_shoulder(
     if actor.user_id == owner_id:
         raise ForbiddenError("This is your own console; sign without a name, or have another approver give theirs.")
     refuse_signer(session, actor, approval, policy)
-    return _sign(session, actor, approval, decided, policy, console.printed_name)
+    return _sign(session, actor, approval, decided, policy, console)
 
 
 def refuse_beside(
@@ -193,14 +202,19 @@ def _sign(
     approval: Approval,
     decided: Decision,
     policy: Policy,
-    console: str | None = None,
+    console: Actor | None = None,
 ) -> Signature:
     parameter_set = session.get_one(ParameterSet, approval.parameter_set_id)
     refuse_expired(session, approval, parameter_set)
     refuse_changed_binding(session, actor, approval, parameter_set)
+    user_id = require_person(actor, "sign")
+    points = None
     if decided.decision == "APPROVE":
         refuse_blocked(session, parameter_set)
-    user_id = require_person(actor, "sign")
+        readers = {user_id, None if console is None else console.user_id}
+        points = answer_points(list_points(session, approval, readers), decided.acknowledged or ())
+        if policy.rest_review or decided.acknowledged is not None:
+            refuse_open_points(points)
     signature = Signature(
         approval_id=approval.id,
         user_id=user_id,
@@ -210,8 +224,9 @@ def _sign(
         comment=decided.comment.strip(),
         shown_sha256=compute_binding_sha256(approval),
         signed_utc=utc_now(),
-        console=console,
+        console=None if console is None else console.printed_name,
         password_by=name_password_setter(session, user_id),
+        points=None if points is None else write_points(points),
     )
     session.put(signature)
     _decide(session, actor, approval, parameter_set, signature, policy)
@@ -226,12 +241,13 @@ def _decide(
     signature: Signature,
     policy: Policy,
 ) -> None:
-    told = {
+    told: dict[str, Any] = {
         "shown_sha256": signature.shown_sha256,
         "console": signature.console,
         "password_by": signature.password_by,
         "four_eyes": policy.four_eyes,
     }
+    told |= {f"point {point.kind} {point.name}": point.answer for point in read_points(signature.points)}
     reason = f"{signature.meaning}: {signature.comment}" if signature.comment else signature.meaning
     if signature.decision == "REFUSE":
         approval.closed_utc = signature.signed_utc
@@ -246,10 +262,6 @@ def _decide(
     approval.closed_utc = signature.signed_utc
     move(session, actor, approval, "APPROVED", "approved", reason=reason, **told)
     move(session, actor, parameter_set, "APPROVED", "approved", reason=reason)
-
-
-LONGEST_REMARK = 4000
-EVIDENCE = re.compile(r"[a-z0-9][a-z0-9-]{0,63}")
 
 
 def assign(
@@ -291,43 +303,27 @@ def _get_signer(session: Session, approval: Approval, user_id: int, policy: Poli
     return user
 
 
-def add_remark(session: Session, actor: Actor, approval_id: int, text: str) -> Remark:
-    """Add a remark to a request, decided or not."""
-    user_id = require_person(actor, "discuss a request")
-    require_role(actor, "analyst", "operator", "approver", "administrator")
-    approval = session.get_known(Approval, approval_id)
-    refuse_control_characters(remark=text)
-    if not text.strip() or len(text) > LONGEST_REMARK:
-        raise RefusedInputError(
-            f"A remark of {len(text.strip())} characters cannot be kept; write 1 to {LONGEST_REMARK}."
-        )
-    row = Remark(
-        approval_id=approval.id,
-        user_id=user_id,
-        printed_name=actor.printed_name,
-        text=text.strip(),
-        made_utc=utc_now(),
-    )
-    session.put(row)
-    audit.append(session, actor, "remarked", f"{name_subject(approval)}/remarks/{row.id}", None, {"text": row.text})
-    return row
-
-
 def list_remarks(session: Session, approval_id: int) -> Sequence[Remark]:
     """Return what was said about a request, in order."""
     return rows.list_remarks(session, session.get_known(Approval, approval_id).id)
 
 
-def record_opening(session: Session, actor: Actor, approval_id: int, evidence: str) -> Opening:
-    """Record that a person opened a piece of a request's evidence; only the first time counts."""
-    user_id = require_person(actor, "open evidence")
-    approval = session.get_known(Approval, approval_id)
-    if not EVIDENCE.fullmatch(evidence):
-        raise RefusedInputError("Name the evidence in small letters, digits and -, such as gate-report or radial.")
-    if (known := rows.find_opening(session, approval.id, user_id, evidence)) is not None:
-        return known
-    row = Opening(approval_id=approval.id, user_id=user_id, evidence=evidence, opened_utc=utc_now())
+def record_opening(session: Session, actor: Actor, approval_id: int, view: str) -> Opening | None:
+    """Record that a person was given a figure of an open request; only the first time counts."""
+    if not must_record_opening(session, actor, approval_id, view):
+        return None
+    row = Opening(
+        approval_id=approval_id, user_id=require_person(actor, "open evidence"), evidence=view, opened_utc=utc_now()
+    )
     return session.put(row)
+
+
+def must_record_opening(session: Session, actor: Actor, approval_id: int, view: str) -> bool:
+    """Whether this would be the first time that a person opens a figure of an open request; a key opens none."""
+    approval = session.get_known(Approval, approval_id)
+    if actor.is_key or actor.user_id is None or approval.state != "OPEN":
+        return False
+    return rows.find_opening(session, approval_id, actor.user_id, view) is None
 
 
 def list_openings(session: Session, approval_id: int) -> Sequence[Opening]:

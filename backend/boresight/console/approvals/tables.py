@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import sqlalchemy as sa
-from sqlalchemy.orm import Mapped, mapped_column, relationship
+from sqlalchemy.orm import Mapped, foreign, mapped_column, relationship
 
 from boresight.platform.db.declared import STRICT, Base, Sealing, allow_only, only_one
 from boresight.platform.db.documents import JsonText
 
 APPROVAL_STATES = ("OPEN", "APPROVED", "REJECTED", "WITHDRAWN", "STALE", "EXPIRED")
 APPROVAL_KINDS = ("PROMOTION", "ROLLBACK")
+THREAD_KINDS = ("gate", "parameter", "figure")
 
 
 class Approval(Base):
@@ -60,6 +61,7 @@ class Signature(Base):
     signed_utc: Mapped[str] = mapped_column(sa.Text)
     console: Mapped[str | None] = mapped_column(sa.Text)  # whose console it was signed at, over the shoulder
     password_by: Mapped[str | None] = mapped_column(sa.Text)  # who else knew, or lately gave, the password
+    points: Mapped[list[dict[str, Any]] | None] = mapped_column(JsonText)  # `review.Point`s; of a refusal none
     approval: Mapped[Approval] = relationship(viewonly=True)
 
 
@@ -74,14 +76,39 @@ class Remark(Base):
     printed_name: Mapped[str] = mapped_column(sa.Text)
     text: Mapped[str] = mapped_column(sa.Text)
     made_utc: Mapped[str] = mapped_column(sa.Text)
+    thread_id: Mapped[int | None] = mapped_column(sa.Integer, index=True)  # without one it is about the whole request
+    mentions: Mapped[list[str] | None] = mapped_column(JsonText)  # log-in names
+
+
+class Thread(Base):
+    """A discussion of one gate, parameter or figure of a request, open until somebody resolves it."""
+
+    __tablename__ = "threads"
+    noun = "thread"
+    __table_args__ = (allow_only("kind", THREAD_KINDS), allow_only("state", ("OPEN", "RESOLVED")), STRICT)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    approval_id: Mapped[int] = mapped_column(sa.ForeignKey("approvals.id"), index=True)
+    kind: Mapped[str] = mapped_column(sa.Text)
+    name: Mapped[str] = mapped_column(sa.Text)
+    state: Mapped[str] = mapped_column(sa.Text)
+    version: Mapped[int] = mapped_column(default=1)
+    opened_by: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
+    printed_name: Mapped[str] = mapped_column(sa.Text)
+    opened_utc: Mapped[str] = mapped_column(sa.Text)
+    resolved_by: Mapped[int | None] = mapped_column(sa.Integer)
+    resolver: Mapped[str | None] = mapped_column(sa.Text)  # the printed name
+    resolved_utc: Mapped[str | None] = mapped_column(sa.Text)
+    remarks: Mapped[list[Remark]] = relationship(
+        viewonly=True, primaryjoin=lambda: foreign(Remark.thread_id) == Thread.id, order_by="Remark.id"
+    )
 
 
 class Opening(Base):
-    """A person opened a piece of a request's evidence; shown, not enforced."""
+    """The server gave a person a figure of a request; only the first time is kept."""
 
     __tablename__ = "openings"
     __table_args__ = (sa.UniqueConstraint("approval_id", "user_id", "evidence"), STRICT)
-    sealing = Sealing(unsealed="is shown and decides nothing")
+    sealing = Sealing(unsealed="is sealed with the signature that counted on it")
     id: Mapped[int] = mapped_column(primary_key=True)
     approval_id: Mapped[int] = mapped_column(sa.ForeignKey("approvals.id"))
     user_id: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))

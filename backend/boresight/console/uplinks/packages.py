@@ -141,9 +141,10 @@ def _describe_approval(session: Session, row: ParameterSet) -> dict[str, Any] | 
 
 
 def _describe_signature(signature: Signature) -> dict[str, Any]:
-    """Return a signature, with who else knew the password."""
+    """Return a signature, with who else knew the password and what it says of the points, where it has them."""
     said = {key: getattr(signature, key) for key in SIGNED}
-    return said if signature.password_by is None else said | {"password_by": signature.password_by}
+    more = {key: getattr(signature, key) for key in ("password_by", "points")}
+    return said | {key: value for key, value in more.items() if value is not None}
 
 
 def _name_person(session: Session, user_id: int | None) -> str:

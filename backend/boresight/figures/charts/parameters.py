@@ -121,7 +121,7 @@ def _dress(figure: go.Figure, drawn: Sequence[Part[Calibration]], n_names: int) 
     figure.update_yaxes(autorange="reversed", type="category", showgrid=False)
     largest = max(SIGNIFICANT, *(_largest(result) for _, _, result in drawn))
     span = [float(np.log10(FLOOR)), float(np.log10(largest)) + 0.5]
-    figure.update_xaxes(title_text="|Δ| / σ", type="log", range=span, dtick=1, row=1, col=1)
+    figure.update_xaxes(title_text="|Δ| / σ with misfit", type="log", range=span, dtick=1, row=1, col=1)
     figure.update_xaxes(title_text="Δ in typical σ, bar ±3σ", zeroline=True, row=1, col=2)
     figure.add_vline(x=SIGNIFICANT, line=theme.LEVEL, row=1, col=1)
 
@@ -139,7 +139,7 @@ def _headline(drawn: Sequence[Part[Calibration]]) -> str:
     names = free_names(result)
     worth = np.abs(_ratio(_change(result, names), _column(result.reliable_sigma, names)))
     moved = int(np.sum(worth >= SIGNIFICANT))
-    return f"{moved} of {len(names)} parameters moved by more than 3σ"
+    return f"{moved} of {len(names)} parameters moved by more than 3 σ with misfit"
 
 
 def table(result: Calibration) -> Table:

@@ -299,8 +299,8 @@ def parameter_shift(inputs: GateInputs) -> Measurement:
     moved = sum(np.abs(shift) > 3)
     return Measurement(
         float(abs(shift[i])),
-        f"{inputs.names[i]} moved farthest, by {shift[i]:+.1f} sigmas of the difference; "
-        f"{moved} of {len(shift)} parameters moved by more than 3.",
+        f"{inputs.names[i]} moved farthest, by {shift[i]:+.1f} σ of the difference (of both sets, with misfit); "
+        f"{moved} of {len(shift)} parameters moved by more than 3 of them.",
     )
 
 

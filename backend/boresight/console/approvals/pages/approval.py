@@ -1,12 +1,12 @@
-"""The inbox of requests, and one request on one page, in the order in which it should be read, the signature last.
+"""The inbox of requests, one request as a review beside the panel where it is signed, and the page that confirms a decision.
 
 A refused form comes back in its place with everything typed but the password.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Annotated, Any
 
@@ -15,19 +15,30 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.calibration.calibration import Calibration
-from boresight.cameras.model import FAR_TYPICAL_SIGMAS
+from boresight.console.access import users
 from boresight.console.access.dependencies import Reading, Who, csrf, get_client, get_server
 from boresight.console.access.password_checks import PasswordWorker
 from boresight.console.access.passwords import PasswordProof
-from boresight.console.approvals import gates
+from boresight.console.access.tables import User
+from boresight.console.approvals import gates, review, threads
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.pages.gates import make_gates_panel
-from boresight.console.approvals.tables import Approval, Opening, Signature
+from boresight.console.approvals.review import Acknowledgement, Point
+from boresight.console.approvals.tables import Approval, Remark, Signature, Thread
+from boresight.console.approvals.threads import MENTION
 from boresight.console.change_proposals import service as proposals
 from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import Beside
-from boresight.console.pages.rendering import RefusalContext, attempt, read_texts, redirect, render, seen_version
+from boresight.console.pages.rendering import (
+    RefusalContext,
+    attempt,
+    make_change,
+    read_texts,
+    redirect,
+    render,
+    seen_version,
+)
 from boresight.console.pages.tables import (
     Table,
     TableColumn,
@@ -38,21 +49,22 @@ from boresight.console.pages.tables import (
     read_view,
     write_csv,
 )
-from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets.pages import find_bound_incumbent, read_set_and_incumbent
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs import service as runs
 from boresight.console.runs.pages.list import read_names
 from boresight.errors import NotFoundError
-from boresight.figures import FIGURES, WIDE
-from boresight.figures.tables import ParameterRow, set_rows
-from boresight.platform.actors import Actor
+from boresight.figures import FIGURES, Figure
+from boresight.figures.tables import set_rows
+from boresight.platform.actors import Actor, Policy
+from boresight.platform.audit import log as audit
+from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.paging import parse_row_id
+from boresight.verdicts.gates.judgement import STATUSES
+from boresight.verdicts.numbers import urad
 from boresight.verdicts.verdict import make_verdict_marks
 
-CHANGE_FIGURE = "radial"
-EVIDENCE_FIGURES = ("rms", "arc-uncertainty", "shadow", "two-halves", "observability", "parameters")
 MEANINGS = {
     "APPROVE": "I reviewed the evidence and approve this set for baseline",
     "REFUSE": "I reviewed the evidence and refuse this set",
@@ -60,42 +72,47 @@ MEANINGS = {
 
 
 @dataclass(frozen=True)
-class EvidenceItem:
-    """A piece of evidence: its name in the store, its title, its address, and who first opened it when."""
+class View:
+    """A figure that is opened before signing: what the run answers in a sentence, and when this reader opened it."""
 
-    name: str
-    title: str
-    address: str
-    opened: Sequence[Opening]
+    point: Point
+    figure: Figure
+    answer: str
 
 
-def list_evidence(
-    session: Session, approval: Approval, row: ParameterSet, incumbent: ParameterSet | None
-) -> list[EvidenceItem]:
-    """Return the evidence that an approver can open, with who has opened it."""
-    opened = approvals.list_openings(session, approval.id)
+def make_views(points: Sequence[Point], result: Calibration | None) -> list[View]:
+    """Return the figures of a request, each with its answer."""
+    said = {} if result is None else describe_views(result)
     return [
-        EvidenceItem(name, title, address, [one for one in opened if one.evidence == name])
-        for name, (title, address) in list_evidence_addresses(row, incumbent).items()
+        View(point, FIGURES[point.name], said.get(point.name, "Open it to see."))
+        for point in points
+        if point.kind == review.EVIDENCE
     ]
 
 
-def list_evidence_addresses(row: ParameterSet, incumbent: ParameterSet | None) -> dict[str, tuple[str, str]]:
-    """Return where each piece of evidence of a set is to be seen."""
-    own = {
-        "set": (f"{row.name}: values, identity, lineage", f"/parameter-sets/{row.id}"),
-        "gate-report": ("Gates: every answer with its reason", f"/parameter-sets/{row.id}/gates"),
+def describe_views(result: Calibration) -> dict[str, str]:
+    """Say in a sentence what each figure of a result shows."""
+    marks = {mark.name: mark for mark in make_verdict_marks(result)}
+    fit, weakest, rms = marks["fit"], marks["weakest_direction"], result.rms_arc_rad
+    return {
+        "convergence": f"{fit.word}, {fit.value}" if fit.value else fit.word,
+        "rms": f"{urad(rms.initial)} → {urad(rms.final)} µrad",
+        "radial": "How far a star moves on the detector",
+        "observability": f"{weakest.word}, {weakest.value}" if weakest.value else weakest.word,
     }
-    if row.run_id is None:
-        return own
-    run = {
-        "run": (f"Run #{row.run_id}: convergence, RMS, observability", f"/runs/{row.run_id}"),
-        "trust": ("Trust: two halves, efficiency, suspect stars", f"/runs/{row.run_id}?part=trust"),
-        "matching": ("Matching: what was matched and lost", f"/runs/{row.run_id}?part=matching"),
-    }
-    if incumbent is not None and incumbent.run_id is not None:
-        run["compare"] = (f"Beside {incumbent.name}", f"/compare?runs={incumbent.run_id},{row.run_id}")
-    return run | own
+
+
+def list_further_evidence(row: ParameterSet, incumbent: ParameterSet | None) -> list[tuple[str, str]]:
+    """Return title and address of what else there is to read about a set."""
+    found = [
+        (f"{row.name}: values, identity, lineage", f"/parameter-sets/{row.id}"),
+        ("Gates: assess, waive", f"/parameter-sets/{row.id}/gates"),
+    ]
+    if row.run_id is not None:
+        found.append((f"Run #{row.run_id}", f"/runs/{row.run_id}"))
+        if incumbent is not None and incumbent.run_id is not None:
+            found.append((f"Beside {incumbent.name}", f"/compare?runs={incumbent.run_id},{row.run_id}"))
+    return found
 
 
 @dataclass(frozen=True)
@@ -108,22 +125,23 @@ class TypedText:
     comment: str = ""
     name: str = ""
     text: str = ""
+    about: tuple[str, str] = ("", "")
+    reasons: Mapping[tuple[str, str], str] = field(default_factory=dict)
+    ticked: frozenset[tuple[str, str]] = frozenset()
 
 
-def list_warnings(result: Calibration | None, rows: Sequence[ParameterRow], *, is_ground: bool) -> list[str]:
-    """List the warnings that an approver should read before signing."""
-    said = [*result.advice] if result else []
-    said += [
-        f"{row.name} moves by {abs(row.delta_over_typical or 0.0):.1f} typical sigmas, more than"
-        f" {FAR_TYPICAL_SIGMAS:g}: look at the matches before believing it."
-        for row in rows
-        if row.unexpected and row.estimated
-    ]
-    if result is not None and result.validation is None:
-        said.append("No validation set: nothing outside the fitted frames says that this is better.")
-    if is_ground:
-        said.append("This is a ground calibration: declared, not estimated from telemetry.")
-    return said
+def cut_at_mentions(remark: Remark) -> list[tuple[str, bool]]:
+    """Cut a remark into pieces, those that mention a person marked."""
+    pieces = MENTION.split(remark.text)
+    return [(f"@{piece}" if i % 2 else piece, bool(i % 2)) for i, piece in enumerate(pieces) if piece]
+
+
+def group_threads(found: Sequence[Thread]) -> dict[tuple[str, str], list[Thread]]:
+    """Group threads by what they are about."""
+    grouped: dict[tuple[str, str], list[Thread]] = {}
+    for thread in found:
+        grouped.setdefault((thread.kind, thread.name), []).append(thread)
+    return grouped
 
 
 def request_page(
@@ -143,7 +161,11 @@ def request_page(
     result = runs.find_calibration(session, get_server(request).blobs, row.run_id) if row.run_id is not None else None
     rows = set_rows(*read_set_and_incumbent(row, incumbent), sensor.document["typical_sigma"])
     policy = get_server(request).policy
-    has_figures = row.run_id is not None
+    points = review.list_points(session, approval, (actor.user_id,))
+    found = threads.list_threads(session, approval_id)
+    changed = [one for one in rows if one.delta]
+    panel = make_gates_panel(session, actor, row, report_sha256=approval.bound.get("gate_report_sha256"))
+    against = [one for one in panel.rows if one.status != "PASS"]
     return render(
         request,
         "approvals/approval.html",
@@ -153,14 +175,17 @@ def request_page(
         sensor=sensor,
         incumbent=incumbent,
         names=read_names(session),
-        rows=rows,
-        change_figure=FIGURES[CHANGE_FIGURE] if has_figures else None,
-        panel=make_gates_panel(session, actor, row, report_sha256=approval.bound.get("gate_report_sha256")),
-        marks=make_verdict_marks(result) if result else [],
-        warnings=list_warnings(result, rows, is_ground=row.run_id is None),
-        evidence=list_evidence(session, approval, row, incumbent),
-        figures=[FIGURES[name] for name in EVIDENCE_FIGURES if has_figures],
-        wide=WIDE,
+        changed=changed if incumbent is not None else rows,
+        staying=len(rows) - len(changed),
+        panel=panel,
+        against=sorted(against, key=lambda one: -STATUSES.index(one.status)),
+        points=points,
+        threads=group_threads(found),
+        open_threads=sum(thread.state == "OPEN" for thread in found),
+        views=make_views(points, result),
+        further=list_further_evidence(row, incumbent),
+        cut_at_mentions=cut_at_mentions,
+        read_points=review.read_points,
         remarks=approvals.list_remarks(session, approval_id),
         signatures=approval_queries.list_signatures(session, approval_id),
         pending=proposals.list_open_proposals(session, row.sensor_id) if approval.state in {"OPEN", "APPROVED"} else [],
@@ -206,11 +231,6 @@ REQUESTS = Table(
     kind="approvals",
     rows_a_page=100,
 )
-EFFECTS = {
-    "OPEN": "Signed: another person must sign too before the set is approved.",
-    "APPROVED": "Approved: an operator can now promote the set to baseline.",
-    "REJECTED": "Refused: the set cannot become baseline under this request.",
-}
 
 
 @dataclass(frozen=True)
@@ -311,9 +331,10 @@ async def sign_over_the_shoulder(request: Request, actor: Who, approval_id: int)
 async def _signed(request: Request, actor: Actor, approval_id: int, kind: str) -> Response:
     """Sign as the form says, and show the request, or why it was refused."""
     form = await read_texts(request)
-    typed = TypedText(kind, *(form.get(name, "") for name in ("decision", "meaning", "comment", "name")))
+    typed = read_signing(kind, form)
     meaning = typed.meaning.strip() or MEANINGS.get(typed.decision, "")
-    decided = approvals.Decision(typed.decision, meaning, typed.comment)
+    given = [Acknowledgement(*key, typed.reasons.get(key, "")) for key in sorted(typed.ticked)]
+    decided = approvals.Decision(typed.decision, meaning, typed.comment, given)
     policy = get_server(request).policy
     checks: PasswordWorker = get_server(request).passwords
 
@@ -321,20 +342,102 @@ async def _signed(request: Request, actor: Actor, approval_id: int, kind: str) -
         approvals.refuse_beside(session, actor, approval_id, decided, seen_version(form))
 
     async def prove() -> tuple[PasswordProof]:
-        password, client = form.get("password", ""), get_client(request)
+        client = get_client(request)
         if kind == "sign":
-            return (await checks.check_own(actor, password, client),)
-        return (await checks.check_beside(actor, typed.name, password, client, refuse),)
+            return (await checks.check_own(actor, form.get("password", ""), client),)
+        return (await checks.check_beside(actor, typed.name, form.get("their_password", ""), client, refuse),)
 
-    def change(session: Session, proof: PasswordProof) -> tuple[Signature, str]:
+    def change(session: Session, proof: PasswordProof) -> int:
         sign = approvals.sign if kind == "sign" else approvals.sign_over_the_shoulder
-        made = sign(session, actor, approval_id, decided, proof, seen_version(form), policy=policy)
-        return made, session.get_known(Approval, approval_id).state
+        return sign(session, actor, approval_id, decided, proof, seen_version(form), policy=policy).id
 
     outcome = await attempt(request, change, prove)
     if outcome.value is None:
         return await run_in_threadpool(_again, request, actor, approval_id, outcome.refusal, typed)
-    return redirect(f"/approvals/{approval_id}", flash=EFFECTS[outcome.value[1]])
+    return redirect(f"/approvals/{approval_id}/signatures/{outcome.value}")
+
+
+def read_signing(kind: str, form: Mapping[str, str]) -> TypedText:
+    """Read what was typed into the form of a signature; a tick is `tick:KIND:NAME`, its reason `reason:KIND:NAME`."""
+    reasons: dict[tuple[str, str], str] = {}
+    ticked: set[tuple[str, str]] = set()
+    for key, value in form.items():
+        what, _, point = key.partition(":")
+        about = (point.partition(":")[0], point.partition(":")[2])
+        if what == "reason":
+            reasons[about] = value
+        if what == "tick":
+            ticked.add(about)
+    decision, meaning, comment, name = (form.get(key, "") for key in ("decision", "meaning", "comment", "name"))
+    return TypedText(kind, decision, meaning, comment, name, reasons=reasons, ticked=frozenset(ticked))
+
+
+@dataclass(frozen=True)
+class NextStep:
+    """What happens after a signature, and who has it."""
+
+    what: str
+    who: Sequence[str]
+    without: str = ""
+
+
+def describe_next_step(
+    session: Session, approval: Approval, row: ParameterSet, incumbent: ParameterSet | None, policy: Policy
+) -> NextStep:
+    """Say what happens next with a request, by its state now."""
+    if approval.state == "OPEN":
+        able = [
+            one.user.printed_name
+            for one in approvals.list_signers_of(session, approval.id, policy=policy)
+            if one.refusal is None
+        ]
+        return NextStep(
+            "Another person must sign before the set is approved.", able, "Ask an administrator for an approver."
+        )
+    if row.ground_state == "APPROVED":
+        people = users.list_users(session)
+        able = [user.printed_name for user in people if "operator" in user.roles and user.disabled_utc is None]
+        flown = "what is on board" if incumbent is None else incumbent.name
+        return NextStep(
+            f"An operator promotes {row.name} to baseline. The spacecraft keeps {flown} until the uplink is read back.",
+            able,
+            "Ask an administrator for an operator.",
+        )
+    if approval.state == "REJECTED":
+        asked = session.get_known(User, approval.submitted_by).printed_name
+        return NextStep(
+            f"{row.name} cannot become baseline under this request. Calibrate again and submit that set.", [asked]
+        )
+    return NextStep(f"The request is {approval.state}, {row.name} is {row.ground_state}.", [])
+
+
+@router.get("/approvals/{approval_id:int}/signatures/{signature_id:int}", response_class=HTMLResponse)
+def signature_page(request: Request, session: Reading, _: Who, approval_id: int, signature_id: int) -> HTMLResponse:
+    """Confirm a decision: what was decided and by whom, its audit record, what happens next and who has it."""
+    approval = session.get_known(Approval, approval_id)
+    signature = next((one for one in approval.signatures if one.id == signature_id), None)
+    if signature is None:
+        raise NotFoundError(f"Request {approval_id} has no signature {signature_id}; read its roll of signatures.")
+    row = session.get_known(ParameterSet, approval.parameter_set_id)
+    incumbent = find_bound_incumbent(session, row, approval)
+    return render(
+        request,
+        "approvals/signature.html",
+        approval=approval,
+        signature=signature,
+        points=review.read_points(signature.points),
+        set=row,
+        sensor=session.get_known(Sensor, row.sensor_id),
+        record=find_record(session, approval, signature),
+        step=describe_next_step(session, approval, row, incumbent, get_server(request).policy),
+    )
+
+
+def find_record(session: Session, approval: Approval, signature: Signature) -> AuditRecord | None:
+    """Return the audit record of a signature."""
+    action = {"APPROVE": "approved", "REFUSE": "refused"}[signature.decision]
+    records = audit.list_records(session, subject=f"approvals/{approval.id}")
+    return next((one for one in records if (one.actor_id, one.action) == (signature.user_id, action)), None)
 
 
 def _again(
@@ -344,22 +447,37 @@ def _again(
         return request_page(request, session, actor, approval_id, refusal=refusal, typed=typed)
 
 
-@router.post("/approvals/{approval_id:int}/open")
-async def open_evidence(
-    request: Request, actor: Who, approval_id: int, evidence: Annotated[str, Form()] = ""
-) -> Response:
-    """Keep that a piece of evidence was opened, and go there."""
-    with open_reading(get_server(request).engine) as session:
-        row = session.get_known(ParameterSet, session.get_known(Approval, approval_id).parameter_set_id)
-        incumbent = set_queries.find_baseline(session, row.sensor_id)
-    known = list_evidence_addresses(row, incumbent)
-    if evidence not in known:
-        raise NotFoundError(f"There is no evidence {evidence!r} for this request; choose one of its list.")
-    opening = partial(approvals.record_opening, actor=actor, approval_id=approval_id, evidence=evidence)
-    outcome = await attempt(request, opening)
-    if outcome.refusal is not None and outcome.refusal.is_ours:
-        raise outcome.refusal.error  # an opening that was not stored would not count
-    return redirect(known[evidence][1])
+@router.post("/approvals/{approval_id:int}/threads")
+async def comment(request: Request, session: Reading, actor: Who, approval_id: int) -> Response:
+    """Comment on a gate, a parameter or a figure, in a thread that is there or a new one."""
+    form = await read_texts(request)
+    about, text = (form.get("kind", ""), form.get("name", "")), form.get("text", "")
+    thread_id = parse_row_id(form.get("thread", ""))
+
+    def change(session: Session) -> Remark | Thread:
+        if thread_id is None:
+            return threads.open_thread(session, actor, approval_id, *about, text)
+        return threads.add_remark(session, actor, approval_id, text, thread_id)
+
+    outcome = await attempt(request, change)
+    if outcome.value is None:
+        typed = TypedText("thread", text=text, about=about)
+        page = partial(request_page, request, session, actor, approval_id, refusal=outcome.refusal, typed=typed)
+        return await run_in_threadpool(page)
+    return redirect(f"/approvals/{approval_id}#thread-{about[0]}-{about[1]}", flash="Your comment is kept.")
+
+
+@router.post("/approvals/{approval_id:int}/threads/{thread_id:int}/{action}")
+async def resolve(request: Request, actor: Who, approval_id: int, thread_id: int, action: str) -> Response:
+    """Resolve a thread, or reopen it."""
+    if action not in threads.RESOLVED:
+        raise NotFoundError(f"A thread cannot be {action!r}; choose resolved or reopened.")
+    form = await read_texts(request)
+
+    def change(session: Session) -> Thread:
+        return threads.set_resolved(session, actor, approval_id, thread_id, action, seen_version(form))
+
+    return await make_change(request, change, f"/approvals/{approval_id}#threads", f"The thread is {action}.")
 
 
 @router.post("/approvals/{approval_id:int}/remarks")
@@ -367,7 +485,7 @@ async def remark(
     request: Request, session: Reading, actor: Who, approval_id: int, text: Annotated[str, Form()] = ""
 ) -> Response:
     """Say something about a request."""
-    outcome = await attempt(request, partial(approvals.add_remark, actor=actor, approval_id=approval_id, text=text))
+    outcome = await attempt(request, partial(threads.add_remark, actor=actor, approval_id=approval_id, text=text))
     if outcome.value is None:
         typed = TypedText("remark", text=text)
         page = partial(request_page, request, session, actor, approval_id, refusal=outcome.refusal, typed=typed)
