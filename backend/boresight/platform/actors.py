@@ -23,6 +23,8 @@ class Policy:
     rollback_days: float = 3.0
     approvals: int = 1
     second_person: bool = False
+    promotion_password: bool = True
+    promotion_reason: bool = False
 
     def needed(self, *, waived: bool) -> int:
         """Return the number of approvals that a request needs."""

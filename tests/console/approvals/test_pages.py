@@ -89,7 +89,8 @@ def test_a_request_of_before_a_promotion_is_stale_and_cannot_be_signed(site, req
     alan, olga = site.visitor("alan"), site.visitor("olga")
     alan.post(f"{request_page}/sign", version="1", password=PASSWORD, **WORDS)
     page = olga.get(request_page)
-    olga.post("/parameter-sets/2/promote", version=page.split('name="version" value="')[1].split('"')[0])
+    version = page.split('name="version" value="')[1].split('"')[0]
+    olga.post("/parameter-sets/2/promote", version=version, reason="The pass of tonight.", password=PASSWORD)
     text = read(alan.get(other))
     assert "STALE" in text
 

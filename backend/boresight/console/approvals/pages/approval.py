@@ -172,6 +172,7 @@ def request_page(
         typed=typed or TypedText(),
         may_speak=bool(actor.roles - {"viewer"}),
         may_promote="operator" in actor.roles,
+        policy=policy,
     )
 
 
