@@ -120,6 +120,10 @@ class Settings:
     )
     approval_days: float = _setting("30", "d", "A request that nobody decided on expires after so long.")
     rollback_days: float = _setting("3", "d", "The same for a request to go back to a former baseline.")
+    promotion_password: int = _setting("1", "0 or 1", "1 = who promotes a set on a page gives the password once more.")
+    promotion_reason: int = _setting(
+        "0", "0 or 1", "1 = a promotion over the REST API needs a reason too; on a page it always does."
+    )
     audit_head_file: str = _setting(
         "", "path", "Gets each new head of the audit log, a line each; outside the data folder."
     )
@@ -136,6 +140,8 @@ class Settings:
             rollback_days=self.rollback_days,
             approvals=self.approvals,
             rest_review=bool(self.rest_review),
+            promotion_password=bool(self.promotion_password),
+            promotion_reason=bool(self.promotion_reason),
         )
 
     @property

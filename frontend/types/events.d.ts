@@ -55,6 +55,12 @@ interface MissedEvent {
   state?: undefined;
 }
 
+/** Whether the page can be believed; `sinceMs` is when the server was last heard. */
+interface LinkState {
+  state: "live" | "stale" | "disconnected" | "logged-out";
+  sinceMs: number;
+}
+
 interface FeedEvents {
   run: RunEvent;
   log: LogEvent;
@@ -67,6 +73,8 @@ type FeedEventMap = { [Kind in keyof FeedEvents as `boresight:${Kind}`]: CustomE
 
 interface DocumentEventMap extends FeedEventMap {
   "boresight:theme": CustomEvent<string>;
+  "boresight:link": CustomEvent<LinkState>;
+  "boresight:doubt": CustomEvent<null>;
   "boresight:renewed": CustomEvent<null>;
   "figure-drawn": CustomEvent<null>;
 }

@@ -208,6 +208,10 @@ def promoted(people, batch_run):
     with people.seat("operator") as window:
         window.open(f"/approvals/{request_id}")
         window.page.get_by_role("button", name="Promote").click()
+        asked = window.page.get_by_role("dialog")
+        asked.get_by_label("Reason").fill("The pass of tonight.")
+        asked.get_by_label("Your password").fill(get_password("operator"))
+        asked.get_by_role("button", name="Promote").click()
         window.page.wait_for_url(f"**/parameter-sets/{set_id}")
         window.shoot("07-promoted")
     return Promoted(set_id, request_id)

@@ -55,10 +55,12 @@ def sensor(people):
 
 
 def record(window, state, source):
-    form = window.page.get_by_role("region", name="Record a step by statement")
-    form.get_by_label("What happened").select_option(state)
-    form.get_by_label("Known from").fill(source)
-    form.get_by_role("button", name="Record it").click()
+    window.page.get_by_role("region", name="Record a step by statement").get_by_role("button", name=state).click()
+    asked = window.page.get_by_role("dialog")
+    if state == "SENT":
+        asked.get_by_label("Package that was sent").select_option(index=1)
+    asked.get_by_label("Known from").fill(source)
+    asked.get_by_role("button", name=state).click()
     expect(window.page.get_by_role("status").filter(has_text="Recorded.")).to_be_visible()
 
 

@@ -56,7 +56,9 @@ def submit(window: Window, reason: str) -> int:
 def sign(window: Window, button: str, password: str, comment: str = "") -> None:
     window.page.get_by_role("textbox", name="Comment").fill(comment)
     window.page.locator("#password").fill(password)
-    window.page.get_by_role("button", name=re.compile(f"^{button}")).click()
+    window.page.locator("#sign").get_by_role("button", name=re.compile(f"^{button}")).first.click()
+    if button == "Approve":
+        window.page.get_by_role("dialog").get_by_role("button", name=re.compile("^Approve")).click()
 
 
 def _number(window: Window) -> int:

@@ -270,8 +270,8 @@ telemetry_pieces.JUDGED_WHOLE = telemetry_pieces.JUDGED_STARS = 20_000
 matched.BLOCKS_A_RANGE = 1
 file = TelemetryFile(Path(sys.argv[1]), large_rows=0, chunk_frames=1024)
 settings = CalibrationSettings(method=sys.argv[2], match="given")
-document = calibrate(file, st16_sensor(1), load_catalogue(Path(sys.argv[1]).parent), settings)
-print(document["frames"], resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+found = calibrate(file, st16_sensor(1), load_catalogue(Path(sys.argv[1]).parent), settings)
+print(found.frames, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 """
 SMALL, LARGE = 5_000, 30_000
 #: What the larger set alone would take in memory: 24 stars of 56 bytes a frame, and 42 arcs with R of 48.

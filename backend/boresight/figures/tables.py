@@ -151,6 +151,12 @@ def set_rows(
     return _lay_out(names, old, found.parameters, sigmas, typical_sigma, found.truth or {})
 
 
+def most_changed(rows: Sequence[ParameterRow], most: int = 4) -> list[ParameterRow]:
+    """Return the parameters that change most in their sigmas, with misfit, the greatest change first."""
+    changed = [(abs(row.delta / row.sigma_with_misfit), row) for row in rows if row.delta and row.sigma_with_misfit]
+    return [row for _, row in sorted(changed, key=lambda pair: -pair[0])[:most]]
+
+
 LARGE = 1e5  # the width of a terminal's column
 HEADINGS = (
     "parameter",

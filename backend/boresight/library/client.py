@@ -252,9 +252,9 @@ class Client(_Connection):
         """Take the request for a set back."""
         return self._run(remote.withdraw(parameter_set, reason))
 
-    def promote(self, parameter_set: ParameterSet | int) -> ParameterSet:
+    def promote(self, parameter_set: ParameterSet | int, reason: str = "") -> ParameterSet:
         """Make an approved set the baseline."""
-        return self._run(remote.promote(parameter_set))
+        return self._run(remote.promote(parameter_set, reason))
 
     def export(
         self,
@@ -460,9 +460,9 @@ class AsyncClient(_Connection):
         """Take the request for a set back."""
         return await self._run(remote.withdraw(parameter_set, reason))
 
-    async def promote(self, parameter_set: ParameterSet | int) -> ParameterSet:
+    async def promote(self, parameter_set: ParameterSet | int, reason: str = "") -> ParameterSet:
         """Make an approved set the baseline."""
-        return await self._run(remote.promote(parameter_set))
+        return await self._run(remote.promote(parameter_set, reason))
 
     async def export(
         self,

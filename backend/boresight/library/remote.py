@@ -618,10 +618,10 @@ def withdraw(parameter_set: ParameterSet | int, reason: str) -> Operation[Parame
     return parse_record(ParameterSet, answer.document())
 
 
-def promote(parameter_set: ParameterSet | int) -> Operation[ParameterSet]:
+def promote(parameter_set: ParameterSet | int, reason: str) -> Operation[ParameterSet]:
     """Make an approved set the baseline."""
     found = yield from _seen(parameter_set)
-    answer = yield _post(f"/parameter-sets/{found.id}:promote", {}, found.version)
+    answer = yield _post(f"/parameter-sets/{found.id}:promote", {"reason": reason}, found.version)
     return parse_record(ParameterSet, answer.document())
 
 

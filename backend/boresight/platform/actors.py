@@ -24,6 +24,8 @@ class Policy:
     approvals: int = 1
     second_person: bool = False
     rest_review: bool = False
+    promotion_password: bool = True
+    promotion_reason: bool = False
 
     def needed(self, *, waived: bool) -> int:
         """Return the number of approvals that a request needs."""

@@ -21,6 +21,7 @@ const TICKS = "[type=checkbox], [type=radio]";
 
 class LaunchForm {
   #timer = 0;
+  isUnchecked = false;
   #request = new AbortController();
 
   /** @param {HTMLFormElement} form */
@@ -30,6 +31,9 @@ class LaunchForm {
     this.lastSensor = this.sensor;
     find("form[data-find]", HTMLFormElement)?.addEventListener("submit", (event) => this.#find(event));
     form.addEventListener("input", ({ target }) => this.#heard(target));
+    document.addEventListener("boresight:link", ({ detail }) => {
+      if (detail.state === "live" && this.isUnchecked) this.#changed(); // the server is back
+    });
     if (this.#isOfAnother) this.#openSensor();
     this.#changed();
     if ("answered" in form.dataset) this.#keepInAddress();
@@ -162,12 +166,14 @@ class LaunchForm {
       const answer = await fetch(this.form.action, { method: "POST", body: this.#body, signal });
       if (answer.status >= 500) await send(this.form.action);
       const page = await parsePage(answer);
+      this.isUnchecked = false;
       for (const part of ["[data-dry-run]", "[data-changes]", "[data-ticked]"]) {
         const fresh = page.querySelector(part);
         if (fresh) document.querySelector(part)?.replaceChildren(...fresh.childNodes);
       }
     } catch (error) {
       if (signal.aborted) return;
+      this.isUnchecked = true;
       place.textContent = `The check could not be made: ${describeError(error)}`;
     }
     place.removeAttribute("aria-busy");

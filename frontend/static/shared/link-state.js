@@ -9,7 +9,8 @@
  * boresight:missed says that all should be read again.
  * LIVE: the server was heard from within 20 s. STALE n s: the stream is open but silent. DISCONNECTED: it is broken.
  * LOGGED OUT: the log-in has ended, here or elsewhere; a notice says why, and nothing more is asked of the server.
- * The body carries the same word in data-link, so that styles can grey what is no longer fresh.
+ * The body carries the same word in data-link, so that styles can grey what is no longer fresh, and a change of it is told as
+ * boresight:link. Whoever finds that the server does not answer asks for the truth by boresight:doubt.
  */
 import { make, need } from "./dom.js";
 import { BACKGROUND, Problem, fetchJson } from "./requests.js";
@@ -40,7 +41,18 @@ function show() {
   if (light.textContent !== word) light.textContent = word;
   if (light.dataset.state !== state && light.dataset.state !== "connecting") said.textContent = `Link ${state}`;
   light.dataset.state = state;
-  document.body.dataset.link = state;
+  if (document.body.dataset.link !== state) sayState(state);
+}
+
+/** @param {LinkState["state"]} state */
+function sayState(state) {
+  document.body.dataset.link = state === "logged-out" ? "disconnected" : state;
+  document.dispatchEvent(new CustomEvent("boresight:link", { detail: { state, sinceMs: heardAt } }));
+}
+
+function lose() {
+  broken = true;
+  show();
 }
 
 /** Pass on what the server sent; the types of the events say what that is. @param {string} kind @param {unknown} detail */
@@ -51,15 +63,13 @@ function open() {
   let isNew = true;
   source = new EventSource(`/api/v1/events${run ? `?history=${run}` : ""}`);
   source.onopen = () => {
+    const isBack = isNew || broken;
     heard();
-    if (isNew) tell("missed", {});
+    if (isBack) tell("missed", {});
     isNew = false;
   };
   source.onmessage = heard;
-  source.onerror = () => {
-    broken = true;
-    show();
-  };
+  source.onerror = lose;
   source.addEventListener("logged-out", askWhetherEnded);
   for (const kind of KINDS) {
     source.addEventListener(kind, ({ data }) => {
@@ -90,7 +100,8 @@ function sayEnded(sentence) {
   close();
   light.textContent = "LOGGED OUT";
   said.textContent = "Link ended: you are logged out";
-  light.dataset.state = document.body.dataset.link = "disconnected";
+  light.dataset.state = "disconnected";
+  sayState("logged-out");
   const notice = make("div", { className: "notice notice-serious", id: "log-in-ended", role: "alert" });
   const words = make("p", {});
   const way = make("a", { textContent: "Log in again", href: `/login?next=${encodeURIComponent(location.pathname + location.search)}` });
@@ -104,7 +115,7 @@ function sayEnded(sentence) {
 async function probe() {
   if (document.hidden || ended) return;
   try {
-    const answer = await fetch("/healthz", { cache: "no-store" });
+    const answer = await fetch("/healthz", { cache: "no-store", signal: AbortSignal.timeout(PROBE_MS) });
     if (answer.ok && source?.readyState === EventSource.OPEN) heard();
     if (answer.ok && source?.readyState === EventSource.CLOSED) {
       await askWhetherEnded();
@@ -123,5 +134,8 @@ document.addEventListener("visibilitychange", () => {
 });
 addEventListener("pagehide", close);
 addEventListener("DOMContentLoaded", () => source ?? open()); // when every module listens
+addEventListener("offline", lose);
+addEventListener("online", probe);
+document.addEventListener("boresight:doubt", lose);
 setInterval(probe, PROBE_MS);
 setInterval(show, 1000);

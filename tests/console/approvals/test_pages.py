@@ -28,14 +28,8 @@ def submitted(site, name, run_id):
     return person.post(f"{place}/submit", version=version, reason="The held-out RMS fell.").headers["location"]
 
 
-def answers(page):
-    """Every point of the panel ticked, with a reason."""
-    ticks = re.findall(r'name="(tick:[^"]+)"', page)
-    return dict.fromkeys(ticks, "1") | {tick.replace("tick", "reason", 1): "Known and accepted." for tick in ticks}
-
-
 def signed(visitor, request_page, action="sign", **given):
-    form = {"version": "1", "password": PASSWORD, **WORDS, **answers(visitor.get(request_page)), **given}
+    form = {"version": "1", "password": PASSWORD, **WORDS, **answer_points(visitor.get(request_page)), **given}
     return visitor.post(f"{request_page}/{action}", **form)
 
 
@@ -64,7 +58,7 @@ def test_the_request_is_read_from_what_stands_against_it_to_the_views_beside_the
 
 def test_an_approval_that_leaves_a_point_open_is_refused_by_its_name_and_its_words_are_kept(site, request_page):
     alan = site.visitor("alan")
-    given = answers(alan.get(request_page))
+    given = answer_points(alan.get(request_page))
     gate = next(name for name in given if name.startswith("tick:gate:"))
     for missing, changed in ((gate, {}), (gate.replace("tick", "reason", 1), {gate.replace("tick", "reason", 1): " "})):
         form = {name: value for name, value in given.items() if name != missing} | changed
@@ -132,7 +126,8 @@ def test_a_request_of_before_a_promotion_is_stale_and_cannot_be_signed(site, req
     alan, olga = site.visitor("alan"), site.visitor("olga")
     signed(alan, request_page)
     page = olga.get(request_page)
-    olga.post("/parameter-sets/2/promote", version=page.split('name="version" value="')[1].split('"')[0])
+    version = page.split('name="version" value="')[1].split('"')[0]
+    olga.post("/parameter-sets/2/promote", version=version, reason="The pass of tonight.", password=PASSWORD)
     text = read(alan.get(other))
     assert "STALE" in text
 

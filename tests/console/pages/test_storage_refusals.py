@@ -76,7 +76,7 @@ FORMS = {  # who sends which form to which page
     "/parameter-sets/{set_id:int}/submit": ("ada", {"reason": "x", "version": "1"}),
     "/parameter-sets/{set_id:int}/roll-back": ("ada", {"reason": "x", "version": "1"}),
     "/parameter-sets/{set_id:int}/withdraw": ("ada", {"version": "1"}),
-    "/parameter-sets/{set_id:int}/promote": ("olga", {"version": "1"}),
+    "/parameter-sets/{set_id:int}/promote": ("olga", {"version": "1", "reason": "x", "password": PASSWORD}),
     "/approvals/{approval_id:int}/sign": ("alan", SIGNED),
     "/approvals/{approval_id:int}/sign-over-the-shoulder": (
         "ada",

@@ -40,8 +40,10 @@ def requested(site, place):
 
 def promoted(site, place):
     request, alan, olga = requested(site, place), site.visitor("alan"), site.visitor("olga")
-    assert alan.post(f"{request}/sign", version="1", **SIGNED).status_code == 303
-    assert olga.post(f"{place}/promote", version=version(olga.get(place))).headers["location"] == place
+    given = SIGNED | answer_points(alan.get(request))
+    assert alan.post(f"{request}/sign", version="1", **given).status_code == 303
+    said = {"version": version(olga.get(place)), "reason": "The pass of tonight.", "password": PASSWORD}
+    assert olga.post(f"{place}/promote", **said).headers["location"] == place
     return olga
 
 
@@ -96,7 +98,8 @@ def test_promotion_is_blocked_until_an_approver_has_signed_and_the_submitter_alo
     page = olga.get(candidate)
     assert 'id="promote-blocked"' in page
     assert 'id="withdraw-blocked"' in page
-    assert olga.post(f"{candidate}/promote", version="2").status_code == 409
+    said = {"version": "2", "reason": "Now.", "password": PASSWORD}
+    assert olga.post(f"{candidate}/promote", **said).status_code == 409
     ada.post(f"{candidate}/withdraw", version=version(ada.get(candidate)))
     assert "WITHDRAWN" in read(ada.get(candidate))
 

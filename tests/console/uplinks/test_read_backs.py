@@ -136,7 +136,7 @@ def test_what_a_package_carried_is_what_a_dump_is_held_against(engine, people, r
 
 REFUSED: list[tuple[Any, dict[str, Any], type[BoresightError], str]] = [
     (b"short", {}, RefusedInputError, "5 bytes"),
-    ("0x12345", {}, RefusedInputError, "'0x12345' is no CRC-16/CCITT-FALSE; write it in hexadecimal, such as 0x"),
+    ("0x12345", {}, RefusedInputError, "'0x12345' is no CRC-16/CCITT-FALSE; write it in hexadecimal"),
     ("xyz", {}, RefusedInputError, "'xyz' is no CRC"),
     ("0x1", {"source": " "}, RefusedInputError, "Say where this is known from"),
     ("0x1", {"name": "ana"}, ForbiddenError, "role operator"),

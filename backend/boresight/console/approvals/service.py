@@ -332,11 +332,23 @@ def list_openings(session: Session, approval_id: int) -> Sequence[Opening]:
 
 
 def promote(
-    session: Session, actor: Actor, parameter_set_id: int, seen_version: int | None, *, policy: Policy = POLICY
+    session: Session,
+    actor: Actor,
+    parameter_set_id: int,
+    seen_version: int | None,
+    reason: str = "",
+    proof: PasswordProof | None = None,
+    *,
+    policy: Policy = POLICY,
 ) -> ParameterSet:
-    """Make an approved set the baseline, supersede the old one and make every other request stale, all in one."""
+    """Make an approved set the baseline, supersede the old one and make every other request stale, all in one.
+
+    `proof`: of the actor's password, where it was asked for.
+    """
     require_role(actor, "operator")
     require_scope(actor, "parameter-sets")
+    refuse_control_characters(reason=reason)
+    reason = reason.strip()
     row = session.get_known(ParameterSet, parameter_set_id)
     require_seen(session, row, seen_version)
     approval = rows.find_latest_approval(session, row.id, "APPROVED")
@@ -348,14 +360,19 @@ def promote(
     refuse_changed_binding(session, actor, approval, row)
     refuse_blocked(session, row)
     _refuse_lone(session, approval, policy)
+    if policy.promotion_reason and not reason:
+        raise RefusedInputError(f"Give the reason why {row.name} becomes the baseline now.")
+    if proof is not None:
+        users.require_password(session, actor, proof)
     incumbent = set_rows.find_baseline(session, row.sensor_id)
     now = utc_now()
     if incumbent is not None:
         incumbent.baseline_to_utc = now
         move(session, actor, incumbent, "SUPERSEDED", "superseded", reason=f"{row.name} became baseline")
     row.baseline_from_utc, row.baseline_to_utc = now, None
-    move(session, actor, row, "BASELINE", "promoted", reason=approval.reason, approval=approval.id, kind=approval.kind)
-    record_promotion(session, actor, row, approval)
+    told = {"approval": approval.id, "kind": approval.kind}
+    move(session, actor, row, "BASELINE", "promoted", reason=reason or approval.reason, **told)
+    record_promotion(session, actor, row, approval, reason)
     make_others_stale(session, actor, row)
     update_alarms(session, [row.sensor_id])
     return row

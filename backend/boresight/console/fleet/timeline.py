@@ -136,7 +136,12 @@ def _promotion(reader: TimelineReader, row: Promotion) -> EventText:
     told = EventText("promotion", f"{name} became the baseline.", row.parameter_set_id, row.promoted_by, "BASELINE")
     if request is None:
         return replace(told, kind="ground calibration", sentence=f"{name} is the baseline that came with the sensor.")
-    told = replace(told, said=request.reason, subject=f"approvals/{request.id}", sha256=request.bound.get("set_sha256"))
+    told = replace(
+        told,
+        said=row.reason or request.reason,
+        subject=f"approvals/{request.id}",
+        sha256=request.bound.get("set_sha256"),
+    )
     if reader.first_promotions[row.parameter_set_id] != row.id:
         return replace(told, kind="roll-back", sentence=f"{name} became the baseline again.")
     return told

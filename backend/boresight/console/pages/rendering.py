@@ -42,6 +42,7 @@ from boresight.errors import (
     SessionEndedError,
     UnauthenticatedError,
 )
+from boresight.figures.tables import most_changed
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.paging import parse_row_id
@@ -164,7 +165,12 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters |= {function.__name__: function for function in formats.FILTERS}
-    environment.filters |= {"level_of": get_level, "worst": worst, "how_known": describe_source}
+    environment.filters |= {
+        "level_of": get_level,
+        "worst": worst,
+        "how_known": describe_source,
+        "most_changed": most_changed,
+    }
     environment.globals |= {"LEVELS": LEVELS, "version": boresight.__version__}
     return environment
 

@@ -6,7 +6,7 @@ The ground state and the on-board state are two symbols side by side and never o
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from typing import Any
@@ -20,6 +20,7 @@ from boresight.cameras import CAMERA_MODELS
 from boresight.console import list_queries as lists
 from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading, Who, csrf, get_server, same_for_roles
+from boresight.console.access.passwords import PasswordProof
 from boresight.console.approvals import gates
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
@@ -29,7 +30,15 @@ from boresight.console.approvals.tables import Approval
 from boresight.console.fleet.pages.sensors import list_sensor_choices
 from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import Beside
-from boresight.console.pages.rendering import RefusalContext, attempt, read_texts, redirect, render, seen_version
+from boresight.console.pages.rendering import (
+    RefusalContext,
+    attempt,
+    proof_of_own,
+    read_texts,
+    redirect,
+    render,
+    seen_version,
+)
 from boresight.console.pages.tables import (
     Table,
     TableColumn,
@@ -261,11 +270,12 @@ def _page(
     *,
     refusal: RefusalContext | None = None,
     reason: str = "",
+    act: str = "",
 ) -> HTMLResponse:
     row = session.get_known(ParameterSet, set_id)
     requests = lists.list_newest(session, Approval, set=set_id)
     sensor = session.get_known(Sensor, row.sensor_id)
-    incumbent = find_incumbent(session, row, requests)
+    incumbent, baseline = find_incumbent(session, row, requests), set_queries.find_baseline(session, row.sensor_id)
     return render(
         request,
         "parameter_sets/parameter_set.html",
@@ -282,27 +292,31 @@ def _page(
         uplinks=lists.list_newest(session, Uplink, set=set_id),
         conversions=list_conversions(session, row),
         panel=make_gates_panel(session, actor, row),
+        policy=get_server(request).policy,
+        baseline=baseline,
+        act_rows=set_rows(*read_set_and_incumbent(row, baseline), sensor.document["typical_sigma"]),
         lineage=list_lineage(session, row, requests),
         actions=list_set_actions(row, actor, requests[0] if requests else None),
         refusal=refusal,
         reason=reason,
+        act=act,
     )
 
 
 @parameter_set_router.post("/parameter-sets/{set_id:int}/submit")
 async def submit(request: Request, session: Reading, actor: Who, set_id: int) -> Response:
     """Ask that a set become baseline."""
-    return await _asked(request, session, actor, set_id, approvals.submit)
+    return await _asked(request, session, actor, set_id, "submit", approvals.submit)
 
 
 @parameter_set_router.post("/parameter-sets/{set_id:int}/roll-back")
 async def roll_back(request: Request, session: Reading, actor: Who, set_id: int) -> Response:
     """Ask that a former baseline become baseline again."""
-    return await _asked(request, session, actor, set_id, approvals.roll_back)
+    return await _asked(request, session, actor, set_id, "roll-back", approvals.roll_back)
 
 
 async def _asked(
-    request: Request, session: Session, actor: Actor, set_id: int, ask: Callable[..., Approval]
+    request: Request, session: Session, actor: Actor, set_id: int, act: str, ask: Callable[..., Approval]
 ) -> Response:
     """Open a request and redirect to it, or show why it was refused."""
     form = await read_texts(request)
@@ -315,7 +329,7 @@ async def _asked(
 
     outcome = await attempt(request, change)
     if outcome.value is None:
-        page = partial(_page, request, session, actor, set_id, refusal=outcome.refusal, reason=reason)
+        page = partial(_page, request, session, actor, set_id, refusal=outcome.refusal, reason=reason, act=act)
         return await run_in_threadpool(page)
     return redirect(
         f"/approvals/{outcome.value.id}", flash="Submitted: another person with the role approver must sign."
@@ -330,25 +344,26 @@ async def withdraw(request: Request, session: Reading, actor: Who, set_id: int) 
     def change(session: Session) -> ParameterSet:
         return approvals.withdraw(session, actor, set_id, seen_version(form), form.get("reason", ""))
 
-    return await _changed(request, session, actor, set_id, change, "{} is withdrawn.")
+    outcome = await attempt(request, change)
+    if outcome.value is None:
+        return await run_in_threadpool(partial(_page, request, session, actor, set_id, refusal=outcome.refusal))
+    return redirect(f"/parameter-sets/{set_id}", flash=f"{outcome.value.name} is withdrawn.")
 
 
 @parameter_set_router.post("/parameter-sets/{set_id:int}/promote")
 async def promote(request: Request, session: Reading, actor: Who, set_id: int) -> Response:
     """Make an approved set the baseline."""
     form = await read_texts(request)
+    policy, reason = get_server(request).policy, form.get("reason", "")
 
-    def change(session: Session) -> ParameterSet:
-        return approvals.promote(session, actor, set_id, seen_version(form), policy=get_server(request).policy)
+    def change(session: Session, proof: PasswordProof | None = None) -> ParameterSet:
+        asked = replace(policy, promotion_reason=True)
+        return approvals.promote(session, actor, set_id, seen_version(form), reason, proof, policy=asked)
 
-    return await _changed(
-        request, session, actor, set_id, change, "{} is the baseline now; nothing on board has changed."
-    )
-
-
-async def _changed(request: Request, session: Session, actor: Actor, set_id: int, change: Any, words: str) -> Response:
-    """Make a transition and show the set, or show why it was refused."""
-    outcome = await attempt(request, change)
+    prove = proof_of_own(request, actor, form.get("password", "")) if policy.promotion_password else None
+    outcome = await attempt(request, change, prove)
     if outcome.value is None:
-        return await run_in_threadpool(partial(_page, request, session, actor, set_id, refusal=outcome.refusal))
-    return redirect(f"/parameter-sets/{set_id}", flash=words.format(outcome.value.name))
+        page = partial(_page, request, session, actor, set_id, refusal=outcome.refusal, reason=reason, act="promote")
+        return await run_in_threadpool(page)
+    words = f"{outcome.value.name} is the baseline now; nothing on board has changed."
+    return redirect(f"/parameter-sets/{set_id}", flash=words)

@@ -44,6 +44,14 @@ class RollBack(Shape):
     reason: str = Field(examples=["PS-ST-1-4 loses stars at the rim since the pass of this morning."])
 
 
+class Promotion(Shape):
+    """Why this set becomes the baseline now."""
+
+    reason: str = Field(
+        "", description="Needed where the installation asks for it.", examples=["Loaded with the pass of tonight."]
+    )
+
+
 class Withdrawal(Shape):
     """Why a request is taken back."""
 
@@ -174,7 +182,13 @@ def withdraw_parameter_set(
 
 @router.post("/{parameter_set_id}:promote", summary="Make it the baseline", response_model=schemas.ParameterSet)
 def promote_parameter_set(
-    parameter_set_id: Id, actor: Who, seen: SeenVersion, policy: ServerPolicy, session: Writing
+    parameter_set_id: Id,
+    actor: Who,
+    seen: SeenVersion,
+    policy: ServerPolicy,
+    session: Writing,
+    promotion: Promotion | None = None,
 ) -> ParameterSet:
     """Make an approved set the sensor's baseline; the one before is superseded in the same transaction."""
-    return approvals.promote(session, actor, parameter_set_id, seen, policy=policy)
+    reason = promotion.reason if promotion else ""
+    return approvals.promote(session, actor, parameter_set_id, seen, reason, policy=policy)

@@ -34,7 +34,9 @@ from boresight.telemetry.sensors import Sensor as SensorDescription
 from boresight.telemetry.sensors import parse_sensor
 
 
-def record_promotion(session: Session, actor: Actor, row: ParameterSet, approval: Approval | None) -> None:
+def record_promotion(
+    session: Session, actor: Actor, row: ParameterSet, approval: Approval | None, reason: str = ""
+) -> None:
     """Record a promotion, from which the baseline at any time is known; a ground calibration has no request."""
     session.add(
         Promotion(
@@ -43,6 +45,7 @@ def record_promotion(session: Session, actor: Actor, row: ParameterSet, approval
             approval_id=None if approval is None else approval.id,
             at_utc=str(row.baseline_from_utc),
             promoted_by=actor.user_id,
+            reason=reason or None,
         )
     )
     session.flush()

@@ -54,3 +54,4 @@ class Promotion(Base):
     approval_id: Mapped[int | None] = mapped_column(sa.ForeignKey("approvals.id"))  # None: the ground calibration
     at_utc: Mapped[str] = mapped_column(sa.Text)
     promoted_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
+    reason: Mapped[str | None] = mapped_column(sa.Text)  # None: none was given, or it came with the sensor

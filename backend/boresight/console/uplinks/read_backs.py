@@ -147,9 +147,10 @@ def _compare_crc(reference: SentTable, told: str) -> tuple[bool, dict[str, Any]]
     checksum, expected = reference.definition.crc, reference.crc
     if checksum is None or expected is None:
         raise RefusedInputError("The table definition names no CRC, so a typed one says nothing; upload the dump.")
+    digits = -(-checksum.width // 4)  # the expected one is no example: nobody copies it
     match = HEXADECIMAL.fullmatch(told.strip())
     if match is None or int(match[1], 16) >> checksum.width:
-        raise RefusedInputError(f"{told.strip()!r} is no {checksum.name}; write it in hexadecimal, such as {expected}.")
+        raise RefusedInputError(f"{told.strip()!r} is no {checksum.name}; write it in hexadecimal, {digits} digits.")
     found = checksum.text(int(match[1], 16))
     same = found == expected
     sentence = (

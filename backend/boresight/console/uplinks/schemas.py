@@ -46,6 +46,7 @@ class Promotion(Row):
     approval_id: int | None = Field(description="Null of a ground calibration.")
     at_utc: str
     promoted_by: int | None
+    reason: str | None = Field(description="Why it was promoted then; null where nobody said.")
 
 
 class OnBoard(BaseModel):

@@ -175,6 +175,7 @@ def request_page(
         sensor=sensor,
         incumbent=incumbent,
         names=read_names(session),
+        rows=rows,
         changed=changed if incumbent is not None else rows,
         staying=len(rows) - len(changed),
         panel=panel,
@@ -197,6 +198,7 @@ def request_page(
         typed=typed or TypedText(),
         may_speak=bool(actor.roles - {"viewer"}),
         may_promote="operator" in actor.roles,
+        policy=policy,
     )
 
 

@@ -35,13 +35,15 @@ from boresight.console.pages.rendering import (
     seen_version,
 )
 from boresight.console.pages.tables import Table, TableColumn, accept_one, is_text, read_page, read_view
+from boresight.console.parameter_sets.pages import read_set_and_incumbent
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.pages.list import RunNames, read_names
 from boresight.console.uplinks import packages, read_backs
 from boresight.console.uplinks import service as uplinks
-from boresight.console.uplinks.queries import BOARD_WORDS
+from boresight.console.uplinks.queries import BOARD_WORDS, find_baseline_before
 from boresight.console.uplinks.tables import Package, Uplink
 from boresight.errors import BoresightError
+from boresight.figures.tables import set_rows
 from boresight.platform.actors import Actor
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session
@@ -234,13 +236,19 @@ def _page(
     exported = find_exported_package(built, records)
     names = read_names(session)
     reference, why = _reference(session, blobs, row)
+    known, sensor = timeline.get_state_at(session, row.sensor_id), session.get_known(Sensor, row.sensor_id)
+    other = known.active[0] if known.active and known.active[0].id != row.id else None
+    old = other or find_baseline_before(session, row)
     return render(
         request,
         "uplinks/uplink_steps.html",
         refused=shown.refusal,
         set=row,
-        sensor=session.get_known(Sensor, row.sensor_id),
-        known=timeline.get_state_at(session, row.sensor_id),
+        sensor=sensor,
+        known=known,
+        old=old,
+        active_other=other is not None,
+        rows=set_rows(*read_set_and_incumbent(row, old), sensor.document["typical_sigma"]),
         steps=list_steps(exported, records, names),
         records=records,
         compared=next((it for it in find_uplink_progress(records) if it.method), None) if records else None,

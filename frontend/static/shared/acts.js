@@ -1,0 +1,32 @@
+/**
+ * Acts with consequences (templates/shared/acts.html): the button opens its dialog as a modal one. A dialog inside a form
+ * opens when the form is complete, unless its button sends the form without that check, and no key sends that form past its dialog. One that stands open was refused.
+ */
+import { around, find, findAll } from "./dom.js";
+
+/** @param {HTMLDialogElement} dialog */
+function open(dialog) {
+  const form = dialog.closest("form");
+  if (form && !find("button[formnovalidate]", HTMLElement, dialog) && !form.reportValidity()) return;
+  dialog.showModal();
+  find("input:not([type=hidden]), textarea, select", HTMLElement, dialog)?.focus();
+}
+
+document.addEventListener("click", (event) => {
+  const button = around(event, "button[popovertarget]");
+  const dialog = button && find(`#${CSS.escape(button.getAttribute("popovertarget") ?? "")}`, HTMLDialogElement);
+  if (!dialog) return;
+  event.preventDefault();
+  if (button.hasAttribute("data-act")) open(dialog);
+  else dialog.close();
+});
+
+document.addEventListener("submit", (event) => {
+  const dialog = event.submitter?.closest("dialog.act-dialog");
+  if (dialog instanceof HTMLDialogElement && !dialog.open) event.preventDefault();
+}, true);
+
+for (const dialog of findAll("dialog.act-dialog[open]", HTMLDialogElement)) {
+  dialog.close();
+  open(dialog);
+}

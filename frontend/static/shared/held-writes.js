@@ -1,0 +1,119 @@
+/**
+ * Disconnected means disarmed: while the server is not heard every button that would write is held with its reason, a banner
+ * says since when, and what was typed stays. A form is sent only once the server has answered, so that none ends on the
+ * browser's own page. When the link is back the buttons are released; a page without live parts in which nothing was typed
+ * is read again, the others are caught up by live-page.js.
+ */
+import { find, findAll, make, need } from "./dom.js";
+
+const ANSWER_WITHIN_MS = 5000;
+const TYPED = "input:not([type=hidden], [type=submit]), textarea, select";
+/** Buttons that were alive when the link broke, with the title that each had. @type {Map<HTMLButtonElement, string>} */
+const held = new Map();
+/** Forms that the server has been asked for. @type {WeakSet<HTMLFormElement>} */
+const cleared = new WeakSet();
+let sinceMs = 0;
+let isHeld = false;
+let reason = "";
+
+/** @param {HTMLButtonElement} button */
+const writes = (button) => button.matches("[data-act], [data-writes]") || (button.type === "submit" && button.form?.method === "post");
+
+/** @param {number} seconds */
+const span = (seconds) => (seconds < 60 ? `${seconds}\u202fs` : seconds < 3600 ? `${Math.floor(seconds / 60)}\u202fmin` : `${Math.floor(seconds / 3600)}\u202fh`);
+
+function tick() {
+  if (!isHeld) return;
+  const age = span(Math.max(0, Math.round((Date.now() - sinceMs) / 1000)));
+  document.body.style.setProperty("--link-age", `"${age} old"`);
+  const place = find("#link-age", HTMLElement);
+  if (place) place.textContent = age;
+  holdButtons(); // those too that came or were released meanwhile
+}
+
+function holdButtons() {
+  for (const button of findAll("button", HTMLButtonElement)) {
+    if (button.disabled || !writes(button)) continue;
+    held.set(button, button.title);
+    button.disabled = true;
+    button.title = reason;
+  }
+}
+
+/** @param {LinkState} link */
+function hold(link) {
+  if (!isHeld) sinceMs = link.sinceMs;
+  isHeld = true;
+  const isOut = link.state === "logged-out";
+  reason = isOut ? "You are logged out: log in again, then press it." : "Disconnected: the server does not answer. Wait for the link, then press it.";
+  find(".link-banner", HTMLElement)?.remove();
+  if (!isOut) {
+    const banner = make("div", { className: "notice link-banner", role: "alert" });
+    const words = make("p", {});
+    const [at, age] = [make("time", { dateTime: new Date(sinceMs).toISOString() }), make("span", { id: "link-age" })];
+    at.textContent = `${at.dateTime.slice(11, 19)}Z`;
+    age.setAttribute("aria-hidden", "true");
+    words.append(make("b", { textContent: "DISCONNECTED" }), " since ", at, " (", age, "). All states are as of then. Buttons that write are held; what you typed stays.");
+    banner.append(words);
+    need("#content", HTMLElement).prepend(banner);
+  }
+  tick();
+}
+
+function release() {
+  isHeld = false;
+  find(".link-banner", HTMLElement)?.remove();
+  document.body.style.removeProperty("--link-age");
+  for (const [button, title] of held) {
+    button.disabled = false;
+    button.title = title;
+    if (!title) button.removeAttribute("title");
+  }
+  held.clear();
+  if (!find("[data-live]", HTMLElement) && !find("[data-launch]", HTMLElement) && !isUsed()) location.reload();
+}
+
+/** Whether anything was typed or chosen, or a dialog is open. */
+function isUsed() {
+  if (find("dialog[open]", HTMLDialogElement)) return true;
+  return findAll(TYPED, HTMLElement, need("#content", HTMLElement)).some((field) => {
+    if (field instanceof HTMLInputElement) return field.checked !== field.defaultChecked || field.value !== field.defaultValue;
+    if (field instanceof HTMLTextAreaElement) return field.value !== field.defaultValue;
+    return field instanceof HTMLSelectElement && [...field.options].some((one) => one.selected !== one.defaultSelected && field.selectedIndex > 0);
+  });
+}
+
+/** Whether the server answers at all. */
+async function answers() {
+  try {
+    await fetch("/healthz", { cache: "no-store", signal: AbortSignal.timeout(ANSWER_WITHIN_MS) });
+    return true;
+  } catch {
+    return false;
+  }
+}
+
+/** Send a form once the server has answered. @param {SubmitEvent} event */
+async function sendOnceHeard(event) {
+  const { target: form, submitter } = event;
+  if (!(form instanceof HTMLFormElement) || form.method !== "post" || event.defaultPrevented) return;
+  if (cleared.delete(form)) return;
+  event.preventDefault();
+  if (isHeld || form.hasAttribute("aria-busy")) return;
+  form.setAttribute("aria-busy", "true"); // pressed twice, it is sent once
+  const isThere = await answers();
+  form.removeAttribute("aria-busy");
+  if (!isThere) {
+    document.dispatchEvent(new CustomEvent("boresight:doubt"));
+    return;
+  }
+  cleared.add(form);
+  form.requestSubmit(submitter instanceof HTMLButtonElement && !submitter.disabled ? submitter : null);
+}
+
+document.addEventListener("boresight:link", ({ detail }) => {
+  if (["disconnected", "logged-out"].includes(detail.state)) hold(detail);
+  else if (isHeld) release();
+});
+document.addEventListener("submit", sendOnceHeard);
+setInterval(tick, 1000);
