@@ -11,7 +11,7 @@ from boresight.console.approvals.review import warn_of_shifts
 from boresight.console.approvals.tables import Approval
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.platform.db.sessions import open_reading, open_writing, utc_now
-from tests.sites import PASSWORD
+from tests.sites import PASSWORD, answer_points
 
 WORDS = {"decision": "APPROVE", "meaning": "I approve this set for baseline.", "comment": "Read all of it."}
 

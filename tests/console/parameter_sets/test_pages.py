@@ -7,7 +7,7 @@ from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import open_reading, open_writing
-from tests.sites import PASSWORD
+from tests.sites import PASSWORD, answer_points
 
 TURNED = {
     "quaternion": [0.0, 1e-5, 0.0, 1.0],
