@@ -67,6 +67,20 @@ def test_every_class_and_id_of_a_style_sheet_is_given_to_something():
     assert {one for one in styled if one[1] not in given and not one[1].startswith(BEGINNINGS)} == set()
 
 
+ACTS = r'action="[^"]*/(promote|roll-back|uplink/record|uplink/activate|disable)"|name="decision" value="APPROVE"|name="decision", value="APPROVE"'
+
+
+def test_no_act_with_consequences_is_without_its_dialog():
+    found = set()
+    for path in (FRONTEND / "templates").rglob("*.html"):
+        text = path.read_text()
+        for act in re.finditer(ACTS, text):
+            before = text[: act.start()]
+            assert before.rfind("call act_dialog(") > before.rfind("endcall"), f"{path.name}: {act[0]}"
+            found.add(act[1] or "approve")
+    assert found == {"promote", "roll-back", "uplink/record", "uplink/activate", "disable", "approve"}
+
+
 def test_only_one_module_touches_plotly_and_knows_its_private_fields():
     private = re.compile(r"\b_(?:full\w+|context|plots|offset|length)\b|\bwindow\.Plotly\b|\b(?:p2d|d2p)\b")
     assert {name for name, text in MODULES.items() if private.search(text)} == {"shared/plotly.js"}

@@ -53,6 +53,11 @@ KEYED = ("overview", "runs", "launch", "run-result", "compare", "approval", "par
 LISTS = ("approvals", "timeline", "parameter-sets", "set-gates", "users", "audit")
 CUT = """() => [...document.querySelectorAll(".scroll")]
     .filter(panel => panel.scrollWidth > panel.clientWidth).map(panel => panel.ariaLabel)"""
+OUTSIDE_ITS_ROW = """() => [...document.querySelectorAll("tr > *")].filter(cell => {
+    const [own, row] = [cell.getBoundingClientRect(), cell.parentElement.getBoundingClientRect()];
+    return own.width && (own.top < row.top - 1 || (cell.rowSpan === 1 && own.bottom > row.bottom + 1)
+        || own.left < row.left - 1 || own.right > row.right + 1);
+}).map(cell => cell.textContent.trim())"""
 GLANCE, HIGHEST_PX = {"width": 1280, "height": 720}, 420
 FIRST = "() => document.querySelector('plot-figure, .answer').getBoundingClientRect().top"
 LAST_VIEW = (
@@ -91,6 +96,7 @@ def test_a_page_keeps_nobody_out_fits_its_window_and_sends_nothing_by_keys(peopl
     with people.seat(VISITORS.get(name, "analyst")) as window:
         window.wear(name)
         visit(window, name, numbers)
+        assert window.page.evaluate(OUTSIDE_ITS_ROW) == [], "a cell of a table lies outside its row"
         if name in LISTS:
             window.page.set_viewport_size(NARROW)
             assert window.page.evaluate(CUT) == [], "what can be done with the rows is not in sight"

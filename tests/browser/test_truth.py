@@ -12,6 +12,10 @@ from tests.browser.work import choose_filter, ends_as, queue, upload
 pytestmark = pytest.mark.browser
 
 STARS = 3
+WRITES = """() => [...document.querySelectorAll("button")].filter(button => !button.disabled
+    && (button.dataset.act !== undefined || button.dataset.writes !== undefined
+        || (button.type === "submit" && button.form?.method === "post"))).map(button => button.textContent.trim())"""
+WHY, LABEL = "The pass ends soon.", "Typed before the server went"
 ONE_A_SECOND, TEN_A_SECOND = 1.0, 10.0
 
 
@@ -89,8 +93,14 @@ def test_a_cancelled_run_says_who_stopped_it_and_keeps_no_result(people, batch_r
         assert window.read(f"/api/v1/runs/{run_id}")["result_sha256"] is None
 
 
-def test_a_page_says_that_its_server_is_gone_and_recovers_with_it(people, installation, sequential_run):
+def test_a_page_says_that_its_server_is_gone_holds_what_would_write_and_recovers_with_it(
+    people, installation, sequential_run
+):
     with people.seat("analyst") as window:
+        form = window.page.context.new_page()
+        form.goto(f"{installation.address}/runs/new?clone={sequential_run}")
+        form.get_by_label("Label").fill(LABEL)
+        expect(form.locator("#link-state")).to_have_text("LIVE")
         window.open(f"/runs/new?clone={sequential_run}")
         choose_filter(window, TEN_A_SECOND)
         run_id = queue(window, "Survives its server")
@@ -99,16 +109,28 @@ def test_a_page_says_that_its_server_is_gone_and_recovers_with_it(people, instal
         expect(link).to_have_text("LIVE")
         expect(window.page.locator("#run-head")).to_contain_text("RUNNING")
         window.grown("convergence", 1)
+        window.page.get_by_label("Why stop it").fill(WHY)
+        assert window.page.evaluate(WRITES)
         installation.kill()
         try:
             expect(link).to_have_text("DISCONNECTED")
             expect(age).to_have_text(re.compile(r"^DISCONNECTED · last event \d+\Ws ago$"))
             window.shoot("43-disconnected")
+            for page in (window.page, form):
+                expect(page.locator("body")).to_have_attribute("data-link", "disconnected")
+                expect(page.locator(".link-banner time")).to_be_visible()
+                assert page.evaluate(WRITES) == []
+            assert form.get_by_label("Label").input_value() == LABEL
         finally:
             installation.start()
         expect(link).to_have_text("LIVE")
         expect(window.page.locator("#run-head")).to_contain_text("Attempt 1 ended without a result: its server")
         expect(age).to_have_text(re.compile("^last event"))
+        expect(window.page.get_by_label("Why stop it")).to_have_value(WHY)
+        expect(form.locator(".link-banner")).to_have_count(0)
+        expect(form.get_by_role("button", name="Queue run")).to_be_enabled()
+        assert form.get_by_label("Label").input_value() == LABEL
+        form.close()
         window.shoot("44-returned")
         ends_as(window, "SUCCEEDED")
         run, first = (window.read(f"/api/v1/runs/{number}") for number in (run_id, sequential_run))

@@ -159,7 +159,11 @@ def test_a_signed_entry_makes_it_active_with_name_and_meaning(site, read):
     visitor = site.visitor("olga")
     page = visitor.get(STEPS)
     assert "VERIFIED by statement" not in read(page)
-    assert [state for state in uplinks.NEXT if f'name="onboard_state" value="{state}"' in page] == ["SENT", "MISMATCH", "UNKNOWN"]
+    assert [state for state in uplinks.NEXT if f'name="onboard_state" value="{state}"' in page] == [
+        "SENT",
+        "MISMATCH",
+        "UNKNOWN",
+    ]
     entry = {"source": "TM page 2", "meaning": "I saw it in telemetry.", "version": version(site)}
     wrong = visitor.post(f"{STEPS}/activate", password="guess", **entry)
     assert wrong.status_code == 401
