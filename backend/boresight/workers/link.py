@@ -163,6 +163,7 @@ class Link:
         self.run_id = run_id
         self.attempt = attempt
         self._stop = Event(cancel_event(run_id, attempt))
+        self._worker = get_worker()  # now: reports come from threads that compile, too, which have none of their own
         self._begun_s = self._looked_s = time.monotonic()
         self._reported_s = self._begun_s + FIRST_REPORT_S - REPORT_EVERY_S
         self._stopped = False
@@ -176,7 +177,7 @@ class Link:
         partial = None if progress.partial is None else encoded(progress.partial)
         elapsed_s = round(now_s - self._begun_s, 3)
         report = Report(self.run_id, self.attempt, float(progress.fraction), progress.message, elapsed_s, partial)
-        get_worker().log_event(TOPIC, {"report": vars(report)})  # the worker adds its own address beside it
+        self._worker.log_event(TOPIC, {"report": vars(report)})  # the worker adds its own address beside it
 
     def cancelled(self) -> bool:
         """Return whether this attempt was asked to stop."""
