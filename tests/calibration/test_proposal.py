@@ -79,7 +79,7 @@ def test_images_alone_tell_parity_and_focal_length_and_calibrate_from_there(
     assert abs(found.focal_px - true_px) < 5 * found.focal_sigma_px
     assert found.solved == found.exposures == night.frames
     assert 0.01 < sensor.centroid_sigma_px < 0.4
-    assert 4.0 < sensor.magnitude_limit < 10.0
+    assert 4.0 < sensor.magnitude_limit < 11.0  # the brightest lens sees 10.1; the catalogue is sparse from 9 on
     done = calibrate(
         stars, sensor, catalogue, CalibrationSettings(leave_out_doubles=True), cache_folder=catalogue_folder
     )
