@@ -384,7 +384,7 @@ def match_counts(matching: Matching) -> list[tuple[str, str, str]]:
 def match_facts(matching: Matching) -> list[tuple[str, str]]:
     """List what else there is to know: cycles, tolerance, flagged stars."""
     tolerance, flagged = matching.tolerance_px, matching.flagged
-    rest = "the matches rested" if matching.rested else "the matches had not rested"
+    rest = "the matches settled" if matching.rested else "the matches had not settled"
     said = (
         f"{count(flagged.doubles)} doubles, {count(flagged.unreliable)} of unreliable astrometry, "
         f"{count(flagged.left_out)} left out; {count(flagged.blended)} left out as blended"

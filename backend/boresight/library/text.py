@@ -157,7 +157,7 @@ def _matches(matching: Matching) -> str:
     """Return lines on the matching cycle: its counts, and whether it rests."""
     counts = f"{matching.given:,} given, {matching.kept:,} kept, {matching.removed:,} removed, {matching.added:,} added"
     cycles = len(matching.cycles)
-    rest = "the matches rest" if matching.rested else "the matches do not rest yet"
+    rest = "the matches have settled" if matching.rested else "the matches have not settled yet"
     return f"{counts}; {rest}" + (f" after {cycles} {'cycle' if cycles == 1 else 'cycles'}" if cycles else "")
 
 

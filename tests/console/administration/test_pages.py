@@ -65,7 +65,7 @@ def test_where_one_person_works_alone_every_download_says_so(site):
 def test_what_would_hold_up_work_is_said():
     people = [_person("analyst", "approver"), _person("operator"), _person("administrator", disabled_utc=NOW)]
     said = warnings(people, four_eyes=True)
-    assert "There is one approver only: nobody stands in." in said
+    assert "Only one approver: no deputy." in said
     assert "There is no administrator." in said
     assert "Every approver is an analyst too: whoever submits needs another to sign." in said
     assert (

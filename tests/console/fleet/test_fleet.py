@@ -245,10 +245,10 @@ def test_the_approver_and_nobody_else_is_asked_to_sign_and_none_but_an_analyst_o
 
 def test_an_analyst_is_asked_to_judge_a_converged_run_until_a_set_is_made_of_it(site, read):
     visitor = site.visitor("ada")
-    assert "run 2 converged; judge it." in read(visitor.get("/"))
+    assert "Review run 2 of" in read(visitor.get("/"))
     with open_writing(site.engine) as session:
         parameter_sets.create_from_run(session, site.actor("ada"), site.blobs, 2)
-    assert "judge it" not in read(visitor.get("/"))
+    assert "Review run 2 of" not in read(visitor.get("/"))
 
 
 def test_what_happened_is_listed_with_the_ends_of_runs(site, read):

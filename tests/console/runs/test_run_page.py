@@ -353,7 +353,7 @@ def test_a_part_that_could_not_be_made_is_no_data_with_its_reason(site, read, re
 
 def test_matching_shows_both_counts_starts_reasons_flags_and_the_view_of_flight(site, read, examined):
     text = read(site.visitor("victor").get(f"/runs/{examined[1]}?part=evidence"))
-    for words in ("Kept 2 201", "Removed 32", "Added 2 265", "3: the matches rested", "41 doubles"):
+    for words in ("Kept 2 201", "Removed 32", "Added 2 265", "3: the matches settled", "41 doubles"):
         assert words in text
     assert shadow()["validation"]["summary"]["sentence"] in text
     for phrase in ("neighbouring frame 5", "no catalogue star is near 61", "fewer than three stars matched 2"):

@@ -293,6 +293,6 @@ def drop_one_sentence(fitted: FittedSet, entries: list[DroppedParameter]) -> str
     if not spare:
         return f"The data ask for every free parameter: {least}, and beyond {NEEDED:.3g} a parameter is needed (1 % level)."
     return (
-        f"These data do not ask for {', '.join(spare)}: held at the start, chi-square grows by less than {NEEDED:.3g} (1 % "
-        f"level); {least}. It may be held fixed, one parameter at a time."
+        f"These data give no evidence that {', '.join(spare)} changed: held at the start, chi-square grows by less than "
+        f"{NEEDED:.3g} (1 % level); {least}. It may be held fixed, one parameter at a time."
     )

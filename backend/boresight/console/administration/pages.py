@@ -54,7 +54,7 @@ def roles_held(people: Sequence[User]) -> list[tuple[str, int]]:
 def warnings(people: Sequence[User], *, four_eyes: bool) -> list[str]:
     """List problems with people and roles that would hold up work."""
     held = dict(roles_held(people))
-    said = [f"There is one {role} only: nobody stands in." for role in ALONE if held[role] == 1]
+    said = [f"Only one {role}: no deputy." for role in ALONE if held[role] == 1]
     said += [f"There is no {role}." for role in ROLES[1:] if not held[role]]
     if four_eyes and held["approver"] and not any("approver" in p.roles and "analyst" not in p.roles for p in people):
         said.append("Every approver is an analyst too: whoever submits needs another to sign.")

@@ -366,7 +366,7 @@ def _nothing_newer(trend: Trend) -> str:
     name = trend.baseline.name if trend.baseline else "the baseline"
     left = sum(bool(point.left_out) for point in trend.points)
     more = f" {left} of {len(trend.points)} calibrations take no part; the table says why." if left else ""
-    return f"No calibration of data that {name} has not seen: upload newer telemetry and calibrate it.{more}"
+    return f"Drift cannot be tested: no newer telemetry since {name}. Upload newer telemetry and calibrate it.{more}"
 
 
 def make_epoch(point: TrendPoint, names: Sequence[str]) -> Epoch:

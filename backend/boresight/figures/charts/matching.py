@@ -74,9 +74,9 @@ def _headline(drawn: Sequence[Part[list[Cycle]]]) -> str:
     n_cycles = len(drawn[0][2])
     said = f"{n_cycles} cycle{'s' * (n_cycles != 1)}"
     return (
-        f"The matches rested after {said}"
+        f"The matches settled after {said}"
         if matching and matching.rested
-        else f"The matches had not rested after {said}"
+        else f"The matches had not settled after {said}"
     )
 
 

@@ -232,7 +232,7 @@ HELPFUL = {
     Role.COLUMN: _PARTS_THE_CENTRE,
     Role.TILT: _PARTS_THE_CENTRE,
     Role.DECENTRING: _PARTS_THE_CENTRE,
-    Role.ASPECT: "pairs of stars along rows and along columns: they part the aspect from the focal length",
+    Role.ASPECT: "pairs of stars along rows and along columns: they separate pixel aspect from focal length",
 }
 
 

@@ -246,7 +246,9 @@ def draw_radial_contrast(labels: Sequence[str], reference: int, curves: Sequence
     for style, curve in shown:
         _draw_contrast(figure, style, curve, banded=len(shown) <= CROWDED)
     told = any(np.isfinite(column(curve.sigma_px)).any() for _, curve in shown)
-    words = "±3σ of the difference" if told else "the same data and equal sigmas: what differs is not noise"
+    words = (
+        "±3σ of the difference" if told else "the same data and equal sigmas: the methods differ, the noise does not"
+    )
     theme.dress(figure, title=f"Against {theme.escape(labels[reference])}, {words}", height_px=420)
     figure.update_xaxes(title_text="radius from the principal point (px)")
     figure.update_yaxes(title_text="run − reference (px)", zeroline=True)

@@ -156,7 +156,7 @@ def _next_step(one: SensorStatus, unused: Collection[int]) -> WaitingAction | No
     if run.state in {"FAILED", "LOST"}:
         return WaitingAction("serious", f"{one.name}: run {run.id} {run.state}.", f"/runs/{run.id}", "Look")
     if run.id in unused:
-        return WaitingAction("standby", f"{one.name}: run {run.id} converged; judge it.", f"/runs/{run.id}", "Judge")
+        return WaitingAction("standby", f"Review run {run.id} of {one.name}.", f"/runs/{run.id}", "Review")
     return None
 
 

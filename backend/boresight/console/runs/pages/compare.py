@@ -116,7 +116,9 @@ def together(found: Comparison) -> list[ComparedCell]:
         if k == found.reference:
             cells.append(ComparedCell("reference", ""))
         elif test is None:
-            cells.append(ComparedCell(MISSING, "no result yet" if against is None else "what differs is not noise"))
+            cells.append(
+                ComparedCell(MISSING, "no result yet" if against is None else "no σ: the same data, other method")
+            )
         else:
             far = test["p"] < UNLIKELY
             words = "differ" if far else "may be the same"
