@@ -19,6 +19,8 @@ LOCK := CUSTOM_COMPILE_COMMAND="make lock" $(BIN)/pip-compile --quiet --upgrade 
 export NUMBA_CACHE_DIR := $(CURDIR)/$(VENV)/kernels
 COMPILED := $(VENV)/kernels/compiled
 export PYTHONUNBUFFERED := 1
+# As the command sets it: with more, three test processes wait for each other, and sums differ in their last bit under load.
+export OPENBLAS_NUM_THREADS := 1
 
 # What checks the types of the pages' modules; node comes with the virtual environment and is needed for nothing else.
 NODE_MODULES := frontend/node_modules/.package-lock.json
