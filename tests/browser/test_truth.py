@@ -124,7 +124,7 @@ def test_a_page_says_that_its_server_is_gone_holds_what_would_write_and_recovers
         finally:
             installation.start()
         expect(link).to_have_text("LIVE")
-        expect(window.page.locator("#run-head")).to_contain_text("Attempt 1 ended without a result: its server")
+        expect(window.page.locator("#verdict")).to_contain_text("Attempt 1 ended without a result: its server")
         expect(age).to_have_text(re.compile("^last event"))
         expect(window.page.get_by_label("Why stop it")).to_have_value(WHY)
         expect(form.locator(".link-banner")).to_have_count(0)
