@@ -216,7 +216,7 @@ def test_no_note_proposal_log_in_or_version_is_left_out_beyond_a_hundred(site, r
         )
         assert len(session_list.list_sessions(session, site.actor("ada"), is_open=True)) > many
     visitor = site.visitor("ada")
-    assert f"Notes {many}" in " ".join(read(visitor.get("/runs/1")).split())
+    assert f"{many} notes" in " ".join(read(visitor.get("/runs/1")).split())
     assert visitor.get("/sensors/1/gates").count("<tr") > many
 
 
