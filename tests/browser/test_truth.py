@@ -110,6 +110,7 @@ def test_a_page_says_that_its_server_is_gone_holds_what_would_write_and_recovers
         expect(window.page.locator("#run-head")).to_contain_text("RUNNING")
         window.grown("convergence", 1)
         window.page.get_by_label("Why stop it").fill(WHY)
+        window.page.get_by_label("Why stop it").blur()  # what is being typed in is not renewed
         assert window.page.evaluate(WRITES)
         installation.kill()
         try:

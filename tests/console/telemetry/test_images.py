@@ -129,7 +129,7 @@ def test_a_frame_s_stars_and_matches_lie_where_its_picture_shows_them(house, par
     row = send(house, sensor, files).json()
     run_id = launch(house, sensor, row)
     viewer, frame = house.person("victor"), images[1]
-    page = viewer.get(f"/runs/{run_id}", params={"part": "frames", "frame": 1, "show": "old"})
+    page = viewer.get(f"/runs/{run_id}", params={"part": "evidence", "frame": 1, "show": "old"})
     shown = viewer.get(f"/api/v1/runs/{run_id}/frames/1").json()
     stars = shown["exposures"][0]["stars"]
     drawn = symbols(page.text)
