@@ -108,7 +108,7 @@ def test_the_verdict_is_as_good_as_its_worst_answer(change, level, sequential_re
 
 def test_a_value_stops_at_the_second_digit_of_its_sigma_and_what_is_not_known_is_a_dash(sequential_result):
     known = [(16.0198234, 0.00063), (-1886.7, 10.2), (6.634e7, 7.9e5), (786_689.0, 786_689.0), (0.5, None), (None, 1.0)]
-    assert [digits(*pair) for pair in known] == ["16.01982", "−1\u202f887", "6.634e+07", "7.9e+05", "0.5", "–"]
+    assert [digits(*pair) for pair in known] == ["16.01982", "−1\u202f887", "6.634·10⁷", "7.9·10⁵", "0.5", "–"]
     row = printed_rows(changed(sequential_result, sigma={"g_y": None}, sigma_with_misfit={"g_y": None}))[-1]
     assert (row.sigma, row.worth, row.typical) == ("–", "–", "–")
 
