@@ -159,7 +159,7 @@ def test_a_cell_mean_is_clear_only_where_it_leaves_its_noise():
 def test_matching_draws_both_counts_of_every_cycle_or_says_that_matches_were_given(sequential_result):
     drawn = draw("matching", sequential_result)
     assert [values(trace).tolist() for trace in drawn.data[:2]] == [[4401, 4466, 4466], [2297, 65, 0]]
-    assert "rested after 3 cycles" in drawn.layout.title.text
+    assert "settled after 3 cycles" in drawn.layout.title.text
     given = changed(sequential_result, matching=None, inputs={"settings": {"match": "given"}})
     assert "matches it was given" in draw("matching", given).layout.annotations[0].text
 

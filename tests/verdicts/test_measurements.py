@@ -149,7 +149,7 @@ def test_the_shift_is_in_sigmas_of_the_difference_at_least_a_tenth_of_the_typica
     typical = SENSOR.typical_sigma
     measured = found("parameter-shift", candidate=with_parameters(n0_px=SENSOR.initial[2] + 6 * typical[2]))
     assert measured.value == pytest.approx(6 / np.sqrt(1 + 0.02**2 + 0.1**2))
-    assert measured.sentence.startswith("n0_px moved farthest, by +6.0 sigmas")
+    assert measured.sentence.startswith("n0_px moved farthest, by +6.0 σ")
     sure = a_set(covariance={"names": list(NAMES), "matrix": (1e-6 * P).tolist()})
     moved = {**sure, "parameters": sure["parameters"] | {"f_m": sure["parameters"]["f_m"] + SENSOR.typical_sigma[0]}}
     assert found("parameter-shift", candidate=moved, incumbent=sure).value == pytest.approx(10, rel=1e-6)
