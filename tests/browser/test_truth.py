@@ -13,8 +13,9 @@ pytestmark = pytest.mark.browser
 
 STARS = 3
 WRITES = """() => [...document.querySelectorAll("button")].filter(button => !button.disabled
-    && (button.dataset.act !== undefined || button.dataset.writes !== undefined
-        || (button.type === "submit" && button.form?.method === "post"))).map(button => button.textContent.trim())"""
+    && (button.dataset.act !== undefined
+        || (button.type === "submit" && button.form?.getAttribute("method") === "post"))
+).map(button => button.textContent.trim())"""
 WHY, LABEL = "The pass ends soon.", "Typed before the server went"
 ONE_A_SECOND, TEN_A_SECOND = 1.0, 10.0
 
@@ -144,4 +145,28 @@ def test_a_page_says_that_its_server_is_gone_holds_what_would_write_and_recovers
         window.grown("convergence", len(result["history"]["frame"]) - 1)
         assert window.drawn("convergence")[1]["x"] == result["history"]["frame"]
         window.shoot("45-recovered")
+        window.forgive("ERR_")
+
+
+def test_a_run_queued_while_the_server_is_gone_stays_a_form_and_is_queued_when_it_is_back(people, telemetry):
+    with people.seat("analyst") as window:
+        page = window.page
+        window.open(f"/runs/new?set={telemetry['calibration']}")
+        expect(page.locator("#link-state")).to_have_text("LIVE")
+        expect(page.locator("[data-dry-run]")).to_contain_text("8 parameters, ")
+        page.get_by_label("Label").fill("typed before the link broke")
+        expect(page).to_have_url(re.compile("label=typed"))  # the address follows the form
+        address = page.url
+        page.route("**/healthz", lambda route: route.abort())
+        page.get_by_role("button", name="Queue run").click()
+        expect(page.locator(".link-banner")).to_be_visible()
+        assert page.url == address
+        assert page.evaluate(WRITES) == []
+        page.get_by_label("Label").press("Enter")
+        expect(page.get_by_label("Label")).to_have_value("typed before the link broke")
+        page.unroute("**/healthz")
+        expect(page.locator("#link-state")).to_have_text("LIVE")
+        expect(page.get_by_label("Label")).to_have_value("typed before the link broke")
+        page.get_by_role("button", name="Queue run").click()
+        page.wait_for_url(re.compile(r"/runs/\d+$"))
         window.forgive("ERR_")

@@ -16,8 +16,11 @@ let sinceMs = 0;
 let isHeld = false;
 let reason = "";
 
+/** Asked of the attribute: a field named "method", as the launch form has, hides the form's own. @param {HTMLFormElement | null} form */
+const isPost = (form) => form?.getAttribute("method") === "post";
+
 /** @param {HTMLButtonElement} button */
-const writes = (button) => button.matches("[data-act], [data-writes]") || (button.type === "submit" && button.form?.method === "post");
+const writes = (button) => button.hasAttribute("data-act") || (button.type === "submit" && isPost(button.form));
 
 /** @param {number} seconds */
 const span = (seconds) => (seconds < 60 ? `${seconds}\u202fs` : seconds < 3600 ? `${Math.floor(seconds / 60)}\u202fmin` : `${Math.floor(seconds / 3600)}\u202fh`);
@@ -96,7 +99,7 @@ async function answers() {
 /** Send a form once the server has answered. @param {SubmitEvent} event */
 async function sendOnceHeard(event) {
   const { target: form, submitter } = event;
-  if (!(form instanceof HTMLFormElement) || form.method !== "post" || event.defaultPrevented) return;
+  if (!(form instanceof HTMLFormElement) || !isPost(form) || event.defaultPrevented) return;
   if (cleared.delete(form)) return;
   event.preventDefault();
   if (isHeld || form.hasAttribute("aria-busy")) return;

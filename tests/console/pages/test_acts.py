@@ -1,0 +1,106 @@
+"""A dialog names the consequences of its act, and the server asks for what the dialog asks."""
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from boresight.console.parameter_sets import queries as set_queries
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.platform.db.sessions import open_reading
+from tests.console.uplinks.pages import advance, define, version
+from tests.sites import PASSWORD, answer_points
+
+STEPS = "/parameter-sets/1/uplink"
+
+
+def dialogs(page):
+    return dict(re.findall(r'<dialog id="([^"]*)" class="panel act-dialog"(.*?)</dialog>', page, re.DOTALL))
+
+
+@pytest.fixture
+def approved(site):
+    ada, alan = site.visitor("ada"), site.visitor("alan")
+    place = ada.post("/runs/1/parameter-set").headers["location"]
+    seen = ada.get(place).split('name="version" value="')[1].split('"')[0]
+    request = ada.post(f"{place}/submit", version=seen, reason="Lower RMS.").headers["location"]
+    signed = {"decision": "APPROVE", "meaning": "Read.", "comment": "", "password": PASSWORD, "version": "1"}
+    page = alan.get(request)
+    shown, signed = dialogs(page)["approve"], signed | answer_points(page)
+    assert alan.post(f"{request}/sign", **signed).status_code == 303
+    return place, request, shown
+
+
+def test_a_dialog_on_a_set_names_sensor_old_and_new_set_what_changes_most_and_what_stays(site, approved):
+    place, request, approving = approved
+    olga = site.visitor("olga")
+    for shown in (approving, dialogs(olga.get(place))["promote"], dialogs(olga.get(request))["promote"]):
+        words = " ".join(re.sub(r"<[^>]+>", " ", shown).split())
+        assert re.search(r"Sensor ST16-1 .*PS-ST16-1-0 .*PS-ST16-1-1", words)
+        assert "cannot be taken back" in words
+        worth = [abs(float(one.replace("−", "-"))) for one in re.findall(r'<td class="num">([−\d.]+)</td></tr>', shown)]
+        assert len(worth) == 4
+        assert worth == sorted(worth, reverse=True)
+
+
+def state_of(site, set_id=2):
+    with open_reading(site.engine) as session:
+        return session.get_known(ParameterSet, set_id).ground_state
+
+
+def test_a_promotion_on_a_page_needs_a_reason_and_the_password_and_keeps_what_was_typed(site, approved):
+    place, _, _ = approved
+    olga = site.visitor("olga")
+    seen = olga.get(place).split('name="version" value="')[1].split('"')[0]
+    for said, status in (
+        ({"reason": " ", "password": PASSWORD}, 422),
+        ({"reason": "Tonight.", "password": "guess"}, 401),
+    ):
+        answer = olga.post(f"{place}/promote", version=seen, **said)
+        assert answer.status_code == status
+        assert " open" in dialogs(answer.text)["promote"].split(">")[0]
+        assert said["reason"] in answer.text
+        assert state_of(site) == "APPROVED"
+    assert olga.post(f"{place}/promote", version=seen, reason="Tonight.", password=PASSWORD).status_code == 303
+    with open_reading(site.engine) as session:
+        assert set_queries.list_promotions(session, 1)[0].reason == "Tonight."
+
+
+def test_the_password_of_a_promotion_is_a_setting(site, approved):
+    place, _, _ = approved
+    server = site.app.state
+    server.policy = replace(server.policy, promotion_password=False)
+    olga = site.visitor("olga")
+    page = olga.get(place)
+    assert 'id="promote-password"' not in page
+    seen = page.split('name="version" value="')[1].split('"')[0]
+    assert olga.post(f"{place}/promote", version=seen, reason="Tonight.").status_code == 303
+
+
+@pytest.mark.parametrize(("needed", "status"), [(False, 200), (True, 422)])
+def test_over_rest_a_reason_is_needed_where_the_installation_says_so(site, approved, needed, status):
+    server, olga = site.app.state, site.visitor("olga")
+    server.policy = replace(server.policy, promotion_reason=needed)
+    headers = {"If-Match": '"v3"', "X-CSRF-Token": olga.csrf_token}
+    assert approved
+    assert olga.send("POST", "/api/v1/parameter-sets/2:promote", headers=headers).status_code == status
+
+
+def test_nothing_is_preselected_on_a_record_and_the_expected_crc_is_shown_after_the_told_one(site):
+    define(site)
+    olga = site.visitor("olga")
+    assert olga.post(f"{STEPS}/package").status_code == 303
+    page = olga.get(STEPS)
+    assert set(dialogs(page)) == {"record-sent"}
+    assert not re.search(
+        r"<(option|input)[^>]* (selected|checked)>", page.partition("<main")[2].partition("</main>")[0]
+    )
+    advance(site, "SENT", "LOADED")
+    page = olga.get(STEPS)
+    assert {"record-mismatch", "record-unknown"} == set(dialogs(page))
+    assert not re.search(r"0x[0-9A-F]{4}\b", page)
+    refused = olga.post(f"{STEPS}/read-back", crc="nothing", source="TM 1", version=version(site))
+    assert refused.status_code == 422
+    assert not re.search(r"0x[0-9A-F]{4}\b", refused.text)
+    assert olga.post(f"{STEPS}/read-back", crc="0", source="TM 1", version=version(site)).status_code == 303
+    assert re.search(r"0x[0-9A-F]{4}\b", olga.get(STEPS))
