@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from boresight.console.alarms.tables import Alarm
-from boresight.console.approvals.tables import Approval
+from boresight.console.approvals.tables import Approval, Thread
 from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import queries as rows
@@ -18,7 +18,7 @@ from boresight.platform.audit import log as audit
 from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import Session
 
-Versioned = Alarm | Approval | ChangeProposal | ParameterSet | Sensor
+Versioned = Alarm | Approval | ChangeProposal | ParameterSet | Sensor | Thread
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,8 @@ class DocumentInForce:
 
 def name_subject(row: Versioned) -> str:
     """Return a row's name in the audit log, its REST address."""
+    if isinstance(row, Thread):
+        return f"approvals/{row.approval_id}/threads/{row.id}"
     nouns: dict[type, str] = {
         Alarm: "alarms",
         Approval: "approvals",
@@ -50,6 +52,8 @@ def make_label(row: Versioned) -> str:
         return f"Alarm {row.id}"
     if isinstance(row, ChangeProposal):
         return f"Proposal {row.id}"
+    if isinstance(row, Thread):
+        return f"Thread {row.id}"
     return f"Request {row.id}" if isinstance(row, Approval) else row.name
 
 
@@ -104,7 +108,7 @@ def describe_baseline(session: Session, sensor_id: int) -> str:
 def move(
     session: Session,
     actor: Actor,
-    row: Approval | ChangeProposal | ParameterSet,
+    row: Approval | ChangeProposal | ParameterSet | Thread,
     state: str,
     action: str,
     *,

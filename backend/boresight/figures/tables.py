@@ -153,7 +153,7 @@ def set_rows(
 
 def most_changed(rows: Sequence[ParameterRow], most: int = 4) -> list[ParameterRow]:
     """Return the parameters that change most in their sigmas, with misfit, the greatest change first."""
-    changed = [(abs(row.delta / row.sigma_with_misfit), row) for row in rows if row.delta and row.sigma_with_misfit]
+    changed = [(abs(ratio), row) for row in rows if (ratio := row.delta_over_sigma)]
     return [row for _, row in sorted(changed, key=lambda pair: -pair[0])[:most]]
 
 

@@ -6,6 +6,7 @@
  * server when the run changes state. When the stream opens, and when events were missed, all is fetched again. Drawing takes
  * at most a fifth of the time: a figure out of sight waits until it comes near the window, and all wait as drawing costs.
  */
+import { roughSpan } from "../shared/clock.js";
 import { find, findAll } from "../shared/dom.js";
 import { renewPage } from "../shared/renew-page.js";
 import { PlotFigure } from "../shared/plot-figure.js";
@@ -203,7 +204,7 @@ class LiveRun extends HTMLElement {
     const isSilent = this.#state === "RUNNING" && silent > SILENT_MS;
     const state = (place.dataset.state = link && link !== "live" ? link : isSilent ? "stale" : "live");
     const word = state === "live" ? "" : `${state.toUpperCase()} · `;
-    place.textContent = `${word}last event ${Number.isNaN(silent) ? "not heard yet" : `${span(silent / 1000)} ago`}`;
+    place.textContent = `${word}last event ${Number.isNaN(silent) ? "not heard yet" : `${roughSpan(silent / 1000)} ago`}`;
   }
 
   /** Renew the parts of the page that depend on the state. */
@@ -241,13 +242,7 @@ async function drawOn(figure) {
 function pace({ fraction, elapsed_s: elapsed }) {
   const frames = Number(panel()?.dataset.frames);
   if (!elapsed || !fraction) return "";
-  return frames ? `${((fraction * frames) / elapsed).toFixed(1)} frames/s, about ${span((elapsed * (1 - fraction)) / fraction)} left` : `for ${span(elapsed)}`;
-}
-
-/** Print a span of time: `12 s`, `4 min`, `3.2 h`. @param {number} seconds */
-function span(seconds) {
-  if (seconds < 100) return `${Math.round(seconds)}\u202fs`;
-  return seconds < 6000 ? `${Math.round(seconds / 60)}\u202fmin` : `${(seconds / 3600).toFixed(1)}\u202fh`;
+  return frames ? `${((fraction * frames) / elapsed).toFixed(1)} frames/s, about ${roughSpan((elapsed * (1 - fraction)) / fraction)} left` : `for ${roughSpan(elapsed)}`;
 }
 
 /** @param {"percent" | "pace" | "message"} name @param {string} text */

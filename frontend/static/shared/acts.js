@@ -1,6 +1,7 @@
 /**
  * Acts with consequences (templates/shared/acts.html): the button opens its dialog as a modal one. A dialog inside a form
- * opens when the form is complete, unless its button sends the form without that check, and no key sends that form past its dialog. One that stands open was refused.
+ * opens when the form is complete, unless its button sends the form without that check, and no key sends that form past its
+ * dialog. One that stands open was refused.
  */
 import { around, find, findAll } from "./dom.js";
 

@@ -22,6 +22,12 @@ function span(seconds) {
   return parts.slice(0, 2).map(({ amount, unit }) => `${amount}\u202f${unit}`).join(" ");
 }
 
+/** Print a span of time: `12 s`, `4 min`, `3.2 h`. @param {number} seconds */
+export function roughSpan(seconds) {
+  if (seconds < 100) return `${Math.round(seconds)}\u202fs`;
+  return seconds < 6000 ? `${Math.round(seconds / 60)}\u202fmin` : `${(seconds / 3600).toFixed(1)}\u202fh`;
+}
+
 function tick() {
   const clock = document.getElementById("clock");
   if (clock) clock.textContent = dayOfYear(new Date());

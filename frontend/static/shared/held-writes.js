@@ -4,6 +4,7 @@
  * browser's own page. When the link is back the buttons are released; a page without live parts in which nothing was typed
  * is read again, the others are caught up by live-page.js.
  */
+import { roughSpan } from "./clock.js";
 import { find, findAll, make, need } from "./dom.js";
 
 const ANSWER_WITHIN_MS = 5000;
@@ -22,12 +23,9 @@ const isPost = (form) => form?.getAttribute("method") === "post";
 /** @param {HTMLButtonElement} button */
 const writes = (button) => button.hasAttribute("data-act") || (button.type === "submit" && isPost(button.form));
 
-/** @param {number} seconds */
-const span = (seconds) => (seconds < 60 ? `${seconds}\u202fs` : seconds < 3600 ? `${Math.floor(seconds / 60)}\u202fmin` : `${Math.floor(seconds / 3600)}\u202fh`);
-
 function tick() {
   if (!isHeld) return;
-  const age = span(Math.max(0, Math.round((Date.now() - sinceMs) / 1000)));
+  const age = roughSpan(Math.max(0, Math.round((Date.now() - sinceMs) / 1000)));
   document.body.style.setProperty("--link-age", `"${age} old"`);
   const place = find("#link-age", HTMLElement);
   if (place) place.textContent = age;

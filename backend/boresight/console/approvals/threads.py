@@ -13,8 +13,8 @@ from boresight.console.approvals import queries as rows
 from boresight.console.approvals.review import VIEWS
 from boresight.console.approvals.tables import Approval, Remark, Thread
 from boresight.console.parameter_sets.tables import ParameterSet
-from boresight.console.transitions import name_subject
-from boresight.errors import ConflictError, NotFoundError, PreconditionRequiredError, RefusedInputError, StaleError
+from boresight.console.transitions import move, name_subject, require_seen
+from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_person, require_role
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import Session, utc_now
@@ -100,7 +100,7 @@ def open_thread(session: Session, actor: Actor, approval_id: int, kind: str, nam
         opened_utc=utc_now(),
     )
     session.put(row)
-    audit.append(session, actor, "opened", _subject(row), None, {"state": "OPEN", "kind": kind, "name": name})
+    audit.append(session, actor, "opened", name_subject(row), None, {"state": "OPEN", "kind": kind, "name": name})
     add_remark(session, actor, approval_id, text, row.id)
     return row
 
@@ -119,22 +119,13 @@ def set_resolved(
     """Resolve a thread, or reopen it: `resolved` or `reopened`."""
     user_id = _require_voice(actor)
     row = get_thread(session, approval_id, thread_id)
-    if seen_version is None:
-        raise PreconditionRequiredError(f'Say which version of thread {row.id} you saw: If-Match: "v<number>".')
+    require_seen(session, row, seen_version)
     state = RESOLVED[action]
-    if row.version != seen_version:
-        raise StaleError(f"Thread {row.id} has changed since you looked. Reload, look again and decide.")
     if row.state == state:
         raise ConflictError(f"Thread {row.id} is {row.state} already; reload the page.")
-    before = {"state": row.state, "version": row.version}
-    row.state, row.version = state, row.version + 1
     is_resolved = state == "RESOLVED"
     row.resolved_by = user_id if is_resolved else None
     row.resolver = actor.printed_name if is_resolved else None
     row.resolved_utc = utc_now() if is_resolved else None
-    audit.append(session, actor, action, _subject(row), before, {"state": state, "version": row.version})
+    move(session, actor, row, state, action)
     return row
-
-
-def _subject(row: Thread) -> str:
-    return f"approvals/{row.approval_id}/threads/{row.id}"

@@ -79,10 +79,10 @@ def _name_curves(figure: go.Figure) -> None:
     """Name tail and aggregate in the corners of their sides: the higher one at its end above, the lower one below."""
     ends = {str(trace.meta["part"]): trace for trace in figure.data if (trace.meta or {}).get("part")}
     ordered = sorted(ends.items(), key=lambda item: -float(item[1].y[-1]))
-    for (word, trace), (y, anchor) in zip(ordered, ((0.74, "bottom"), (0.04, "bottom")), strict=False):
+    for (word, trace), y in zip(ordered, (0.74, 0.04), strict=False):
         words = {"tail": "tail (whole set)", "aggregate": "aggregate (as it ran)"}.get(word, word)
         colour = {"color": trace.line.color, "size": 10}
-        place = {"x": 0.98, "y": y, "xref": "x domain", "yref": "y domain", "xanchor": "right", "yanchor": anchor}
+        place = {"x": 0.98, "y": y, "xref": "x domain", "yref": "y domain", "xanchor": "right", "yanchor": "bottom"}
         figure.add_annotation(text=words, font=colour, **place)
 
 

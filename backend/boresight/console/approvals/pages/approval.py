@@ -61,9 +61,8 @@ from boresight.platform.audit import log as audit
 from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.paging import parse_row_id
+from boresight.verdicts.answers import make_four_views
 from boresight.verdicts.gates.judgement import STATUSES
-from boresight.verdicts.numbers import urad
-from boresight.verdicts.verdict import make_verdict_marks
 
 MEANINGS = {
     "APPROVE": "I reviewed the evidence and approve this set for baseline",
@@ -82,24 +81,12 @@ class View:
 
 def make_views(points: Sequence[Point], result: Calibration | None) -> list[View]:
     """Return the figures of a request, each with its answer."""
-    said = {} if result is None else describe_views(result)
+    said = {} if result is None else {view.figure: view.answer.sentence for view in make_four_views(result)}
     return [
         View(point, FIGURES[point.name], said.get(point.name, "Open it to see."))
         for point in points
         if point.kind == review.EVIDENCE
     ]
-
-
-def describe_views(result: Calibration) -> dict[str, str]:
-    """Say in a sentence what each figure of a result shows."""
-    marks = {mark.name: mark for mark in make_verdict_marks(result)}
-    fit, weakest, rms = marks["fit"], marks["weakest_direction"], result.rms_arc_rad
-    return {
-        "convergence": f"{fit.word}, {fit.value}" if fit.value else fit.word,
-        "rms": f"{urad(rms.initial)} → {urad(rms.final)} µrad",
-        "radial": "How far a star moves on the detector",
-        "observability": f"{weakest.word}, {weakest.value}" if weakest.value else weakest.word,
-    }
 
 
 def list_further_evidence(row: ParameterSet, incumbent: ParameterSet | None) -> list[tuple[str, str]]:
@@ -187,6 +174,7 @@ def request_page(
         further=list_further_evidence(row, incumbent),
         cut_at_mentions=cut_at_mentions,
         read_points=review.read_points,
+        longest_reason=review.LONGEST_REASON,
         remarks=approvals.list_remarks(session, approval_id),
         signatures=approval_queries.list_signatures(session, approval_id),
         pending=proposals.list_open_proposals(session, row.sensor_id) if approval.state in {"OPEN", "APPROVED"} else [],
@@ -365,7 +353,8 @@ def read_signing(kind: str, form: Mapping[str, str]) -> TypedText:
     ticked: set[tuple[str, str]] = set()
     for key, value in form.items():
         what, _, point = key.partition(":")
-        about = (point.partition(":")[0], point.partition(":")[2])
+        kind_of_point, _, point_name = point.partition(":")
+        about = (kind_of_point, point_name)
         if what == "reason":
             reasons[about] = value
         if what == "tick":

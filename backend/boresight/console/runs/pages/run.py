@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 from urllib.parse import urlencode
@@ -69,7 +69,7 @@ from boresight.figures.tables import (
 )
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
-from boresight.verdicts.answers import make_four_views, make_headline
+from boresight.verdicts.answers import Headline, make_four_views, make_headline
 from boresight.verdicts.gates.judgement import gate_rows
 from boresight.verdicts.history import RmsTail, read_history, settled_step, sigma_of_rms, summarise_tail
 from boresight.verdicts.numbers import MISSING, count, duration, number, percent, urad
@@ -498,24 +498,14 @@ def list_part_figures(review: RunReview, part: str) -> dict[str, tuple[Figure, .
     return figures
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """The line above the tabs: how the run stands, the numbers, and the warnings, the worst first."""
-
-    level: str
-    word: str
-    numbers: str
-    warnings: tuple[str, ...]
-
-
-def make_run_verdict(review: RunReview, notices: Sequence[StateNotice]) -> Verdict:
+def make_run_verdict(review: RunReview, notices: Sequence[StateNotice]) -> Headline:
     """Say how a run stands; of one without an estimate by its state and what explains that."""
     told = tuple(notice.sentence for notice in notices)
     if review.result is None or not review.result.parameters:
         kind = "No verdict" if review.run.state in TERMINAL_RUN_STATES else "No verdict yet"
-        return Verdict(review.run.state, review.run.state, f"{kind}: {review.why_nothing}", told)
+        return Headline(review.run.state, review.run.state, f"{kind}: {review.why_nothing}", told)
     headline = make_headline(review.result)
-    return Verdict(headline.level, headline.word, headline.numbers, (*told, *headline.warnings))
+    return replace(headline, warnings=(*told, *headline.warnings))
 
 
 router = APIRouter(dependencies=[Depends(csrf)])
@@ -593,7 +583,6 @@ def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: 
         judged=make_run_verdict(review, live["notices"]),
         part=part,
         tabs=list_tabs(run_id, part, result, note_queries.count_notes(session, "runs", run_id)),
-        advice=result.advice if result else [],
         camera_formats=[form for form in EXPORT_FORMATS.values() if not form.needs_attitudes],
         exposure_formats=[form.name for form in EXPORT_FORMATS.values() if form.needs_attitudes],
         no_result=review.why_nothing,
