@@ -73,7 +73,8 @@ def _say_unknown(found: Diagnosis, looked: str) -> str:
     short = " (the time limit ended the search)" if found.cut_short else ""
     told += (
         f"Nothing that was tried makes enough of {looked} match ({found.exposures_solved_before:,} do as they stand), not parity, "
-        f"exchanged or flipped axes, focal lengths from -40 to +67 %, or the magnitude limit{short}"
+        f"exchanged or flipped axes, focal lengths from -40 to +67 %, or the magnitude limit{short}; pixels counted from half a "
+        "pixel or from 1 would not keep stars from matching"
     )
     return (
         f"{told}: check that the centroids are stars (at least 4 an exposure, in pixels), and that sensor and telemetry are of one "

@@ -20,6 +20,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -31,7 +32,7 @@ import numpy as np
 from boresight.arrays import BoolArray, FloatArray, TimeArray
 from boresight.errors import Fault, RefusedInputError
 from boresight.estimation.attitude import conjugate
-from boresight.telemetry.imports.times import parse_time, utc_to_tai
+from boresight.telemetry.imports.times import parse_times, utc_to_tai
 from boresight.telemetry.read.formats import read_bytes, read_text
 
 if TYPE_CHECKING:
@@ -232,29 +233,24 @@ def _segments(name: str, lines: list[str]) -> Iterator[Segment]:  # noqa: C901 -
 
 def _numbers(name: str, segment: Segment, least: int) -> tuple[TimeArray, FloatArray]:
     """Return a segment's (n,) times and the first numbers (n, least) of its lines."""
-    system = segment.metadata.get("TIME_SYSTEM", "")
-    moments: list[np.datetime64] = []
-    values: list[list[float]] = []
-    for row, cells in segment.data:
-        try:
-            numbers = [float(cell) for cell in cells[1 : least + 1]]
-            moment = parse_time(cells[0], system, name)
-        except (ValueError, RefusedInputError) as error:
-            if system not in {"UTC", "TAI", "GPS", "TT"}:
-                raise
-            numbers, moment = [], None
-            said = str(error)
-        if len(numbers) < least or not np.all(np.isfinite(numbers)) or moment is None:
-            fault = Fault(row, None, f"holds no time and {least} numbers{f' ({said})' if moment is None else ''}")
-            raise RefusedInputError(f"{name}: {fault}: correct the line.", (fault,))
-        if moments and moment <= moments[-1]:
-            fault = Fault(row, None, f"{moment} does not come after {moments[-1]}")
-            raise RefusedInputError(f"{name}: {fault}: sort the segment by time.", (fault,))
-        moments.append(moment)
-        values.append(numbers)
+    moments = parse_times([cells[0] for _, cells in segment.data], segment.metadata.get("TIME_SYSTEM", ""), name)
+    values = np.full((len(segment.data), least), np.nan)
+    for place, (_, cells) in enumerate(segment.data):
+        with suppress(ValueError):  # a word, or too few of them
+            values[place] = [float(cell) for cell in cells[1 : least + 1]]
+    wrong = np.flatnonzero(np.isnat(moments) | ~np.isfinite(values).all(axis=1))
+    if len(wrong):
+        fault = Fault(segment.data[wrong[0]][0], None, f"holds no time and {least} numbers")
+        raise RefusedInputError(f"{name}: {fault}: correct the line.", (fault,))
+    early = np.flatnonzero(moments[1:] <= moments[:-1]) + 1
+    if len(early):
+        fault = Fault(
+            segment.data[early[0]][0], None, f"{moments[early[0]]} does not come after {moments[early[0] - 1]}"
+        )
+        raise RefusedInputError(f"{name}: {fault}: sort the segment by time.", (fault,))
     if len(moments) < 2:
         raise RefusedInputError(f"{name} has a segment of fewer than two lines: give the message whole.")
-    return np.array(moments, "datetime64[us]"), np.array(values)
+    return moments, values
 
 
 def _span(name: str, metadata: Mapping[str, str], time_utc: TimeArray) -> tuple[np.datetime64, np.datetime64]:
@@ -262,10 +258,18 @@ def _span(name: str, metadata: Mapping[str, str], time_utc: TimeArray) -> tuple[
     system = metadata.get("TIME_SYSTEM", "")
     begins, ends = time_utc[0], time_utc[-1]
     if "USEABLE_START_TIME" in metadata:
-        begins = max(begins, parse_time(metadata["USEABLE_START_TIME"], system, name))
+        begins = max(begins, _moment(metadata["USEABLE_START_TIME"], system, name))
     if "USEABLE_STOP_TIME" in metadata:
-        ends = min(ends, parse_time(metadata["USEABLE_STOP_TIME"], system, name))
+        ends = min(ends, _moment(metadata["USEABLE_STOP_TIME"], system, name))
     return begins, ends
+
+
+def _moment(text: str, system: str, name: str) -> np.datetime64:
+    """Return the one time of a member of the metadata."""
+    moment: np.datetime64 = parse_times([text], system, name)[0]
+    if np.isnat(moment):
+        raise RefusedInputError(f"{name}: {text} is no time: write it as 2026-03-01T12:00:00.")
+    return moment
 
 
 def _read_oem(name: str, lines: list[str]) -> Orbit:

@@ -40,6 +40,7 @@ Quantity = Literal["time", "star_id", "directions", "quaternion", "velocity", "m
 NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
 MOST_VERSION = 1_000_000
 LONGEST_TEXT = 2_000
+MOST_FAULTS_TOLD = 10
 #: The largest whole number, and the longest time that is added, seconds.
 MOST_WHOLE, LONGEST_OFFSET_S = 1_000_000_000, 1e9
 
@@ -321,11 +322,15 @@ def parse_profile(document: Mapping[str, Any], name: str = "The profile") -> Pro
     try:
         profile = _adapter().validate_python(_listed(document))
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        where = ".".join(str(part) for part in first["loc"])
-        said = str(first["msg"]).replace("Unexpected keyword argument", "there is no such member")
+        faults = error.errors(include_url=False)
+        told = "; ".join(
+            f"{'.'.join(str(part) for part in fault['loc']) or 'it'}: "
+            + str(fault["msg"]).replace("Unexpected keyword argument", "there is no such member")
+            for fault in faults[:MOST_FAULTS_TOLD]
+        )
+        more = f"; and {len(faults) - MOST_FAULTS_TOLD:,} more" if len(faults) > MOST_FAULTS_TOLD else ""
         raise RefusedInputError(
-            f"{name} cannot be used: {where or 'it'}: {said}: correct it by `boresight schema import-profile`."
+            f"{name} cannot be used: {told}{more}: correct it by `boresight schema import-profile`."
         ) from error
     _check(profile, name)
     return profile
@@ -353,9 +358,9 @@ def read_profile(path: Path) -> Profile:
 
 def _check(profile: Profile, name: str) -> None:
     """Refuse what cannot be meant."""
-    for wrong, remedy in _troubles(profile):
-        if wrong:
-            raise RefusedInputError(f"{name} cannot be used: {remedy}.")
+    remedies = [remedy for wrong, remedy in _troubles(profile) if wrong]
+    if remedies:
+        raise RefusedInputError(f"{name} cannot be used: {'; '.join(remedies)}.")
 
 
 def _troubles(profile: Profile) -> list[tuple[bool, str]]:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Sequence
 
 import erfa
 import numpy as np
@@ -39,6 +40,7 @@ _MIDNIGHT, _JD_OF_MIDNIGHT = np.datetime64("2000-01-01T00:00:00", "us"), 2_451_5
 _DAY_US = 86_400_000_000
 _WEEK_S = 604_800.0
 _ORDINAL = re.compile(r"^\s*([0-9]{4})-?([0-9]{3})(?=[T ])")
+_EARLIEST, _LATEST = np.datetime64("1900-01-01", "us"), np.datetime64("2100-01-01", "us")
 _LEAP = re.compile(r":60(\.\d*)?(?=Z|[+-]|\s*$)")
 #: The farthest that a number of microseconds may be before and after its epoch: the years 1900 to 2100 are looked for afterwards,
 #: and leap seconds are not told before the year -4799.
@@ -62,7 +64,7 @@ def read_times(cells: pa.Array, week: pa.Array | None, time: Time, faults: Fault
             lambda entry: f"{values[entry]:.9g} is no time of this form: check its unit",
         )
     found = to_utc(clock, time)
-    late = (found < np.datetime64("1900-01-01")) | (found >= np.datetime64("2100-01-01"))
+    late = (found < _EARLIEST) | (found >= _LATEST)
     if time.form != "iso":
         faults.add_entries(
             late,
@@ -116,9 +118,10 @@ def tai_to_utc(tai: TimeArray) -> TimeArray:
     is_leap = clock["s"] == 60
     second = np.where(is_leap, 59, clock["s"])
     micro = np.where(is_leap, 999_999, clock["f"])
-    days = [np.datetime64(f"{y:04d}-{m:02d}-{d:02d}", "us") for y, m, d in zip(year, month, day, strict=True)]
+    months = (12 * (year - 1970).astype(np.int64) + month - 1).astype("timedelta64[M]") + np.datetime64(0, "M")
+    days = months.astype("datetime64[D]") + (day - 1).astype("timedelta64[D]")
     us = ((clock["h"].astype(np.int64) * 60 + clock["m"]) * 60 + second) * 1_000_000 + micro
-    utc = np.array(days, "datetime64[us]") + us.astype("timedelta64[us]")
+    utc = days.astype("datetime64[us]") + us.astype("timedelta64[us]")
     found = np.full(tai.shape, np.datetime64("NaT", "us"))
     found[~np.isnat(tai)] = utc[np.searchsorted(known, tai[~np.isnat(tai)])]
     return found
@@ -128,12 +131,11 @@ def utc_to_tai(utc: TimeArray) -> TimeArray:
     """Return (n,) UTC, none NaT, as TAI."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", erfa.ErfaWarning)
-        moments = utc.astype("datetime64[us]").astype(object)
-        ymd = [
-            (t.year, t.month, t.day, (t.hour * 3600 + t.minute * 60 + t.second + t.microsecond / 1e6) / 86400)
-            for t in moments
-        ]
-        ahead = np.array([erfa.dat(*parts) for parts in ymd])
+        months = utc.astype("datetime64[M]")
+        month = months.astype(np.int64) % 12 + 1
+        day = (utc.astype("datetime64[D]") - months.astype("datetime64[D]")).astype(np.int64) + 1
+        share = (utc - utc.astype("datetime64[D]")).astype("timedelta64[us]").astype(np.int64) / _DAY_US
+        ahead = np.asarray(erfa.dat(utc.astype("datetime64[Y]").astype(np.int64) + 1970, month, day, share))
     return np.asarray(utc + np.round(ahead * 1e6).astype("timedelta64[us]"))
 
 
@@ -168,9 +170,11 @@ def tell_leap_seconds(time: Time) -> list[str]:
     return [f"Times become UTC with the leap seconds up to that of {last['year']}-{last['month']:02d}-01."]
 
 
-def parse_time(text: str, system: str, what: str) -> np.datetime64:
-    """Return a CCSDS time in one of the systems that are read here."""
+def parse_times(texts: Sequence[str], system: str, what: str) -> TimeArray:
+    """Return CCSDS times (n,) in one of the systems that are read here as UTC, NaT where a text is none."""
     names: dict[str, TimeSystem] = {"UTC": "utc", "TAI": "tai", "GPS": "gps", "TT": "j2000"}
     if system not in names:
         raise RefusedInputError(f"{what}: TIME_SYSTEM {system} is not read: write it in UTC, TAI, GPS or TT.")
-    return read_constant(text, Time(constant=text, system=names[system]), what)
+    clock = times(pa.chunked_array([_plain_iso(pa.array(texts, pa.string()))]), "time", Faults(what))
+    known = (clock >= _EARLIEST) & (clock < _LATEST)
+    return to_utc(np.where(known, clock, np.datetime64("NaT")), Time(column="time", system=names[system]))
