@@ -44,7 +44,7 @@ class RollBack(Shape):
     reason: str = Field(examples=["PS-ST-1-4 loses stars at the rim since the pass of this morning."])
 
 
-class Promotion(Shape):
+class PromotionRequest(Shape):
     """Why this set becomes the baseline now."""
 
     reason: str = Field(
@@ -187,7 +187,7 @@ def promote_parameter_set(
     seen: SeenVersion,
     policy: ServerPolicy,
     session: Writing,
-    promotion: Promotion | None = None,
+    promotion: PromotionRequest | None = None,
 ) -> ParameterSet:
     """Make an approved set the sensor's baseline; the one before is superseded in the same transaction."""
     reason = promotion.reason if promotion else ""
