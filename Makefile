@@ -19,8 +19,6 @@ LOCK := CUSTOM_COMPILE_COMMAND="make lock" $(BIN)/pip-compile --quiet --upgrade 
 export NUMBA_CACHE_DIR := $(CURDIR)/$(VENV)/kernels
 COMPILED := $(VENV)/kernels/compiled
 export PYTHONUNBUFFERED := 1
-# Every process that a test or the demo starts would otherwise compile each module of ours again.
-unexport PYTHONDONTWRITEBYTECODE
 # As the command sets it: with more, three test processes wait for each other, and sums differ in their last bit under load.
 export OPENBLAS_NUM_THREADS := 1
 
