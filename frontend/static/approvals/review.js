@@ -62,6 +62,7 @@ document.addEventListener("click", (event) => {
   const link = around(event, "[data-open-view]");
   const view = link instanceof HTMLElement ? find(`[data-view="${link.dataset.openView}"]`, HTMLDetailsElement) : null;
   if (view) view.open = true;
+  if (around(event, "[data-open-views]")) for (const one of findAll("[data-view]", HTMLDetailsElement)) one.open = true;
 });
 
 panel?.addEventListener("input", ({ target }) => {

@@ -27,7 +27,17 @@ document.addEventListener("submit", (event) => {
   if (dialog instanceof HTMLDialogElement && !dialog.open) event.preventDefault();
 }, true);
 
+/** Open the dialog, or take up the field, that the address names: a step's button leads to it from another page. */
+function takeUp() {
+  const named = location.hash.length > 1 ? find(`#${CSS.escape(location.hash.slice(1))}`, HTMLElement) : null;
+  if (named instanceof HTMLDialogElement && named.matches(".act-dialog") && !named.open) open(named);
+  else if (named?.matches("input, textarea, select")) named.focus();
+}
+
+addEventListener("hashchange", takeUp);
+
 for (const dialog of findAll("dialog.act-dialog[open]", HTMLDialogElement)) {
   dialog.close();
   open(dialog);
 }
+takeUp();

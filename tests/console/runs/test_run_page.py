@@ -263,9 +263,9 @@ def test_the_line_of_the_verdict_has_the_worst_warning_and_how_many_more_there_a
 
 def test_the_next_step_of_a_run_is_to_make_a_set_then_to_open_it(site):
     ada = site.visitor("ada")
-    assert re.search(r'<aside class="rail".*?action="/runs/1/parameter-set"', ada.get("/runs/1"), re.DOTALL)
+    assert re.search(r'class="next-act".*?action="/runs/1/parameter-set"', ada.get("/runs/1"), re.DOTALL)
     address = ada.post("/runs/1/parameter-set").headers["location"]
-    assert re.search(rf'<aside class="rail".*?href="{address}"', ada.get("/runs/1"), re.DOTALL)
+    assert re.search(rf'class="next-act".*?href="{address}#reason"', ada.get("/runs/1"), re.DOTALL)
 
 
 def test_the_runs_before_and_after_are_one_step_away_in_the_same_part(site):

@@ -13,27 +13,27 @@ from boresight.console import list_queries as lists
 from boresight.console.fleet import timeline
 from boresight.console.fleet.pages.sensors import EXAMPLE
 from boresight.console.parameter_sets.tables import ParameterSet
-from boresight.console.runs.pages.list import RunNames
 from boresight.console.uplinks import packages, table_definitions
 from boresight.console.uplinks import service as uplinks
 from boresight.console.uplinks.pages import steps as uplink
-from boresight.console.uplinks.pages.steps import (
-    LADDER,
-    find_exported_package,
-    list_package_members,
-    list_steps,
-    make_uplink_line,
-)
+from boresight.console.uplinks.pages.steps import list_package_members, make_uplink_line
 from boresight.console.uplinks.pages.table_definition import written_as_text
 from boresight.console.uplinks.queries import BOARD_WORDS
 from boresight.console.uplinks.service import add_entry
+from boresight.console.uplinks.stations import (
+    TITLES,
+    UPLINK_STATES,
+    find_exported_package,
+    lay_out,
+    list_flight_stations,
+)
 from boresight.console.uplinks.tables import Package, Uplink
 from boresight.platform.db.sessions import open_reading, open_writing
 from boresight.uplink.table_definition import plain_definition
 from tests.console.uplinks.pages import advance, define, send_dump, table, version
 from tests.sites import PASSWORD
 
-NAMES = RunNames({}, {}, {1: "Olga Operator"})
+LADDER = tuple(UPLINK_STATES.values())
 STEPS = "/parameter-sets/1/uplink"
 
 
@@ -57,7 +57,9 @@ def _records(*states: str) -> list[Uplink]:
     ],
 )
 def test_the_ladder_shows_the_present_progress(states, words):
-    assert [step.word for step in list_steps(None, _records(*states), NAMES)] == words
+    stopped = bool(states) and states[-1] in {"MISMATCH", "UNKNOWN"}
+    taken = list_flight_stations(None, _records(*states), {1: "Olga Operator"}.get)
+    assert [station.word for station in lay_out(taken, TITLES[5:], stopped=stopped)] == words
 
 
 def test_the_exported_package_is_the_one_that_was_sent_and_before_that_the_newest():

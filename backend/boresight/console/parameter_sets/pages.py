@@ -57,6 +57,7 @@ from boresight.console.parameter_sets.tables import GROUND_STATES, ONBOARD_STATE
 from boresight.console.runs import service as runs
 from boresight.console.runs.pages.list import RunNames, read_names
 from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.uplinks.stations import make_way
 from boresight.console.uplinks.tables import Uplink
 from boresight.errors import RefusedInputError
 from boresight.figures.tables import set_rows
@@ -276,6 +277,7 @@ def _page(
     requests = lists.list_newest(session, Approval, set=set_id)
     sensor = session.get_known(Sensor, row.sensor_id)
     incumbent, baseline = find_incumbent(session, row, requests), set_queries.find_baseline(session, row.sensor_id)
+    policy = get_server(request).policy
     return render(
         request,
         "parameter_sets/parameter_set.html",
@@ -283,6 +285,7 @@ def _page(
         set=row,
         sensor=sensor,
         names=read_names(session),
+        way=make_way(session, actor, policy, row),
         incumbent=incumbent,
         rows=set_rows(*read_set_and_incumbent(row, incumbent), sensor.document["typical_sigma"]),
         requests=requests,
@@ -292,7 +295,7 @@ def _page(
         uplinks=lists.list_newest(session, Uplink, set=set_id),
         conversions=list_conversions(session, row),
         panel=make_gates_panel(session, actor, row),
-        policy=get_server(request).policy,
+        policy=policy,
         baseline=baseline,
         act_rows=set_rows(*read_set_and_incumbent(row, baseline), sensor.document["typical_sigma"]),
         lineage=list_lineage(session, row, requests),

@@ -15,11 +15,9 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.calibration.calibration import Calibration
-from boresight.console.access import users
 from boresight.console.access.dependencies import Reading, Who, csrf, get_client, get_server
 from boresight.console.access.password_checks import PasswordWorker
 from boresight.console.access.passwords import PasswordProof
-from boresight.console.access.tables import User
 from boresight.console.approvals import gates, review, threads
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
@@ -53,10 +51,11 @@ from boresight.console.parameter_sets.pages import find_bound_incumbent, read_se
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs import service as runs
 from boresight.console.runs.pages.list import read_names
+from boresight.console.uplinks.stations import make_way
 from boresight.errors import NotFoundError
 from boresight.figures import FIGURES, Figure
 from boresight.figures.tables import set_rows
-from boresight.platform.actors import Actor, Policy
+from boresight.platform.actors import Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.db.sessions import Session, open_reading
@@ -160,6 +159,7 @@ def request_page(
         approval=approval,
         set=row,
         sensor=sensor,
+        way=make_way(session, actor, policy, row),
         incumbent=incumbent,
         names=read_names(session),
         rows=rows,
@@ -363,54 +363,14 @@ def read_signing(kind: str, form: Mapping[str, str]) -> TypedText:
     return TypedText(kind, decision, meaning, comment, name, reasons=reasons, ticked=frozenset(ticked))
 
 
-@dataclass(frozen=True)
-class NextStep:
-    """What happens after a signature, and who has it."""
-
-    what: str
-    who: Sequence[str]
-    without: str = ""
-
-
-def describe_next_step(
-    session: Session, approval: Approval, row: ParameterSet, incumbent: ParameterSet | None, policy: Policy
-) -> NextStep:
-    """Say what happens next with a request, by its state now."""
-    if approval.state == "OPEN":
-        able = [
-            one.user.printed_name
-            for one in approvals.list_signers_of(session, approval.id, policy=policy)
-            if one.refusal is None
-        ]
-        return NextStep(
-            "Another person must sign before the set is approved.", able, "Ask an administrator for an approver."
-        )
-    if row.ground_state == "APPROVED":
-        people = users.list_users(session)
-        able = [user.printed_name for user in people if "operator" in user.roles and user.disabled_utc is None]
-        flown = "what is on board" if incumbent is None else incumbent.name
-        return NextStep(
-            f"An operator promotes {row.name} to baseline. The spacecraft keeps {flown} until the uplink is read back.",
-            able,
-            "Ask an administrator for an operator.",
-        )
-    if approval.state == "REJECTED":
-        asked = session.get_known(User, approval.submitted_by).printed_name
-        return NextStep(
-            f"{row.name} cannot become baseline under this request. Calibrate again and submit that set.", [asked]
-        )
-    return NextStep(f"The request is {approval.state}, {row.name} is {row.ground_state}.", [])
-
-
 @router.get("/approvals/{approval_id:int}/signatures/{signature_id:int}", response_class=HTMLResponse)
-def signature_page(request: Request, session: Reading, _: Who, approval_id: int, signature_id: int) -> HTMLResponse:
+def signature_page(request: Request, session: Reading, actor: Who, approval_id: int, signature_id: int) -> HTMLResponse:
     """Confirm a decision: what was decided and by whom, its audit record, what happens next and who has it."""
     approval = session.get_known(Approval, approval_id)
     signature = next((one for one in approval.signatures if one.id == signature_id), None)
     if signature is None:
         raise NotFoundError(f"Request {approval_id} has no signature {signature_id}; read its roll of signatures.")
     row = session.get_known(ParameterSet, approval.parameter_set_id)
-    incumbent = find_bound_incumbent(session, row, approval)
     return render(
         request,
         "approvals/signature.html",
@@ -420,7 +380,7 @@ def signature_page(request: Request, session: Reading, _: Who, approval_id: int,
         set=row,
         sensor=session.get_known(Sensor, row.sensor_id),
         record=find_record(session, approval, signature),
-        step=describe_next_step(session, approval, row, incumbent, get_server(request).policy),
+        way=make_way(session, actor, get_server(request).policy, row),
     )
 
 

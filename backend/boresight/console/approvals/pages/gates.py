@@ -27,6 +27,7 @@ from boresight.console.change_proposals import service as proposals
 from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
 from boresight.console.pages.rendering import (
+    AttemptResult,
     RefusalContext,
     ask,
     attempt,
@@ -38,6 +39,7 @@ from boresight.console.pages.rendering import (
 )
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.pages.list import read_names
+from boresight.console.uplinks.stations import make_way
 from boresight.console.uplinks.tables import TableDefinition
 from boresight.errors import RefusedInputError
 from boresight.platform.actors import Actor, Policy, require_role
@@ -145,6 +147,7 @@ def _page(
             refused=refusal,
             set=row,
             sensor=session.get_known(Sensor, row.sensor_id),
+            way=make_way(session, actor, get_server(request).policy, row),
             panel=make_gates_panel(session, actor, row, typed),
             refusal=refusal,
         )
@@ -153,13 +156,18 @@ def _page(
 @router.post("/parameter-sets/{set_id:int}/assess", response_class=HTMLResponse)
 async def assess(request: Request, actor: Who, set_id: int) -> Response:
     """Assess a set's gates and show the report."""
-    examined = await run_in_threadpool(ask, partial(_examine, request, actor, set_id))
-    if examined.value is None:
-        return await run_in_threadpool(_page, request, actor, set_id, examined.refusal)
-    outcome = await attempt(request, partial(gates.record_report, actor=actor, assessment=examined.value))
+    outcome = await assess_set(request, actor, set_id)
     if outcome.value is None:
         return await run_in_threadpool(_page, request, actor, set_id, outcome.refusal)
     return redirect(f"/parameter-sets/{set_id}/gates", flash=f"Assessed: {outcome.value.verdict}.")
+
+
+async def assess_set(request: Request, actor: Actor, set_id: int) -> AttemptResult[GateReport]:
+    """Hold a set against its sensor's gates and keep the report."""
+    examined = await run_in_threadpool(ask, partial(_examine, request, actor, set_id))
+    if examined.value is None:
+        return AttemptResult(None, examined.refusal)
+    return await attempt(request, partial(gates.record_report, actor=actor, assessment=examined.value))
 
 
 def _examine(request: Request, actor: Actor, set_id: int) -> gates.GateAssessment:

@@ -117,15 +117,17 @@ def _promotions(session: Session, actor: Actor) -> Iterator[WaitingItems]:
     """Yield the tasks of an operator: promote approved sets, and record the uplink of a new baseline."""
     if "operator" not in actor.roles:
         return
-    yield _sets(session, {"state": "APPROVED"}, "is approved and can be promoted", "Promote")
+    yield _sets(session, {"state": "APPROVED"}, "is approved and can be promoted", "Promote", "#promote")
     unsent = {"state": "BASELINE", "board": "NOT SENT", "of_a_run": True}
-    yield _sets(session, unsent, "is the baseline; nothing is recorded of it on board", "Record")
+    yield _sets(session, unsent, "is the baseline; nothing is recorded of it on board", "Record", "/uplink")
 
 
-def _sets(session: Session, where: Mapping[str, Any], words: str, label: str) -> WaitingItems:
+def _sets(session: Session, where: Mapping[str, Any], words: str, label: str, place: str) -> WaitingItems:
     """Count the parameter sets that a list is narrowed to, and write the newest of them."""
     newest = lists.read_page(session, "parameter-sets", where, "-set", limit=MOST_ACTIONS)
-    first = [WaitingAction("standby", f"{row.name} {words}.", f"/parameter-sets/{row.id}", label) for row in newest]
+    first = [
+        WaitingAction("standby", f"{row.name} {words}.", f"/parameter-sets/{row.id}{place}", label) for row in newest
+    ]
     return WaitingItems(lists.count(session, "parameter-sets", where), first)
 
 

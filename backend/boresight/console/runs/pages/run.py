@@ -26,6 +26,7 @@ from boresight.calibration.options import get_method_title
 from boresight.console.access.dependencies import Reading, Who, csrf, get_server
 from boresight.console.approvals import gates
 from boresight.console.approvals import queries as approval_queries
+from boresight.console.approvals.pages.gates import assess_set
 from boresight.console.fleet.tables import Sensor
 from boresight.console.notes import queries as note_queries
 from boresight.console.notes import service as notes
@@ -42,6 +43,7 @@ from boresight.console.runs.pages.list import compute_run_seconds, read_names
 from boresight.console.runs.pages.live import StateNotice, make_live_part, make_log_part
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
 from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.uplinks.stations import make_way
 from boresight.errors import NotFoundError
 from boresight.estimation.statistics.observability import WEAK
 from boresight.figures import CHAPTERS, WIDE, Figure
@@ -271,30 +273,6 @@ class RunReview:
             "QUEUED": "the run has not started.",
             "RUNNING": "the first frames are being read.",
         }.get(self.run.state, f"the run ended as {self.run.state} before it had a result.")
-
-
-@dataclass(frozen=True)
-class NextStep:
-    """What a run asks for next: a sentence, and the pages that it leads to; of the first, by a button."""
-
-    sentence: str
-    links: tuple[tuple[str, str], ...] = ()
-
-
-def find_next_step(run: Run, made: ParameterSet | None, is_assessed: bool) -> NextStep:
-    """Say what follows for a run in its state."""
-    if run.state not in TERMINAL_RUN_STATES:
-        return NextStep("The page follows the run; the result stands here when it ends.")
-    if run.state != "SUCCEEDED":
-        telemetry = (f"/telemetry/{run.telemetry_set_id}", "Quality report")
-        return NextStep(
-            "Run it again, with what failed mended.", ((f"/runs/new?clone={run.id}", "Run it again"), telemetry)
-        )
-    if made is None:
-        return NextStep("Read the four views; then make a parameter set of the result.")
-    if not is_assessed:
-        return NextStep(f"{made.name} was made. Assess it.", ((f"/parameter-sets/{made.id}", f"Open {made.name}"),))
-    return NextStep(f"{made.name} was assessed.", ((f"/parameter-sets/{made.id}/gates", f"Gates of {made.name}"),))
 
 
 def make_result_part(review: RunReview) -> dict[str, Any]:
@@ -613,13 +591,13 @@ def get_run_review(request: Request, session: Session, actor: Actor, run_id: int
 def make_run_head(review: RunReview) -> dict[str, Any]:
     """Gather what is above the tabs: the run's actions, its neighbours, and what comes next."""
     actions, made = list_run_actions(review.run, review.actor), find_parameter_set(review.session, review.run)
-    assessed = list_run_gates(review.session, made)
+    assessed, policy = list_run_gates(review.session, made), get_server(review.request).policy
     return {
         "actions": actions,
         "blocked": sorted({action.blocked for action in actions.values() if action.offered and action.blocked}),
         "parameter_set": made,
         "gates": assessed,
-        "next_step": find_next_step(review.run, made, bool(assessed and assessed["words"])),
+        "way": make_way(review.session, review.actor, policy, made, review.run),
         "neighbours": run_queries.read_neighbours(review.session, review.run.id),
     }
 
@@ -642,9 +620,17 @@ def find_parameter_set(session: Session, run: Run) -> ParameterSet | None:
 
 @router.post("/runs/{run_id:int}/parameter-set")
 async def create_parameter_set(request: Request, actor: Who, run_id: int) -> Response:
-    """Make a candidate set from a run's result."""
+    """Make a candidate set from a run's result, and hold it against the gates."""
     blobs = get_server(request).blobs
     outcome = await attempt(request, partial(parameter_sets.create_from_run, actor=actor, blobs=blobs, run_id=run_id))
     if outcome.refusal is not None:
         return redirect_refused(f"/runs/{run_id}", outcome.refusal)
-    return redirect(f"/parameter-sets/{outcome.made.id}", flash=f"{outcome.made.name} is a candidate.")
+    made = outcome.made
+    assessed = await assess_set(request, actor, made.id)
+    if assessed.value is None:
+        why = "" if assessed.refusal is None else f": {assessed.refusal.sentence}"
+        return redirect(
+            f"/parameter-sets/{made.id}", flash=f"{made.name} is a candidate, not assessed{why}", level="caution"
+        )
+    words = f"{made.name} is a candidate; its gates say {assessed.value.verdict}."
+    return redirect(f"/parameter-sets/{made.id}", flash=words)

@@ -19,7 +19,7 @@ from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import UploadFile
 
 from boresight.console import list_queries as lists
-from boresight.console.access.dependencies import Blobs, Reading, ServerPolicy, Who, csrf
+from boresight.console.access.dependencies import Blobs, Reading, ServerPolicy, Who, csrf, get_server
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.fleet import timeline
 from boresight.console.fleet.tables import Sensor
@@ -37,10 +37,11 @@ from boresight.console.pages.rendering import (
 from boresight.console.pages.tables import Table, TableColumn, accept_one, is_text, read_page, read_view
 from boresight.console.parameter_sets.pages import read_set_and_incumbent
 from boresight.console.parameter_sets.tables import ParameterSet
-from boresight.console.runs.pages.list import RunNames, read_names
+from boresight.console.runs.pages.list import read_names
 from boresight.console.uplinks import packages, read_backs
 from boresight.console.uplinks import service as uplinks
 from boresight.console.uplinks.queries import BOARD_WORDS, find_baseline_before
+from boresight.console.uplinks.stations import find_exported_package, find_uplink_progress, make_way
 from boresight.console.uplinks.tables import Package, Uplink
 from boresight.errors import BoresightError
 from boresight.figures.tables import set_rows
@@ -120,72 +121,6 @@ def uplink_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
     )
 
 
-LADDER = ("SENT", "LOADED", "VERIFIED", "ACTIVE")
-
-
-@dataclass(frozen=True)
-class UplinkStep:
-    """A step of a set's way to the spacecraft."""
-
-    name: str
-    level: str
-    word: str
-    at_utc: str | None = None
-    who: str = ""
-    source: str = ""
-    how: str = ""
-
-
-def list_steps(exported: Package | None, records: Sequence[Uplink], names: RunNames) -> list[UplinkStep]:
-    """Return the steps of a set since it was last sent."""
-    progress = find_uplink_progress(records)
-    taken = [_exported(exported, names), *(_taken(progress, state, names) for state in LADDER)]
-    following = next((place for place, step in enumerate(taken) if step is None), len(taken))
-    if records and records[0].onboard_state in {"MISMATCH", "UNKNOWN"}:
-        following = len(taken)
-    titles = ("Exported", *(state.capitalize() for state in LADDER))
-    return [
-        step
-        or UplinkStep(title, "standby" if place == following else "off", "next" if place == following else "to come")
-        for place, (title, step) in enumerate(zip(titles, taken, strict=True))
-    ]
-
-
-def find_uplink_progress(records: Sequence[Uplink]) -> Sequence[Uplink]:
-    """Return what was recorded since the set was last sent, newest first."""
-    sent = next((place for place, row in enumerate(records) if row.onboard_state == "SENT"), len(records) - 1)
-    return records[: sent + 1]
-
-
-def find_exported_package(packages: Sequence[Package], records: Sequence[Uplink]) -> Package | None:
-    """Return the package that was sent, else the newest; None where there is none."""
-    named = [
-        (row.evidence or {}).get("package") for row in find_uplink_progress(records) if row.onboard_state == "SENT"
-    ]
-    if named and named[-1] is not None:
-        return next((package for package in packages if package.id == named[-1]["id"]), None)
-    return packages[0] if packages else None
-
-
-def _exported(package: Package | None, names: RunNames) -> UplinkStep | None:
-    if package is None:
-        return None
-    return UplinkStep(
-        "Exported", "normal", "done", package.created_utc, names.person(package.created_by), f"package {package.id}"
-    )
-
-
-def _taken(progress: Sequence[Uplink], state: str, names: RunNames) -> UplinkStep | None:
-    wanted = {"VERIFIED", "MISMATCH"} if state == "VERIFIED" else {state}
-    row = next((row for row in progress if row.onboard_state in wanted), None)
-    if row is None:
-        return None
-    failed = row.onboard_state == "MISMATCH"
-    who = row.printed_name or names.person(row.recorded_by)
-    level, word = ("critical", "MISMATCH") if failed else ("normal", "done")
-    return UplinkStep(state.capitalize(), level, word, row.recorded_utc, who, row.source, describe_source(row))
-
-
 @dataclass(frozen=True)
 class PackageMember:
     """A file inside a package."""
@@ -235,6 +170,7 @@ def _page(
     built = lists.list_newest(session, Package, set=set_id)
     exported = find_exported_package(built, records)
     names = read_names(session)
+    way = make_way(session, actor, get_server(request).policy, row)
     reference, why = _reference(session, blobs, row)
     known, sensor = timeline.get_state_at(session, row.sensor_id), session.get_known(Sensor, row.sensor_id)
     other = known.active[0] if known.active and known.active[0].id != row.id else None
@@ -249,7 +185,8 @@ def _page(
         old=old,
         active_other=other is not None,
         rows=set_rows(*read_set_and_incumbent(row, old), sensor.document["typical_sigma"]),
-        steps=list_steps(exported, records, names),
+        way=way,
+        steps=way.stations[5:],
         records=records,
         compared=next((it for it in find_uplink_progress(records) if it.method), None) if records else None,
         packages=built,

@@ -1,0 +1,294 @@
+"""The ten stations of a parameter set between a run and the spacecraft: where it stands, whose step is next, and what that does.
+
+    created, assessed, submitted, signed, promoted     on the ground, as the rows of set, report, request and promotion say
+    exported, sent, loaded, read back, active          as packages and on-board records say, since the set was last sent
+
+The step that is next follows from the states alone. Whether a person may take it is decided by the transition itself; here it
+only decides who is shown a button and who is told whom to ask.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+from boresight.console import list_queries as lists
+from boresight.console.access import users
+from boresight.console.access.tables import User
+from boresight.console.approvals import gates
+from boresight.console.approvals import queries as approval_queries
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals.tables import Approval, GateReport, Signature
+from boresight.console.fleet.timeline import describe_source
+from boresight.console.parameter_sets import queries as set_queries
+from boresight.console.parameter_sets.service import USABLE_STATUSES
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
+from boresight.console.uplinks.tables import Package, Uplink
+from boresight.platform.actors import Actor, Policy
+from boresight.platform.db.sessions import Session
+
+TITLES = ("Created", "Assessed", "Submitted", "Signed", "Promoted", "Exported", "Sent", "Loaded", "Read back", "Active")
+UPLINK_STATES = {"Sent": "SENT", "Loaded": "LOADED", "Read back": "VERIFIED", "Active": "ACTIVE"}
+#: The step of an operator in each on-board state: what it is, its button, and its place on the uplink page.
+FLIGHT_STEPS = {
+    "NOT SENT": ("Send the table with your own tools; then record it.", "Record SENT", "record-sent"),
+    "SENT": ("Record when the spacecraft has loaded the table.", "Record LOADED", "record-loaded"),
+    "LOADED": ("Compare what was read back with what was sent.", "Read back", "read-back"),
+    "VERIFIED": ("Sign when telemetry shows that the table is active.", "Sign ACTIVE", "activate"),
+    "MISMATCH": (
+        "It did not read back as it was sent: read it back again, or send it again.",
+        "Read back",
+        "read-back",
+    ),
+    "UNKNOWN": ("What became of it on board is not known: send it again, or read it back.", "Record", "record"),
+}
+DECLARED = "not needed: the set came with its sensor"
+
+
+@dataclass(frozen=True)
+class Station:
+    """One station: how it stands, and when who came there by what."""
+
+    title: str
+    level: str
+    word: str
+    at_utc: str | None = None
+    who: str = ""
+    source: str = ""
+    how: str = ""
+
+
+@dataclass(frozen=True)
+class NextStep:
+    """What is next, with the button of whoever may do it.
+
+    `label`, `href`: of the button; `posts` says that pressing it acts at once, else it leads to a form or a dialog. `who`: the
+    printed names of those who may.
+    """
+
+    sentence: str
+    label: str = ""
+    href: str = ""
+    posts: bool = False
+    is_mine: bool = False
+    who: tuple[str, ...] = ()
+    role: str = ""
+
+
+@dataclass(frozen=True)
+class Way:
+    """A set's way: its name, its stations, and the step that is next."""
+
+    name: str
+    stations: tuple[Station, ...]
+    next_step: NextStep
+
+
+@dataclass(frozen=True)
+class _Records:
+    """What is on record of a set: its newest report and request with signatures, its packages and on-board records."""
+
+    report: GateReport | None
+    request: Approval | None
+    signatures: Sequence[Signature]
+    exported: Package | None
+    records: Sequence[Uplink]
+
+
+@dataclass(frozen=True)
+class _Asking:
+    """Who asks, among whom: what a step is made for."""
+
+    session: Session
+    actor: Actor
+    policy: Policy
+    people: Sequence[User]
+
+    def name(self, user_id: int | None) -> str:
+        """Return a person's printed name, or Boresight's for what no person did."""
+        return next((user.printed_name for user in self.people if user.id == user_id), "Boresight")
+
+    def of(self, roles: Iterable[str], sentence: str, label: str, href: str, *, posts: bool = False) -> NextStep:
+        """Ask a step of everyone who has one of some roles."""
+        asked = tuple(roles)
+        able = [user for user in self.people if user.disabled_utc is None and set(asked).intersection(user.roles)]
+        mine = bool(self.actor.roles.intersection(asked))
+        return NextStep(sentence, label, href, posts, mine, tuple(user.printed_name for user in able), asked[0])
+
+
+def make_way(session: Session, actor: Actor, policy: Policy, row: ParameterSet | None, run: Run | None = None) -> Way:
+    """Say where a set stands, or a run that no set was made of yet, as an actor sees it."""
+    asking = _Asking(session, actor, policy, users.list_users(session))
+    if row is None:
+        step = _step_of_run(asking, run)
+        first = Station(TITLES[0], *(("standby", "next") if step.posts else ("off", "to come")))
+        return Way("", (first, *(Station(title, "off", "to come") for title in TITLES[1:])), step)
+    known = _read_records(session, row)
+    return Way(row.name, tuple(_list_stations(row, known, asking)), _step_of_set(asking, row, known))
+
+
+def _read_records(session: Session, row: ParameterSet) -> _Records:
+    requests = lists.list_newest(session, Approval, set=row.id)
+    request = next(iter(requests), None)
+    records = lists.list_newest(session, Uplink, set=row.id)
+    exported = find_exported_package(lists.list_newest(session, Package, set=row.id), records)
+    signed = () if request is None else approval_queries.list_signatures(session, request.id)
+    return _Records(approval_queries.find_newest_report(session, row.id), request, signed, exported, records)
+
+
+def _list_stations(row: ParameterSet, known: _Records, asking: _Asking) -> list[Station]:
+    created = Station("Created", "normal", "done", row.created_utc, asking.name(row.created_by))
+    flown = list_flight_stations(known.exported, known.records, asking.name)
+    stopped = row.ground_state in {"REJECTED", "SUPERSEDED"} or row.onboard_state in {"MISMATCH", "UNKNOWN"}
+    return lay_out([created, *_on_the_ground(row, known, asking), *flown], TITLES, stopped=stopped)
+
+
+def lay_out(taken: Sequence[Station | None], titles: Sequence[str], *, stopped: bool = False) -> list[Station]:
+    """Fill in what is still to come; the first of it is next, unless the way is stopped or something on it failed."""
+    following = next((place for place, station in enumerate(taken) if station is None), None)
+    stopped = stopped or any(station is not None and station.level == "critical" for station in taken)
+    nexts = [place == following and not stopped for place in range(len(titles))]
+    return [
+        station or Station(title, *(("standby", "next") if is_next else ("off", "to come")))
+        for station, title, is_next in zip(taken, titles, nexts, strict=True)
+    ]
+
+
+def _on_the_ground(row: ParameterSet, known: _Records, asking: _Asking) -> list[Station | None]:
+    """Stations 2 to 5; None where one is still to come."""
+    if row.run_id is None and known.request is None:
+        declared = [Station(title, "off", DECLARED) for title in TITLES[1:4]]
+        return [*declared, Station("Promoted", "normal", "done", row.baseline_from_utc, "Boresight")]
+    report, request = known.report, known.request
+    assessed: Station | None = None
+    submitted, signed, promoted = assessed, assessed, assessed
+    if report is not None:
+        assessed = Station("Assessed", "normal", report.verdict, report.created_utc, asking.name(report.created_by))
+    if request is not None and request.state in {"OPEN", "APPROVED", "REJECTED"}:
+        who = asking.name(request.submitted_by)
+        submitted = Station("Submitted", "normal", "done", request.submitted_utc, who, request.reason)
+        signed = _signed(request, known.signatures)
+    if row.baseline_from_utc is not None:
+        promoted = Station("Promoted", "normal", "done", row.baseline_from_utc)
+    return [assessed, submitted, signed, promoted]
+
+
+def _signed(request: Approval, signatures: Sequence[Signature]) -> Station | None:
+    """Whether a request is signed; None while it is open."""
+    if request.state == "OPEN" or not signatures:
+        return None
+    last = signatures[-1]
+    level, word = ("critical", "REFUSED") if request.state == "REJECTED" else ("normal", "done")
+    return Station("Signed", level, word, last.signed_utc, last.printed_name, last.meaning)
+
+
+def list_flight_stations(
+    package: Package | None, records: Sequence[Uplink], name: Callable[[int | None], str]
+) -> list[Station | None]:
+    """Stations 6 to 10 by a package and a set's records, newest first; None where one is still to come."""
+    exported = None
+    if package is not None:
+        exported = Station(
+            "Exported", "normal", "done", package.created_utc, name(package.created_by), f"package {package.id}"
+        )
+    progress = find_uplink_progress(records)
+    return [exported, *(_recorded(progress, title, state, name) for title, state in UPLINK_STATES.items())]
+
+
+def _recorded(progress: Sequence[Uplink], title: str, state: str, name: Callable[[int | None], str]) -> Station | None:
+    wanted = {"VERIFIED", "MISMATCH"} if state == "VERIFIED" else {state}
+    row = next((row for row in progress if row.onboard_state in wanted), None)
+    if row is None:
+        return None
+    level, word = ("critical", "MISMATCH") if row.onboard_state == "MISMATCH" else ("normal", "done")
+    who = row.printed_name or name(row.recorded_by)
+    return Station(title, level, word, row.recorded_utc, who, row.source, describe_source(row))
+
+
+def find_uplink_progress(records: Sequence[Uplink]) -> Sequence[Uplink]:
+    """Return what was recorded since the set was last sent, newest first."""
+    sent = next((place for place, row in enumerate(records) if row.onboard_state == "SENT"), len(records) - 1)
+    return records[: sent + 1]
+
+
+def find_exported_package(packages: Sequence[Package], records: Sequence[Uplink]) -> Package | None:
+    """Return the package that was sent, else the newest; None where there is none."""
+    named = [
+        (row.evidence or {}).get("package") for row in find_uplink_progress(records) if row.onboard_state == "SENT"
+    ]
+    if named and named[-1] is not None:
+        return next((package for package in packages if package.id == named[-1]["id"]), None)
+    return packages[0] if packages else None
+
+
+def _step_of_run(asking: _Asking, run: Run | None) -> NextStep:
+    """What follows for a run that no set was made of."""
+    if run is None or run.state not in TERMINAL_RUN_STATES:
+        return NextStep("The page follows the run; the result stands here when it ends.")
+    again = f"/runs/new?clone={run.id}"
+    if run.state != "SUCCEEDED":
+        return asking.of(("analyst",), "Run it again, with what failed mended.", "Run it again", again)
+    status = (run.summary or {}).get("status")
+    if status not in USABLE_STATUSES:
+        said = f"It ended {status}, which makes no parameter set: follow the advice and run again."
+        return asking.of(("analyst",), said, "Run it again", again)
+    address = f"/runs/{run.id}/parameter-set"
+    said = "Read the four views; then make a parameter set of the result and hold it against the gates."
+    return asking.of(("analyst",), said, "Create parameter set", address, posts=True)
+
+
+def _step_of_set(asking: _Asking, row: ParameterSet, known: _Records) -> NextStep:
+    """What follows for a set in its state on the ground."""
+    address, state = f"/parameter-sets/{row.id}", row.ground_state
+    if state == "SUBMITTED" and known.request is not None:
+        return _to_sign(asking, known.request)
+    if state == "APPROVED":
+        said = f"Promote {row.name}: it becomes the baseline, and nothing on board changes."
+        return asking.of(("operator",), said, "Promote", f"{address}#promote")
+    if state in {"REJECTED", "SUPERSEDED"}:
+        return _to_come_back(asking, row)
+    if state == "BASELINE":
+        return _to_fly(asking, row, known)
+    if known.report is None or gates.list_moved_since(asking.session, known.report):
+        said = f"Hold {row.name} against the gates and against the baseline."
+        return asking.of(gates.ASSESSORS, said, "Assess", f"{address}/assess", posts=True)
+    return asking.of(
+        ("analyst",), f"Submit {row.name} with a reason; another person signs it.", "Submit", f"{address}#reason"
+    )
+
+
+def _to_come_back(asking: _Asking, row: ParameterSet) -> NextStep:
+    if row.ground_state == "REJECTED":
+        said = f"{row.name} was refused: calibrate again, and submit that set."
+        return asking.of(("analyst",), said, "Run again", f"/runs/new?clone={row.run_id}")
+    baseline = set_queries.find_baseline(asking.session, row.sensor_id)
+    said = (
+        f"{baseline.name if baseline else 'Another set'} replaced it; a roll-back is signed and promoted like any set."
+    )
+    return asking.of(("analyst", "operator"), said, "Roll back", f"/parameter-sets/{row.id}#roll-back")
+
+
+def _to_sign(asking: _Asking, request: Approval) -> NextStep:
+    able = [
+        one.user
+        for one in approvals.list_signers_of(asking.session, request.id, policy=asking.policy)
+        if one.refusal is None
+    ]
+    missing = request.needed - sum(one.decision == "APPROVE" for one in request.signatures)
+    said = f"{missing} signature{'s' if missing != 1 else ''} of a second person {'are' if missing != 1 else 'is'} missing."
+    mine = approvals.explain_why_not_sign(asking.session, asking.actor, request.id, policy=asking.policy) is None
+    names = tuple(user.printed_name for user in able)
+    return NextStep(said, "Review and sign", f"/approvals/{request.id}", is_mine=mine, who=names, role="approver")
+
+
+def _to_fly(asking: _Asking, row: ParameterSet, known: _Records) -> NextStep:
+    """What follows for the baseline on its way to the spacecraft."""
+    address = f"/parameter-sets/{row.id}/uplink"
+    if known.exported is None and row.onboard_state == "NOT SENT":
+        said = "Export the uplink package; the way back is inside."
+        return asking.of(("operator", "analyst"), said, "Export", f"{address}/package", posts=True)
+    if row.onboard_state == "ACTIVE":
+        return NextStep("It is active on board: nothing is left to do.")
+    said, label, place = FLIGHT_STEPS.get(row.onboard_state, FLIGHT_STEPS["UNKNOWN"])
+    return asking.of(("operator",), said, label, f"{address}#{place}")

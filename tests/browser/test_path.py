@@ -1,0 +1,133 @@
+"""From telemetry to a set that is active on board by presses alone: as few as are said, and never a page without a next step."""
+
+import json
+import re
+
+import pytest
+from playwright.sync_api import expect
+
+from tests.browser.people import get_password
+from tests.browser.test_operations import DOCUMENT, sent_table
+from tests.browser.work import choose_upload
+
+pytestmark = pytest.mark.browser
+MOST_PRESSES = 20
+
+
+class Presses:
+    """A person at a page, whose presses are counted; what is typed or chosen from a list is none."""
+
+    def __init__(self, window):
+        self.window, self.page, self.count = window, window.page, 0
+
+    def press(self, kind, name, within=None):
+        (within or self.page).get_by_role(kind, name=re.compile(name)).first.click()
+        self.count += 1
+
+    def next(self, label):
+        """Press the button of the bar's next step."""
+        button = self.page.locator("#stations .next-act :is(a, button)")
+        expect(button).to_have_text(re.compile(f"^{label}"))
+        button.click()
+        self.count += 1
+
+    def confirm(self, label, **typed):
+        asked = self.page.locator("dialog[open]")
+        for name, text in typed.items():
+            asked.get_by_label(re.compile(name.replace("_", " "))).first.fill(text)
+        self.press("button", f"^{label}", asked)
+
+
+@pytest.fixture(scope="module")
+def sensor(people, files):
+    """A sensor with a table on board and no baseline but its own."""
+    with people.seat("analyst") as window:
+        window.open("/")
+        token = window.page.locator("input[name=csrf_token]").first.input_value()
+
+        def post(address, document, **headers):
+            answer = window.page.request.post(address, data=document, headers={"X-CSRF-Token": token, **headers})
+            assert answer.ok, answer.text()
+            return answer.json()
+
+        document = json.loads((files / "sensor.json").read_text()) | {"name": "PATH-1"}
+        made = post("/api/v1/sensors", document)
+        definition = {"document": DOCUMENT, "reason": "As flown."}
+        post(f"/api/v1/sensors/{made['id']}/table-definitions", definition, **{"If-Match": '"v0"'})
+        return made["id"]
+
+
+@pytest.fixture(scope="module")
+def path(people, sensor, files):
+    presses, addresses = {}, {}
+    with people.seat("analyst") as window:
+        at = Presses(window)
+        window.open("/")
+        at.press("link", "^Telemetry", window.page.get_by_role("navigation", name="Main"))
+        choose_upload(window, sensor, files / "calibration.csv")
+        at.press("button", "Upload and check")
+        at.press("link", "New run with it")
+        expect(window.page.locator("[data-dry-run] dl.facts")).to_be_visible()
+        at.press("button", "^Queue run")
+        window.page.wait_for_url(re.compile(r"/runs/\d+$"))
+        expect(window.page.locator("#stations [aria-current=step]")).to_contain_text("Created", timeout=60_000)
+        window.shoot("path-1-run")
+        at.next("Create parameter set")
+        window.page.wait_for_url(re.compile(r"/parameter-sets/\d+$"))
+        addresses["set"] = window.page.url
+        window.shoot("path-2-set")
+        window.page.get_by_label("Reason").fill("The pass of tonight.")
+        at.press("button", "^Submit")
+        window.page.wait_for_url(re.compile(r"/approvals/\d+$"))
+        addresses["request"] = window.page.url
+        presses["analyst"] = at.count
+    with people.seat("approver") as window:
+        at = Presses(window)
+        window.open("/")
+        at.press("link", "^(Sign|Review)", window.page.locator("main"))
+        at.press("button", "^Open the four views")
+        window.figures_drawn()
+        for reason in window.page.locator("#sign .reason").all():
+            reason.fill("Known, and small.")
+        window.page.locator("#password").fill(get_password("approver"))
+        at.press("button", "^Approve", window.page.locator("#sign"))
+        at.press("button", "^Approve", window.page.locator("dialog[open]"))
+        window.page.wait_for_url(re.compile(r"/signatures/\d+$"))
+        window.shoot("path-3-signed")
+        presses["approver"] = at.count
+    with people.seat("operator") as window:
+        at = Presses(window)
+        window.open("/")
+        at.press("link", "^Promote", window.page.locator("main"))
+        at.confirm("Promote", Reason="The pass of tonight.", Your_password=get_password("operator"))
+        at.next("Export")
+        window.page.wait_for_url(re.compile(r"/uplink$"))
+        at.next("Record SENT")
+        window.page.locator("dialog[open] select").select_option(index=1)
+        at.confirm("Record SENT", Known_from="Pass 4711")
+        at.next("Record LOADED")
+        at.confirm("Record LOADED", Known_from="Pass 4712")
+        expect(window.page.locator("#stations [aria-current=step]")).to_contain_text("Read back")
+        table = sent_table(window, addresses["set"].rpartition("/")[2])
+        dump = {"name": "dump.bin", "mimeType": "application/octet-stream", "buffer": table}
+        window.page.get_by_label("Dump of the table").set_input_files(dump)
+        window.page.locator("#read-back-source").fill("Pass 4712")
+        at.press("button", "^Compare with what was sent")
+        at.next("Sign ACTIVE")
+        at.confirm(
+            "Sign", Known_from="Pass 4713", What_your_signature="I saw it.", Your_password=get_password("operator")
+        )
+        expect(window.page.locator("#stations li").last).to_contain_text("Active: done")
+        window.shoot("path-4-active")
+        presses["operator"] = at.count
+        addresses["end"] = window.page.locator("#stations .next-act").inner_text()
+    return presses, addresses
+
+
+def test_a_set_is_on_board_after_at_most_twenty_presses(path):
+    presses, _ = path
+    assert sum(presses.values()) <= MOST_PRESSES, presses
+
+
+def test_at_the_end_nothing_is_left_to_do(path):
+    assert "nothing is left" in path[1]["end"]
