@@ -57,9 +57,7 @@ def sensor(people, files):
         return made["id"]
 
 
-@pytest.fixture(scope="module")
-def path(people, sensor, files):
-    presses, addresses = {}, {}
+def submit_a_set(people, sensor, files):
     with people.seat("analyst") as window:
         at = Presses(window)
         window.open("/")
@@ -74,13 +72,15 @@ def path(people, sensor, files):
         window.shoot("path-1-run")
         at.next("Create parameter set")
         window.page.wait_for_url(re.compile(r"/parameter-sets/\d+$"))
-        addresses["set"] = window.page.url
+        made = window.page.url
         window.shoot("path-2-set")
         window.page.get_by_label("Reason").fill("The pass of tonight.")
         at.press("button", "^Submit")
         window.page.wait_for_url(re.compile(r"/approvals/\d+$"))
-        addresses["request"] = window.page.url
-        presses["analyst"] = at.count
+        return at.count, made
+
+
+def sign_it(people):
     with people.seat("approver") as window:
         at = Presses(window)
         window.open("/")
@@ -92,9 +92,12 @@ def path(people, sensor, files):
         window.page.locator("#password").fill(get_password("approver"))
         at.press("button", "^Approve", window.page.locator("#sign"))
         at.press("button", "^Approve", window.page.locator("dialog[open]"))
-        window.page.wait_for_url(re.compile(r"/signatures/\d+$"))
+        window.page.wait_for_url(re.compile(r"/signatures/\d+"))
         window.shoot("path-3-signed")
-        presses["approver"] = at.count
+        return at.count
+
+
+def take_it_on_board(people, made):
     with people.seat("operator") as window:
         at = Presses(window)
         window.open("/")
@@ -108,7 +111,7 @@ def path(people, sensor, files):
         at.next("Record LOADED")
         at.confirm("Record LOADED", Known_from="Pass 4712")
         expect(window.page.locator("#stations [aria-current=step]")).to_contain_text("Read back")
-        table = sent_table(window, addresses["set"].rpartition("/")[2])
+        table = sent_table(window, made.rpartition("/")[2])
         dump = {"name": "dump.bin", "mimeType": "application/octet-stream", "buffer": table}
         window.page.get_by_label("Dump of the table").set_input_files(dump)
         window.page.locator("#read-back-source").fill("Pass 4712")
@@ -119,9 +122,15 @@ def path(people, sensor, files):
         )
         expect(window.page.locator("#stations li").last).to_contain_text("Active: done")
         window.shoot("path-4-active")
-        presses["operator"] = at.count
-        addresses["end"] = window.page.locator("#stations .next-act").inner_text()
-    return presses, addresses
+        return at.count, window.page.locator("#stations .next-act").inner_text()
+
+
+@pytest.fixture(scope="module")
+def path(people, sensor, files):
+    submitted, made = submit_a_set(people, sensor, files)
+    signed = sign_it(people)
+    flown, end = take_it_on_board(people, made)
+    return {"analyst": submitted, "approver": signed, "operator": flown}, end
 
 
 def test_a_set_is_on_board_after_at_most_twenty_presses(path):
@@ -130,4 +139,4 @@ def test_a_set_is_on_board_after_at_most_twenty_presses(path):
 
 
 def test_at_the_end_nothing_is_left_to_do(path):
-    assert "nothing is left" in path[1]["end"]
+    assert "nothing is left" in path[1]
