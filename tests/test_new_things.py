@@ -143,7 +143,7 @@ LINES = {
         ("    fleet,\n", "    dummies,\n"),
     ),
     f"{PACKAGE}/console/pages/frame.py": (
-        ('    NavigationLine("/audit"', '    NavigationLine("/dummies/1", "Dummies", "d"),\n'),
+        ('            NavigationLine("/audit"', '            NavigationLine("/dummies/1", "Dummies", "d"),\n'),
     ),
 }
 

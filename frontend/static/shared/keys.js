@@ -110,3 +110,6 @@ if (list) {
   onSwitch.addEventListener("change", () => localStorage.setItem(STORED, onSwitch.checked ? "on" : "off"));
   document.addEventListener("keydown", act);
 }
+
+const menu = find("#menu-open", HTMLButtonElement);
+menu?.addEventListener("click", () => menu.setAttribute("aria-expanded", String(menu.getAttribute("aria-expanded") === "false")));

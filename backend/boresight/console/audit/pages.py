@@ -16,6 +16,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access.dependencies import KNOWN, Blobs, Reading
+from boresight.console.audit.object_names import name_objects
 from boresight.console.jobs.dependencies import ServerMaintenance
 from boresight.console.operation import Beside
 from boresight.console.pages.formats import day_of_year, instant
@@ -253,6 +254,7 @@ def audit_page(
         "audit/audit.html",
         view=view,
         lines=[make_audit_line(record) for record in found.rows],
+        called=name_objects(session, [record.object for record in found.rows]),
         last=found.last,
         refusal=refusal,
         words=audit.read_words(session),

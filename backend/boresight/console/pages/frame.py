@@ -127,30 +127,72 @@ UNREAD = FleetStatus("off", "UNKNOWN", "The store could not be read.")
 
 @dataclass(frozen=True)
 class NavigationLine:
-    """One line of the navigation; `key` opens it after `g`, and no `roles` means everybody."""
+    """One line of the navigation; `key` opens it after `g`."""
 
     path: str
     label: str
     key: str
-    roles: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True)
+class NavigationGroup:
+    """Lines that belong together, under a heading."""
+
+    title: str
+    lines: tuple[NavigationLine, ...]
 
 
 NAVIGATION = (
-    NavigationLine("/", "Overview", "o"),
-    NavigationLine("/sensors", "Sensors", "s"),
-    NavigationLine("/telemetry", "Telemetry", "t"),
-    NavigationLine("/runs", "Runs", "r"),
-    NavigationLine("/campaigns", "Campaigns", "n"),
-    NavigationLine("/compare", "Compare", "c"),
-    NavigationLine("/parameter-sets", "Parameter sets", "p"),
-    NavigationLine("/approvals", "Approvals", "a"),
-    NavigationLine("/uplink", "Uplink", "u"),
-    NavigationLine("/alarms", "Alarms", "l"),
-    NavigationLine("/audit", "Audit", "h"),
-    NavigationLine("/webhooks", "Webhooks", "w"),
-    NavigationLine("/users", "Users and keys", "k"),
-    NavigationLine("/administration", "Administration", "m"),
+    NavigationGroup(
+        "Fleet",
+        (
+            NavigationLine("/", "Overview", "o"),
+            NavigationLine("/sensors", "Sensors", "s"),
+            NavigationLine("/alarms", "Alarms", "l"),
+        ),
+    ),
+    NavigationGroup(
+        "Calibration",
+        (
+            NavigationLine("/telemetry", "Telemetry", "t"),
+            NavigationLine("/runs", "Runs", "r"),
+            NavigationLine("/campaigns", "Campaigns", "n"),
+            NavigationLine("/compare", "Compare", "c"),
+        ),
+    ),
+    NavigationGroup(
+        "Release",
+        (
+            NavigationLine("/parameter-sets", "Parameter sets", "p"),
+            NavigationLine("/approvals", "Approvals", "a"),
+            NavigationLine("/uplink", "Uplink", "u"),
+        ),
+    ),
+    NavigationGroup(
+        "Installation",
+        (
+            NavigationLine("/audit", "Audit", "h"),
+            NavigationLine("/webhooks", "Webhooks", "w"),
+            NavigationLine("/users", "Users and keys", "k"),
+            NavigationLine("/administration", "Administration", "m"),
+        ),
+    ),
 )
+#: The group that a role works in, which stands open first on a phone and right below the fleet elsewhere.
+GROUP_OF_ROLE = {
+    "analyst": "Calibration",
+    "approver": "Release",
+    "operator": "Release",
+    "administrator": "Installation",
+}
+
+
+def order_navigation(roles: frozenset[str]) -> tuple[NavigationGroup, ...]:
+    """Return the groups as a person with these roles needs them: the fleet, their own, the others."""
+    own = {GROUP_OF_ROLE.get(role) for role in roles}
+    first, *others = NAVIGATION
+    return (first, *sorted(others, key=lambda group: group.title not in own))
+
 
 # What keys do within a page; `keys.js` acts on them. None signs, promotes, rolls back, cancels or deletes.
 KEYS = (
@@ -184,7 +226,7 @@ class PageFrame:
     light: ChainStatus
     four_eyes: bool
     flash: tuple[str, str] | None
-    navigation: tuple[NavigationLine, ...]
+    navigation: tuple[NavigationGroup, ...]
     keys: tuple[tuple[tuple[str, ...], str], ...] = KEYS
 
 
@@ -250,5 +292,5 @@ def make_page_frame(request: Request, *, is_answer: bool = True) -> PageFrame:
         light=request.app.state.maintenance.light(),
         four_eyes=server.policy.four_eyes,
         flash=flash,
-        navigation=NAVIGATION if actor else (),
+        navigation=order_navigation(frozenset(actor.roles)) if actor else (),
     )

@@ -17,6 +17,7 @@ from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import Alarm
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
+from boresight.console.audit.object_names import name_objects
 from boresight.console.audit.pages import make_audit_line
 from boresight.console.change_proposals import queries as proposal_queries
 from boresight.console.change_proposals import service as proposals
@@ -40,6 +41,7 @@ RECENT_EVENTS = 12
 MOST_ACTIONS = 8
 MOST_TILES = 120
 RUNS_IN_A_SPARKLINE = 16
+VIEWS = ("rows", "tiles")
 CAME_BACK = ("STALE", "REJECTED")  # states of a request that its submitter is shown
 
 router = APIRouter()
@@ -174,6 +176,7 @@ class RecentCalibrations:
     rms: Sparkline | None
     availability: float | None
     drift: Alarm | None
+    tested: str
 
 
 @dataclass(frozen=True)
@@ -224,34 +227,47 @@ def _shown_first(standings: Sequence[SensorStatus]) -> Sequence[SensorStatus]:
 
 
 def _list_recent_calibrations(session: Session, tiles: Sequence[SensorTile]) -> dict[int, RecentCalibrations]:
-    summaries = sensor_queries.list_recent_summaries(session, [tile.sensor.id for tile in tiles], RUNS_IN_A_SPARKLINE)
-    drifting = alarms.list_newest_open_of_sensors(session, "DRIFT", [tile.sensor.id for tile in tiles])
+    ids = [tile.sensor.id for tile in tiles]
+    summaries = sensor_queries.list_recent_summaries(session, ids, RUNS_IN_A_SPARKLINE)
+    drifting = alarms.list_newest_open_of_sensors(session, "DRIFT", ids)
+    tested = _list_drift_words(session, tiles)
     return {
-        tile.sensor.id: _read_recent_calibrations(summaries.get(tile.sensor.id, ()), drifting.get(tile.sensor.id))
-        for tile in tiles
+        number: _read_recent_calibrations(summaries.get(number, ()), drifting.get(number), tested[number])
+        for number in ids
     }
 
 
-def _read_recent_calibrations(summaries: Sequence[RunSummary], drift: Alarm | None) -> RecentCalibrations:
+def _list_drift_words(session: Session, tiles: Sequence[SensorTile]) -> dict[int, str]:
+    """Say of each sensor what its drift test says: a sensor that was never tested does not look like one that holds."""
+    stamps = sensor_queries.read_trend_stamps(session, [tile.sensor.id for tile in tiles])
+    asked = [tile.sensor for tile in tiles if tile.sensor.id in stamps]
+    baselines = {tile.sensor.id: tile.baseline for tile in tiles}
+    judged = fleet.get_drift_verdicts(session, asked, baselines, stamps, most=fleet.MOST_JUDGED)
+    words = {tile.sensor.id: "NOT TESTED" for tile in tiles}
+    words |= {sensor.id: judged[sensor.id].verdict if sensor.id in judged else "NOT YET TESTED" for sensor in asked}
+    return words
+
+
+def _read_recent_calibrations(summaries: Sequence[RunSummary], drift: Alarm | None, tested: str) -> RecentCalibrations:
     rms = [it.tail_rms_rad or it.rms_final_arc_rad for it in summaries]
     seen = [it.availability for it in summaries if it.availability is not None]
-    return RecentCalibrations(sparkline([value for value in rms if value]), seen[-1] if seen else None, drift)
+    return RecentCalibrations(sparkline([value for value in rms if value]), seen[-1] if seen else None, drift, tested)
 
 
 def _recorded(session: Session) -> Iterator[RecentEvent]:
     """Yield the newest audit records except the ends of runs, whose rows say more."""
-    for record in audit.list_records(session, limit=RECENT_EVENTS):
-        if record.action == "ended":
-            continue
+    records = [one for one in audit.list_records(session, limit=RECENT_EVENTS) if one.action != "ended"]
+    names = name_objects(session, [one.object for one in records])
+    for record in records:
         line = make_audit_line(record)
-        yield RecentEvent(record.at_utc, record.actor, record.action, record.object, line.address, line.gist)
+        yield RecentEvent(record.at_utc, record.actor, record.action, names[record.object], line.address, line.gist)
 
 
 def _ended_runs(session: Session, names: Mapping[int, str]) -> Iterator[RecentEvent]:
     for run in runs.list_runs(session, state=TERMINAL_RUN_STATES, limit=RECENT_EVENTS):
         if run.ended_utc:
             gist = " · ".join(filter(None, (names.get(run.sensor_id), run.label, run.reason)))
-            yield RecentEvent(run.ended_utc, "Boresight", run.state, f"runs/{run.id}", f"/runs/{run.id}", gist)
+            yield RecentEvent(run.ended_utc, "Boresight", run.state, f"Run {run.id}", f"/runs/{run.id}", gist)
 
 
 def _events(session: Session, standings: Sequence[SensorStatus]) -> list[RecentEvent]:
@@ -308,9 +324,15 @@ OverviewCache = Annotated[VersionedCache[FleetView], depend_on_server("overview"
 
 @router.get("/", response_class=HTMLResponse, dependencies=[Depends(same_for_one)])
 def overview_page(
-    request: Request, session: Reading, actor: Who, policy: ServerPolicy, cache: OverviewCache, dispatcher: Workers
+    request: Request,
+    session: Reading,
+    actor: Who,
+    policy: ServerPolicy,
+    cache: OverviewCache,
+    dispatcher: Workers,
+    view: str = "",
 ) -> HTMLResponse:
-    """Show the fleet."""
+    """Show what waits for this person, then the fleet: a row a sensor, or tiles where they were chosen last."""
     ages = time.monotonic() // HELD_S  # times in the rows are recomputed when this changes
     overview, is_older = cache.answer_to(
         ages, partial(_fleet, session), request.state.came_s
@@ -322,8 +344,17 @@ def overview_page(
     return render(
         request,
         "fleet/overview.html",
-        follows_from=(overview, signatures.count, actions.count, tuple(actions.first), tuple((workers or {}).items())),
+        follows_from=(
+            view,
+            overview,
+            signatures.count,
+            actions.count,
+            tuple(actions.first),
+            tuple((workers or {}).items()),
+        ),
+        view=view if view in VIEWS else VIEWS[0],
         overview=overview,
+        levels=LEVELS,
         counts=_counts(overview.standings),
         actions=actions.first,
         more_actions=actions.count - len(actions.first),
