@@ -435,3 +435,15 @@ def test_a_covariance_that_is_too_small_is_widened_by_the_worst_sign_of_it(
 )
 def test_what_no_factor_makes_comparable_is_left_out(changed: dict[str, Any], why: str) -> None:
     assert why in (keep_entry(**changed).left_out or "")
+
+
+@pytest.mark.parametrize("match", ["given", "rematch"])
+def test_stars_left_out_by_number_say_nothing(match, calibrated, make_telemetry):
+    measured = make_telemetry(1, frames=40)
+    hip, sightings = np.unique(measured.star_id[measured.star_id > 0], return_counts=True)
+    out = hip[np.argsort(-sightings)[:3]].tolist()
+    gone = np.isin(measured.star_id, out)
+    moved = replace(measured, row_px=np.where(gone, measured.row_px + 0.3, measured.row_px))  # what they say is wrong
+    said, unsaid = (calibrated(one, match=match, leave_out_stars=out) for one in (moved, measured))
+    assert said["parameters"] == pytest.approx(unsaid["parameters"], rel=1e-12)
+    assert said["stars"] == unsaid["stars"] <= calibrated(measured, match=match)["stars"] - gone.sum() // 2

