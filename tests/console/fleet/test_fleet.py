@@ -210,13 +210,13 @@ def test_a_sensor_shows_its_status_baseline_and_rms_before_and_after(site, read,
     assert "The ground calibration does not hold any more: promote a calibration made on orbit." in page
     assert "PS-ST16-1-0" in page
     assert "ground calibration" in page
-    assert f"{rms['initial'] * 1e6:.1f} → {rms['final'] * 1e6:.2f}" in page
+    assert f"{rms['final'] * 1e6:.2f} from {rms['initial'] * 1e6:.1f}" in page
     site.app.state.workers.state = lambda: {"connected": False, "tasks": 0}
     assert "Not connected" in read(site.visitor("victor").get("/"))
 
 
 def test_names_of_sensors_and_sets_may_wrap(site):
-    page = site.visitor("victor").get("/")
+    page = site.visitor("victor").get("/?view=tiles")
     assert '<h3 class="name"><a href="/sensors/1">' in page
     assert '<dd class="name"><a href="/parameter-sets/1">' in page
     sheets = folder("frontend") / "static"
@@ -268,7 +268,7 @@ def test_of_a_large_fleet_those_that_stand_worst_are_drawn_and_the_page_says_so(
     monkeypatch.setattr(overview, "MOST_TILES", 0)
     page = site.visitor("ada").get("/")
     assert "The 0 that stand worst; all 1" in page
-    assert '<h3 class="name">' not in page
+    assert '<th scope="row">' not in page
 
 
 def test_what_the_page_counts_and_what_it_draws_are_one_look_and_it_says_what_is_not_judged_yet(
@@ -276,7 +276,7 @@ def test_what_the_page_counts_and_what_it_draws_are_one_look_and_it_says_what_is
 ):
     monkeypatch.setattr("boresight.console.fleet.status._known", WeakKeyDictionary())
     monkeypatch.setattr("boresight.console.fleet.status.MOST_JUDGED", 0)
-    page = site.visitor("ada").get("/")
+    page = site.visitor("ada").get("/?view=tiles")
     assert "of 1 it is not known yet whether the ground calibration holds" in read(page)
     assert '<a href="/sensors?status=normal">1</a>' in page
     assert '<li class="tile tile-normal">' in page

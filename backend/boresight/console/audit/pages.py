@@ -16,7 +16,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access.dependencies import KNOWN, Blobs, Reading
-from boresight.console.audit.object_names import name_objects
+from boresight.console.audit.queries import name_objects
 from boresight.console.jobs.dependencies import ServerMaintenance
 from boresight.console.operation import Beside
 from boresight.console.pages.formats import day_of_year, instant

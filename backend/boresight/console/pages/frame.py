@@ -144,7 +144,7 @@ class NavigationGroup:
 
 NAVIGATION = (
     NavigationGroup(
-        "Fleet",
+        "Monitor",
         (
             NavigationLine("/", "Overview", "o"),
             NavigationLine("/sensors", "Sensors", "s"),
@@ -152,7 +152,7 @@ NAVIGATION = (
         ),
     ),
     NavigationGroup(
-        "Calibration",
+        "Calibrate",
         (
             NavigationLine("/telemetry", "Telemetry", "t"),
             NavigationLine("/runs", "Runs", "r"),
@@ -169,7 +169,7 @@ NAVIGATION = (
         ),
     ),
     NavigationGroup(
-        "Installation",
+        "Administer",
         (
             NavigationLine("/audit", "Audit", "h"),
             NavigationLine("/webhooks", "Webhooks", "w"),

@@ -17,8 +17,8 @@ from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import Alarm
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
-from boresight.console.audit.object_names import name_objects
 from boresight.console.audit.pages import make_audit_line
+from boresight.console.audit.queries import name_objects
 from boresight.console.change_proposals import queries as proposal_queries
 from boresight.console.change_proposals import service as proposals
 from boresight.console.fleet import queries as sensor_queries
