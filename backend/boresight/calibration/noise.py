@@ -61,6 +61,8 @@ CUT = 5.0
 NEEDED = 0.01
 HARMONICS = (1, 2, 3)
 MOST_ROUNDS = 8
+#: Largest logarithm of the factor by which noise may be other than stated.
+LARGEST_EXPONENT = 30.0
 #: Share of the largest eigenvalue below which a direction is not determined.
 SINGULAR = 1e-10
 #: Steps in sigmas below which the noise is at rest.
@@ -241,7 +243,7 @@ def fit_noise(
     """
     theta = np.zeros(g.shape[1])
     for _ in range(MOST_ROUNDS):
-        weight = np.exp(-g @ theta) / sigma
+        weight = np.exp(np.clip(-g @ theta, -LARGEST_EXPONENT, LARGEST_EXPONENT)) / sigma
         b, P_b, score, A = _round(r, J, K, D, g, weight, star_start)
         P_theta = np.linalg.inv(A)
         step = np.clip(P_theta @ score, -1.0, 1.0)

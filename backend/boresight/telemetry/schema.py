@@ -124,6 +124,13 @@ def select_rows(telemetry: Telemetry, rows: slice) -> Telemetry:
     return replace(telemetry, **parts, unknown=unknown, first_row=telemetry.first_row + rows.start)
 
 
+def take_rows(telemetry: Telemetry, rows: IntArray) -> Telemetry:
+    """Return some rows (n,) of a set as a set of their own, without its further columns; their numbers in the file are lost."""
+    arrays = {item.name: getattr(telemetry, item.name) for item in fields(telemetry)}
+    parts: dict[str, Any] = {name: value[rows] for name, value in arrays.items() if isinstance(value, np.ndarray)}
+    return replace(telemetry, **parts, unknown={})
+
+
 def joined(parts: Sequence[Telemetry]) -> Telemetry:
     """Return consecutive parts of a set, which have the same columns, as one set."""
     if len(parts) == 1:

@@ -47,10 +47,10 @@ from boresight.estimation.attitude import product as turn
 from boresight.sky.apparent import apparent_directions
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.directions import star_directions
-from boresight.sky.identification import FEWEST_STARS, FIELD_ERROR, Recognised
+from boresight.sky.identification import FEWEST_STARS, FIELD_ERROR, MOST_STARS, Recognised
 from boresight.telemetry.mapping import TelemetryMapping
 from boresight.telemetry.quality.detector import on_detector
-from boresight.telemetry.schema import Telemetry, find_exposures, joined, select_rows
+from boresight.telemetry.schema import Telemetry, find_exposures, joined, take_rows
 from boresight.telemetry.sensors import Sensor, sensor_document
 
 Report = Callable[[str, float | None], None]
@@ -59,6 +59,8 @@ Report = Callable[[str, float | None], None]
 MOST_EXPOSURES, BUDGET_S = 40, 30.0
 #: Detections of these exposures together, about: an exposure that has very many costs as much as many exposures.
 MOST_DETECTIONS = 40_000
+#: Exposures of the chosen frames, as a multiple of those wanted, from which on they are thinned too.
+MOST_IN_FRAMES = 4
 #: Exposures that a mend has to solve, at least and as a share of those with enough stars, and log10 of the chance that it did by
 #: coincidence.
 FEWEST, SHARE, TOO_LIKELY = 2, 0.3, -9.0
@@ -107,11 +109,23 @@ def _spread(telemetry: Telemetry, most: int) -> Telemetry:
     wanted = max(1, round(most * len(frames) / len(exposures)))
     if len(chosen) > wanted:
         chosen = chosen[np.linspace(0, len(chosen) - 1, wanted).round().astype(np.int64)]
-    parts = [
-        select_rows(telemetry, slice(int(exposures.start[k]), int(exposures.start[k] + exposures.count[k])))
-        for k in np.flatnonzero(np.isin(of, chosen))
-    ]
-    return joined(parts)
+    seen = np.flatnonzero(np.isin(of, chosen))
+    if len(seen) > MOST_IN_FRAMES * most:  # frames without end
+        seen = seen[np.linspace(0, len(seen) - 1, most).round().astype(np.int64)]
+    if len(seen) == len(exposures) and exposures.count.max() <= MOST_STARS:
+        return replace(telemetry, unknown={})
+    rows = [_brightest(telemetry, int(exposures.start[k]), int(exposures.count[k])) for k in seen]
+    return take_rows(telemetry, np.concatenate(rows))
+
+
+def _brightest(telemetry: Telemetry, first: int, count: int) -> IntArray:
+    """Rows of an exposure, of very many the brightest, or some evenly spread where magnitudes are not known."""
+    if count <= MOST_STARS:
+        return np.arange(first, first + count)
+    if telemetry.magnitude is None or not np.isfinite(telemetry.magnitude[first : first + count]).any():
+        return first + np.linspace(0, count - 1, MOST_STARS).round().astype(np.int64)
+    faint = np.nan_to_num(telemetry.magnitude[first : first + count], nan=np.inf)
+    return np.sort(first + np.argsort(faint, kind="stable")[:MOST_STARS])
 
 
 def diagnose(

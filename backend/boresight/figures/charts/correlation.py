@@ -8,6 +8,7 @@ the noise that was assumed, so no band belongs to it.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 import plotly.graph_objects as go
@@ -27,14 +28,17 @@ ROW_PX, LEAST_PX = 34, 200
 Correlations = tuple[list[str], FloatArray, FloatArray]
 
 
-def draw(found: Sequence[Part[Correlations]]) -> go.Figure:
-    """Draw one map a run, beside each other, up to three."""
+def draw(found: Sequence[Part[Correlations]], beside: int = MAX_MAPS) -> go.Figure:
+    """Draw one map a run, up to three, so many beside each other."""
     drawn = found[:MAX_MAPS]
+    columns = min(beside, len(drawn))
+    rows = -(-len(drawn) // columns)
     titles = [style.label for _, style, _ in drawn] if len(drawn) > 1 else None
-    figure = make_subplots(1, len(drawn), subplot_titles=titles, horizontal_spacing=0.08)
-    for place, (trace, _, (names, rho, _)) in enumerate(drawn, start=1):
-        figure.add_trace(_map(trace, names, rho, scale=place == len(drawn)), row=1, col=place)
-    height = LEAST_PX + ROW_PX * max(len(one[2][0]) for one in drawn)
+    figure = make_subplots(rows, columns, subplot_titles=titles, horizontal_spacing=0.08, vertical_spacing=0.12 / rows)
+    for place, (trace, _, (names, rho, _)) in enumerate(drawn):
+        row, column = divmod(place, columns)
+        figure.add_trace(_map(trace, names, rho, scale=place == len(drawn) - 1), row=row + 1, col=column + 1)
+    height = LEAST_PX + rows * ROW_PX * max(len(one[2][0]) for one in drawn)
     theme.dress(figure, title=_headline(drawn[0]), height_px=height, legend=False, hovermode="closest")
     figure.update_xaxes(showgrid=False, type="category", side="bottom")
     figure.update_yaxes(showgrid=False, type="category", autorange="reversed")
@@ -108,4 +112,5 @@ CORRELATION = make_figure(
         "one, but look at the distortion and at the weakest direction."
     ),
     advanced=True,
+    forms={"narrow": partial(draw, beside=1)},
 )

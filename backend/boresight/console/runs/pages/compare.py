@@ -31,13 +31,15 @@ from boresight.figures.charts.methods import MethodScores, method_scores
 from boresight.figures.style.axes import ALIGNMENTS
 from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.history import SETTLED_SIGMAS
-from boresight.verdicts.numbers import MISSING, count, fixed, number, parameter, plus_minus, sigmas, urad
+from boresight.verdicts.numbers import MISSING, count, fixed, number, parameter, plus_minus, quantity, sigmas, urad
 
 #: Differences from here on are marked; chance makes one of 370 as large.
 FAR_SIGMAS = 3.0
 #: Correlations that differ by less look alike.
 ALIKE = 0.05
 UNLIKELY = 0.01
+#: Differences of runs on the same data below this share of the reference's sigma change nothing that anybody decides.
+NEGLIGIBLE = 0.1
 #: Below this a p-value has left the range of floats.
 SMALLEST_P = 1e-300
 
@@ -49,6 +51,7 @@ class ComparedCell:
     value: str
     note: str
     far: bool = False
+    differs: bool = False
 
 
 @dataclass(frozen=True)
@@ -73,9 +76,8 @@ def parameter_lines(found: Comparison) -> list[ParameterLine]:
     """Print every parameter of every run."""
     lines = []
     for i, name in enumerate(found.names):
-        values = [one.calibration.parameters.get(name) for one in found.compared]
-        cells = [_cell(found, i, k) for k in range(len(values))]
-        lines.append(ParameterLine(name, cells, len(set(values)) > 1))
+        cells = [_cell(found, i, k) for k in range(len(found.compared))]
+        lines.append(ParameterLine(name, cells, any(cell.differs for cell in cells)))
     return lines
 
 
@@ -92,11 +94,65 @@ def _cell(found: Comparison, i: int, k: int) -> ComparedCell:
         return ComparedCell(printed, held or MISSING)
     if np.isfinite(against.sigma[i]):
         apart = float(against.separation[i])
-        return ComparedCell(printed, f"{sigmas(apart)}{', held fixed' if held else ''}", abs(apart) > FAR_SIGMAS)
+        note = f"{sigmas(apart)}{', held fixed' if held else ''}"
+        return ComparedCell(printed, note, abs(apart) > FAR_SIGMAS, abs(apart) >= NEGLIGIBLE)
     spread = base.reliable_sigma.get(name)
     if against.difference[i] == 0 or not spread:
-        return ComparedCell(printed, "alike" if against.difference[i] == 0 else held or MISSING)
-    return ComparedCell(printed, f"{fixed(against.difference[i] / spread, 2)} of the reference’s σ, not noise")
+        return ComparedCell(
+            printed, "alike" if against.difference[i] == 0 else held or MISSING, differs=bool(against.difference[i])
+        )
+    apart = float(against.difference[i]) / spread
+    if abs(apart) < NEGLIGIBLE:
+        return ComparedCell(printed, f"{number(apart, 2)} σ, negligible")
+    return ComparedCell(printed, f"{number(apart, 2)} σ of the reference, not noise", differs=True)
+
+
+@dataclass(frozen=True)
+class ComparedAnswer:
+    """What a comparison says in a sentence, and how that is to be taken."""
+
+    level: str
+    sentence: str
+
+
+def answer(found: Comparison) -> ComparedAnswer:
+    """Say whether the runs differ from the reference, by how much, and in which parameter most."""
+    others = [k for k in range(len(found.compared)) if k != found.reference]
+    known = [k for k in others if found.contrasts[k] is not None]
+    if not known:
+        return ComparedAnswer("standby", "None of the runs has a result to compare yet.")
+    far = [k for k in known if (test := joint(found.contrasts[k])) is not None and test["p"] < UNLIKELY]
+    largest = max((_largest(found, k) for k in known), key=lambda one: one[0])
+    worst = f"at most {number(largest[0], 2)} σ ({quantity(largest[1]).symbol})" if largest[1] else "not at all"
+    same = all(found.shared[k].kind == "same" for k in known)
+    if same and largest[0] < NEGLIGIBLE:
+        what = "methods" if len({one.run.method for one in found.compared}) > 1 else "runs"
+        return ComparedAnswer("normal", f"Same data: the {what} differ by {worst}, negligible.")
+    if far:
+        named = ", ".join(f"#{found.compared[k].run.id}" for k in far)
+        return ComparedAnswer(
+            "caution",
+            f"{count(len(far))} of {count(len(known))} differ from the reference beyond chance ({named}); {worst}.",
+        )
+    if same:
+        return ComparedAnswer("caution", f"Same data: the runs differ by {worst}, which is not noise.")
+    return ComparedAnswer("normal", f"No run differs from the reference beyond chance; {worst}.")
+
+
+def _largest(found: Comparison, k: int) -> tuple[float, str]:
+    """The largest difference of a run, in sigmas of the difference or else of the reference, and its parameter."""
+    against, base = found.contrasts[k], found.compared[found.reference].calibration
+    sizes = {}
+    for i, name in enumerate(found.names):
+        spread = base.reliable_sigma.get(name)
+        if against is None or not np.isfinite(against.difference[i]):
+            continue
+        if np.isfinite(against.sigma[i]):
+            sizes[name] = abs(float(against.separation[i]))
+        elif spread:
+            sizes[name] = abs(float(against.difference[i])) / spread
+    most = max(sizes, key=lambda name: sizes[name], default="")
+    return sizes.get(most, 0.0), most
 
 
 def correlation_lines(found: Comparison) -> list[CorrelationLine]:
@@ -418,16 +474,18 @@ def _tables(found: Comparison, view: CompareView, names: RunNames) -> Mapping[st
         "rows": [row for row in rows if view.everything or row.differs],
         "alike": sum(not row.differs for row in rows),
         "parameters": [line for line in lines if view.everything or line.differs],
+        "hidden": sum(not line.differs for line in lines),
         "correlations": [pair for pair in pairs if view.everything or pair.differs],
         "correlated": len(pairs),
         "together": together(found),
+        "answer": answer(found),
         "methods": method_panel(found.compared),
         "titles": [get_method_title(one.run.method) for one in found.compared],
         "assumption": comparisons.ASSUMPTION,
         "crowded": len(found.compared) > CROWDED_RUNS,
         "figures": [] if view.overlay == "table" else list(FIGURES.values()),
         "radial": {"title": radial_contrast.RADIAL_CONTRAST_TITLE, "guide": radial_contrast.GUIDE},
-        "wide": WIDE,
+        "wide": WIDE | {"correlation"},  # maps side by side
         "alignments": ALIGNED_BY,
         "overlays": OVERLAYS,
     }
