@@ -186,8 +186,8 @@ def _verify(s, G, sigma, c, use, named, gate, bad, work):
         believed[i] = _GIVEN_NOISE * sigma[i] if named[i] else sigma[i]
         if use[i]:
             count += 1
+    _disagreements(s, G, believed, c, use, gate, bad)
     while count >= 2:
-        _disagreements(s, G, believed, c, use, gate, bad)
         worst = -1
         for i in range(n):
             if use[i] and 2 * bad[i] > count - 1 and (worst < 0 or bad[i] > bad[worst]):
@@ -196,6 +196,10 @@ def _verify(s, G, sigma, c, use, named, gate, bad, work):
             break
         use[worst] = False
         count -= 1
+        for i in range(n):
+            a, b = max(i, worst), min(i, worst)
+            if use[i] and not _arcs_agree(s, G, believed, a, b, c, a, b, gate, np.inf):
+                bad[i] -= 1
     return count
 
 

@@ -148,6 +148,11 @@ class Recognised:
     focal_ratio: float
 
 
+def prepare_recognition(field_deg: float, cache_folder: Path | None) -> None:
+    """Load the table of patterns that `recognise` looks things up in, or make it, which takes seconds."""
+    _patterns(_wide_field(field_deg), cache_folder, every_size=True)
+
+
 def recognise(
     s_d: FloatArray, magnitude: FloatArray | None, parity: int, field_deg: float, cache_folder: Path | None
 ) -> Recognised | None:

@@ -57,8 +57,10 @@ Report = Callable[[str, float | None], None]
 
 #: Exposures that are looked at, and seconds that may be spent on them; making a table of patterns is not counted.
 MOST_EXPOSURES, BUDGET_S = 40, 30.0
+#: The same where exposures have more detections than any tracker sends: a pattern that is none then takes a second.
+CROWDED_BUDGET_S = 2.0
 #: Detections of these exposures together, about: an exposure that has very many costs as much as many exposures.
-MOST_DETECTIONS = 40_000
+MOST_DETECTIONS = 3_000
 #: Exposures of the chosen frames, as a multiple of those wanted, from which on they are thinned too.
 MOST_IN_FRAMES = 4
 #: Exposures that a mend has to solve, at least and as a share of those with enough stars, and log10 of the chance that it did by
@@ -161,8 +163,9 @@ def diagnose(
     bench = Bench(sample, sensor, catalogue, settings or CalibrationSettings(), cache_folder)
     tell = report or _silent
     tell("reading the table of star patterns", None)
-    bench.recognise(Hypothesis())  # makes the table, which is not counted
-    bench.ends = time.perf_counter() + budget_s
+    bench.prepare()  # making the table is not counted
+    crowded = float(np.median(bench.exposures.count)) >= MOST_STARS if len(bench.exposures) else False
+    bench.ends = time.perf_counter() + (min(budget_s, CROWDED_BUDGET_S) if crowded else budget_s)
     return _Search(bench, of_exposures, tell).run()
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from boresight.calibration.diagnosis.diagnose import Report, diagnose
+from boresight.calibration.diagnosis.diagnose import BUDGET_S, Report, diagnose
 from boresight.calibration.diagnosis.result import Diagnosis
 from boresight.calibration.diagnosis.sentences import advise
 from boresight.calibration.options import CalibrationSettings
@@ -39,10 +39,15 @@ def explain(
 
 
 def explain_refusal(
-    error: OffDetectorError, telemetry: Set, sensor: Sensor, catalogue: Catalogue, cache_folder: Path | None
+    error: OffDetectorError,
+    telemetry: Set,
+    sensor: Sensor,
+    catalogue: Catalogue,
+    cache_folder: Path | None,
+    budget_s: float = BUDGET_S,
 ) -> RefusedInputError:
-    """Return the refusal of stars off the detector with its cause first, where a diagnosis finds one."""
-    found = diagnose(telemetry, sensor, catalogue, cache_folder=cache_folder)
+    """Return the refusal of stars off the detector with its cause first, where a diagnosis finds one in time."""
+    found = diagnose(telemetry, sensor, catalogue, cache_folder=cache_folder, budget_s=budget_s)
     if found.fits or "unknown" in found.names:
         return error
     return OffDetectorError(" ".join([*advise(found), str(error)]), error.faults)

@@ -36,7 +36,14 @@ from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import Role
 from boresight.errors import RefusedInputError
 from boresight.sky.catalogue import Catalogue
-from boresight.sky.identification import FIELD_ERROR, FIELDS_DEG, Recognised, field_of_view_deg, recognise
+from boresight.sky.identification import (
+    FIELD_ERROR,
+    FIELDS_DEG,
+    Recognised,
+    field_of_view_deg,
+    prepare_recognition,
+    recognise,
+)
 from boresight.telemetry.mapping import TelemetryMapping
 from boresight.telemetry.quality.detector import on_detector
 from boresight.telemetry.schema import Exposures, Telemetry, find_exposures
@@ -154,16 +161,25 @@ class Bench:
         telemetry, sensor = self.read(hypothesis)
         return self._recognised(telemetry, sensor)
 
-    def _recognised(self, telemetry: Telemetry, sensor: Sensor) -> list[Recognised | None]:
-        nothing: list[Recognised | None] = [None] * len(self.exposures)
+    def prepare(self) -> None:
+        """Load the table of patterns for this sensor, where its field of view has one."""
+        if (field_deg := self._field_deg(self.sensor)) is not None:
+            prepare_recognition(field_deg, self._folder)
+
+    def _field_deg(self, sensor: Sensor) -> float | None:
+        """Field of view of a sensor, degrees; None where a corner has no direction or the field is none of a star tracker."""
         camera, pitch = CAMERA_MODELS[sensor.camera_model], sensor.pixel_pitch_m
         if camera.blind_corner(sensor.initial, sensor.rows, sensor.columns, pitch) is not None:
-            return nothing
+            return None
         field_deg = field_of_view_deg(camera, sensor.initial, sensor.rows, sensor.columns, pitch)
-        if not FIELDS_DEG[0] <= field_deg <= FIELDS_DEG[1]:
-            return nothing
+        return field_deg if FIELDS_DEG[0] <= field_deg <= FIELDS_DEG[1] else None
+
+    def _recognised(self, telemetry: Telemetry, sensor: Sensor) -> list[Recognised | None]:
+        found: list[Recognised | None] = [None] * len(self.exposures)
+        if (field_deg := self._field_deg(sensor)) is None:
+            return found
+        camera, pitch = CAMERA_MODELS[sensor.camera_model], sensor.pixel_pitch_m
         s_d = camera.directions(sensor.initial, telemetry.row_px, telemetry.col_px, pitch)
-        found = nothing
         for k, (first, count) in enumerate(zip(self.exposures.start, self.exposures.count, strict=True)):
             if self.late:
                 break

@@ -50,6 +50,8 @@ from boresight.telemetry.working_table import MEDIA_TYPE, WorkingTableParts, fin
 PURPOSES = ("calibration", "validation")
 MEDIA_TYPES = {".csv": "text/csv", ".jsonl": "application/x-ndjson", ".ndjson": "application/x-ndjson"}
 MOST_OF_NAME = 200
+#: Seconds that an upload which is refused may look for the cause.
+REFUSAL_BUDGET_S = 2.0
 IMPORTED = "imported.parquet"
 PARQUET, ARCHIVE = "application/vnd.apache.parquet", "application/zip"
 
@@ -204,7 +206,7 @@ def _checked(
     except OffDetectorError as error:
         if catalogue is None:
             raise
-        raise explain_refusal(error, _stored(table), sensor, catalogue, cache_folder) from error
+        raise explain_refusal(error, _stored(table), sensor, catalogue, cache_folder, REFUSAL_BUDGET_S) from error
     report = quality.report()
     if catalogue is None or report["usable_exposures"]:
         return report
