@@ -162,7 +162,9 @@ class Bench:
         return self._recognised(telemetry, sensor)
 
     def prepare(self) -> None:
-        """Load the table of patterns for this sensor, where its field of view has one."""
+        """Load the table of patterns for this sensor, where its field of view has one and stars enough to look up."""
+        if not len(self.exposures) or self.exposures.count.max() < FEWEST_STARS:
+            return
         if (field_deg := self._field_deg(self.sensor)) is not None:
             prepare_recognition(field_deg, self._folder)
 
