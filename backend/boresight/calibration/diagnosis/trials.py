@@ -37,6 +37,7 @@ from boresight.cameras.model import Role
 from boresight.errors import RefusedInputError
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.identification import (
+    FEWEST_STARS,
     FIELD_ERROR,
     FIELDS_DEG,
     Recognised,
