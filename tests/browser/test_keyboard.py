@@ -249,3 +249,20 @@ def test_keys_can_be_switched_off(people):
         expect(window.page.get_by_role("dialog", name="Keys")).to_be_hidden()
         window.page.locator("#keys-open").click()
         window.page.get_by_label("Keys are on in this browser").check()
+
+
+def test_ctrl_k_finds_a_run_and_a_page_and_leads_there(people, batch_run):
+    with people.seat("analyst") as window:
+        keyboard = window.page.keyboard
+        window.open("/")
+        keyboard.press("Control+k")
+        keyboard.type(f"#{batch_run}")
+        expect(window.page.get_by_role("option").first).to_contain_text(f"Run {batch_run}")
+        assert window.barriers() == []
+        keyboard.press("Enter")
+        expect(window.page.get_by_role("heading", name=f"Run #{batch_run}")).to_be_visible()
+        keyboard.press("Control+k")
+        keyboard.type("audit")
+        expect(window.page.get_by_role("option", name=re.compile("Audit"))).to_be_visible()
+        keyboard.press("Escape")
+        expect(window.page.get_by_role("dialog", name="Find")).to_be_hidden()

@@ -205,6 +205,7 @@ KEYS = (
     (("1", "…", "9"), "tab of the page"),
     (("d",), "only what differs, or everything"),
     (("e",), "the list or the run as a file"),
+    (("Ctrl+k",), "find anything"),
     (("y",), "copy the address of this view"),
     (("Esc",), "close what is open, leave a field"),
     (("?",), "this list"),

@@ -1,0 +1,1 @@
+"""Finding anything by its name or number, from every page."""

@@ -1,0 +1,79 @@
+"""What the palette (Ctrl-K) finds in the store: sensors, runs, sets, requests, telemetry and alarms by name or number.
+
+Pages and the commands of the page at hand are in the page already, and the palette takes them from there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from fastapi import APIRouter, Depends
+from fastapi.responses import JSONResponse
+
+from boresight.console import list_queries as lists
+from boresight.console.access.credentials import get_actor
+from boresight.console.access.dependencies import Reading
+from boresight.console.alarms.tables import Alarm
+from boresight.console.approvals.tables import Approval
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.tables import Run
+from boresight.platform.db.sessions import Session
+from boresight.platform.web.paging import parse_row_id
+
+LONGEST_TEXT, MOST_OF_A_KIND = 64, 6
+
+router = APIRouter(dependencies=[Depends(get_actor)])
+
+
+@dataclass(frozen=True)
+class Found:
+    """One thing that was found: what it is, what it is called, how it stands, and its page."""
+
+    kind: str
+    title: str
+    note: str
+    href: str
+
+
+@router.get("/search", response_class=JSONResponse)
+def search(session: Reading, q: str = "") -> JSONResponse:
+    """Find what a text names; a number finds the run, the request and the alarm of that number too."""
+    text = q.strip()[:LONGEST_TEXT]
+    return JSONResponse({"found": [asdict(one) for one in _find(session, text)] if text else []})
+
+
+def _find(session: Session, text: str) -> Iterator[Found]:
+    number = parse_row_id(text.lstrip("#"))
+    if number is not None:
+        yield from _of_number(session, number)
+    for row in _rows(session, "sensors", text, "sensor"):
+        yield Found("Sensor", row.name, "simulated" if row.simulated else "", f"/sensors/{row.id}")
+    sets = _rows(session, "parameter-sets", text, "-set")
+    for row in sets:
+        yield Found("Parameter set", row.name, f"{row.ground_state}, {row.onboard_state}", f"/parameter-sets/{row.id}")
+    for row in sets:
+        for request in lists.list_newest(session, Approval, set=row.id, limit=1):
+            yield Found("Request", f"Request {request.id}: {row.name}", request.state, f"/approvals/{request.id}")
+    for row in _rows(session, "runs", text, "-run"):
+        yield Found("Run", f"Run {row.id}: {row.label}" if row.label else f"Run {row.id}", row.state, f"/runs/{row.id}")
+    for row in _rows(session, "telemetry", text, "-uploaded"):
+        yield Found("Telemetry", row.name, row.purpose, f"/telemetry/{row.id}")
+    for row in lists.read_page(session, "alarms", {"sensor_name": text}, "-alarm", limit=MOST_OF_A_KIND):
+        yield Found("Alarm", f"Alarm {row.id}", row.sentence, f"/alarms/{row.id}")
+
+
+def _rows(session: Session, name: str, text: str, sort: str) -> list[Any]:
+    return list(lists.read_page(session, name, {"q": text}, sort, limit=MOST_OF_A_KIND))
+
+
+def _of_number(session: Session, number: int) -> Iterator[Found]:
+    if (run := session.get(Run, number)) is not None:
+        title = f"Run {run.id}: {run.label}" if run.label else f"Run {run.id}"
+        yield Found("Run", title, run.state, f"/runs/{run.id}")
+    if (request := session.get(Approval, number)) is not None:
+        name = session.get_one(ParameterSet, request.parameter_set_id).name
+        yield Found("Request", f"Request {request.id}: {name}", request.state, f"/approvals/{request.id}")
+    if (alarm := session.get(Alarm, number)) is not None:
+        yield Found("Alarm", f"Alarm {alarm.id}", alarm.sentence, f"/alarms/{alarm.id}")

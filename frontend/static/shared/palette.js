@@ -1,0 +1,121 @@
+/**
+ * The palette: Ctrl-K (or ⌘-K) finds sensors, runs, sets, requests, telemetry and alarms by name or number, pages, and the links of the
+ * page at hand. It leads to places and opens dialogs; it never acts by itself.
+ */
+import { find, findAll } from "./dom.js";
+import { fetchJson } from "./requests.js";
+
+const QUIET_MS = 150;
+const HERE = "main .tabs a[href], main .page-head a.button[href], main .next-act a[href], main .contents a[href]";
+/** @typedef {{ kind: string, title: string, note: string, href: string }} Found */
+
+class Palette {
+  #timer = 0;
+  #asked = 0;
+  #at = 0;
+
+  /** @param {HTMLDialogElement} dialog @param {HTMLInputElement} field @param {HTMLElement} list */
+  constructor(dialog, field, list) {
+    this.dialog = dialog;
+    this.field = field;
+    this.list = list;
+    field.addEventListener("input", () => this.#typed());
+    field.addEventListener("keydown", (event) => this.#key(event));
+    list.addEventListener("click", () => dialog.close());
+  }
+
+  open() {
+    this.field.value = "";
+    this.dialog.showModal();
+    this.field.focus();
+    this.#show(this.#near(""));
+  }
+
+  /** Pages and links of this page that contain the text. @param {string} text @returns {Found[]} */
+  #near(text) {
+    const wanted = text.toLowerCase();
+    /** @param {string} kind @param {string} selector */
+    const links = (kind, selector) =>
+      findAll(selector, HTMLAnchorElement).map((link) => ({ kind, title: link.textContent?.trim().replace(/\s+/g, " ") ?? "", note: "", href: link.href }));
+    const all = [...links("Here", HERE), ...links("Page", "nav.side a[href]")];
+    return all.filter((one) => one.title.toLowerCase().includes(wanted));
+  }
+
+  #typed() {
+    const text = this.field.value.trim();
+    const asked = (this.#asked += 1);
+    clearTimeout(this.#timer);
+    this.#show(this.#near(text));
+    if (!text) return;
+    this.#timer = setTimeout(async () => {
+      /** @type {Found[]} */
+      let found = [];
+      let said = "";
+      try {
+        found = (await fetchJson(`/search?q=${encodeURIComponent(text)}`)).found;
+      } catch (error) {
+        said = error instanceof Error ? error.message : String(error);
+      }
+      if (asked === this.#asked) this.#show([...found, ...this.#near(text)], said);
+    }, QUIET_MS);
+  }
+
+  /** @param {Found[]} found @param {string} [said] */
+  #show(found, said = "") {
+    this.#at = 0;
+    this.list.replaceChildren(...found.map((one, place) => this.#option(one, place)));
+    const status = find("#palette-said", HTMLElement, this.dialog);
+    if (status) status.textContent = said || (found.length ? `${found.length} found` : "Nothing is called so.");
+    this.#mark();
+  }
+
+  /** @param {Found} one @param {number} place */
+  #option(one, place) {
+    const link = Object.assign(document.createElement("a"), { href: one.href, id: `palette-${place}`, tabIndex: -1 });
+    link.setAttribute("role", "option");
+    for (const [name, text] of Object.entries({ kind: one.kind, title: one.title, note: one.note })) {
+      const part = document.createElement("span");
+      part.className = `palette-${name}`;
+      part.textContent = text;
+      link.append(part);
+    }
+    return link;
+  }
+
+  #mark() {
+    const options = findAll("[role=option]", HTMLElement, this.list);
+    options.forEach((one, place) => one.setAttribute("aria-selected", String(place === this.#at)));
+    const here = options[this.#at];
+    if (here) this.field.setAttribute("aria-activedescendant", here.id);
+    else this.field.removeAttribute("aria-activedescendant");
+    here?.scrollIntoView({ block: "nearest" });
+  }
+
+  /** @param {KeyboardEvent} event */
+  #key(event) {
+    const count = this.list.children.length;
+    const step = { ArrowDown: 1, ArrowUp: -1 }[event.key];
+    if (step && count) {
+      event.preventDefault();
+      this.#at = (this.#at + step + count) % count;
+      this.#mark();
+    } else if (event.key === "Enter") {
+      event.preventDefault();
+      const chosen = this.list.children[this.#at];
+      if (chosen instanceof HTMLElement) chosen.click();
+    }
+  }
+}
+
+const [dialog, field, list] = [find("#palette", HTMLDialogElement), find("#palette-text", HTMLInputElement), find("#palette-list", HTMLElement)];
+if (dialog && field && list) {
+  const palette = new Palette(dialog, field, list);
+  const opener = find("#palette-open", HTMLButtonElement);
+  if (opener) opener.hidden = false;
+  opener?.addEventListener("click", () => palette.open());
+  document.addEventListener("keydown", (event) => {
+    if (event.key.toLowerCase() !== "k" || !(event.ctrlKey || event.metaKey) || event.altKey || event.shiftKey) return;
+    event.preventDefault();
+    if (!dialog.open) palette.open();
+  });
+}
