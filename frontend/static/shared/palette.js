@@ -73,9 +73,9 @@ class Palette {
   #option(one, place) {
     const link = Object.assign(document.createElement("a"), { href: one.href, id: `palette-${place}`, tabIndex: -1 });
     link.setAttribute("role", "option");
-    for (const [name, text] of Object.entries({ kind: one.kind, title: one.title, note: one.note })) {
+    for (const [name, text] of Object.entries({ "palette-kind": one.kind, "palette-title": one.title, "palette-note": one.note })) {
       const part = document.createElement("span");
-      part.className = `palette-${name}`;
+      part.className = name;
       part.textContent = text;
       link.append(part);
     }
