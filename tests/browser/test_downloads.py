@@ -46,8 +46,7 @@ class RunPage:
         if self.part != PARTS[name]:
             self.part = PARTS[name]
             self.window.open(f"/runs/{self.run_id}?part={self.part}")
-            self.window.page.evaluate("for (const fold of document.querySelectorAll('details')) fold.open = true")
-            self.window.figures_drawn()
+            self.window.unfold()
         return self.window.figure(name)
 
     def csv(self, name):

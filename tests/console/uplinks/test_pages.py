@@ -31,6 +31,7 @@ from boresight.console.uplinks.tables import Package, Uplink
 from boresight.platform.db.sessions import open_reading, open_writing
 from boresight.uplink.table_definition import plain_definition
 from tests.console.uplinks.pages import advance, define, send_dump, table, version
+from tests.console.uplinks.services import DOCUMENT
 from tests.sites import PASSWORD
 
 LADDER = tuple(UPLINK_STATES.values())
@@ -305,3 +306,16 @@ def test_the_text_of_a_definition_reads_back_as_the_definition():
     document = {"fields": [{"name": "A"}], "table_id": "x"}
     assert json.loads(written_as_text(document)) == document
     assert json.loads(written_as_text(LAYOUT)) == LAYOUT
+
+
+def test_the_crc_to_expect_is_not_on_the_page_of_the_layout_while_a_read_back_is_awaited(site):
+    visitor, address = site.visitor("olga"), "/sensors/1/table-definition"
+    define(site)
+    with open_reading(site.engine) as session:
+        layout = table_definitions.lay_out(session, 1, DOCUMENT)
+    told = layout.definition.crc.text(layout.decoded.crc)
+    assert told in visitor.get(address)
+    advance(site, "SENT", "LOADED")
+    assert told not in visitor.get(address)
+    advance(site, "VERIFIED")
+    assert told in visitor.get(address)

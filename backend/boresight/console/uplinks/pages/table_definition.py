@@ -19,6 +19,7 @@ from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.pages.sensors import read_document, typed_document
 from boresight.console.fleet.tables import Sensor
 from boresight.console.pages.rendering import RefusalContext, attempt, read_again, redirect, render
+from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.runs.pages.list import read_names
 from boresight.console.uplinks import table_definitions
 from boresight.console.uplinks.table_definitions import Layout
@@ -82,11 +83,17 @@ def written_as_text(document: Mapping[str, Any]) -> str:
     return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
-def list_layout_lines(layout: Layout) -> Sequence[LayoutLine]:
-    """Lay the fields out, a line each, the stored CRC among them."""
+def awaits_read_back(session: Session, sensor_id: int) -> bool:
+    """Whether a sensor's baseline is on its way and not read back yet, so that nobody may be told which CRC to tell."""
+    baseline = set_queries.find_baseline(session, sensor_id)
+    return baseline is not None and baseline.onboard_state in {"SENT", "LOADED"}
+
+
+def list_layout_lines(layout: Layout, *, with_crc: bool = True) -> Sequence[LayoutLine]:
+    """Lay the fields out, a line each, the stored CRC among them unless it is not to be told."""
     fields = [_make_layout_line(one) for one in layout.decoded.fields]
     stored, crc = layout.definition.crc_field, layout.definition.crc
-    if stored is not None and crc is not None and layout.decoded.stored_crc is not None:
+    if with_crc and stored is not None and crc is not None and layout.decoded.stored_crc is not None:
         value = layout.decoded.stored_crc
         text = layout.image[stored.bit // 8 : stored.end // 8].hex().upper()
         fields.append(LayoutLine("CRC", crc.name, f"{stored.bit // 8}", _kind(stored), "", str(value), text))
@@ -123,6 +130,7 @@ def _page(
         current.document if current else plain_definition(sensor.document["camera_model"])
     )
     begun = bool(current or shown.text or shown.tried)
+    hidden = awaits_read_back(session, sensor_id)
     layout, refusal = _laid_out(session, sensor_id, text) if begun and shown.refusal is None else (None, shown.refusal)
     return render(
         request,
@@ -134,7 +142,8 @@ def _page(
         text=text if begun else "",
         layout=layout,
         in_force=bool(current and layout and layout.definition.document == current.document),
-        places=[] if layout is None else list_layout_lines(layout),
+        places=[] if layout is None else list_layout_lines(layout, with_crc=not hidden),
+        crc_hidden=hidden,
         refusal=refusal,
         names=read_names(session),
         pending=proposals.list_open_proposals(session, sensor_id, "table-definition"),
