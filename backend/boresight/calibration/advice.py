@@ -109,7 +109,7 @@ def _of_curvature(observed: Observability, estimate: Estimate, rise: float | Non
     alike = _listed([symbol for symbol, _ in observed.named(len(observed.names) - 1)])
     held = to_hold(estimate.A, STRAIGHT) or [_hold_first(estimate.A, list(range(len(observed.names))))]
     yield (
-        f"{opening}, because {alike} are hardly told apart and the fit is curved there; hold "
+        f"{opening}, because the data hardly separate {alike} and the fit is curved there; hold "
         f"{_listed([observed.names[p] for p in held])} fixed and run again before relying on its sigmas."
     )
 

@@ -346,7 +346,7 @@ class CalibrationSettings:
     linearisations: int = option(
         "Of the filters", "Linearisations a frame", "Most a frame; 1 is the filter as printed.",
         cell=(2, 1), default=6, lowest=1, highest=100, flag="--linearisations", usual=True,
-        hint="1 is the filter as printed; more let the state come to rest within the frame.",
+        hint="1 is the filter as printed; more let the state settle within the frame.",
     )  # fmt: skip
     process_noise_sigma: float = option(
         "Of the filters", "Drift a frame", "Of q and no-refit: drift a frame, in typical sigmas.",

@@ -107,7 +107,7 @@ def answer_convergence(result: Calibration) -> Answer:
         return Answer("standby", f"On its way: {history.axis} {count(history.x[-1])}.")
     first, free = settled_step(result), len(history.free)
     if first is None:
-        return Answer("caution", f"Not settled: the end of {history.axis} {count(history.x[-1])} is not at rest.")
+        return Answer("caution", f"Not settled: the end of {history.axis} {count(history.x[-1])} has not settled.")
     whole = "The parameter" if free == 1 else f"All {count(free)} parameters"
     settled = f"{whole} settled by {history.axis} {count(history.x[first])}"
     if history.axis == "iteration":

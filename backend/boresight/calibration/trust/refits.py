@@ -180,7 +180,7 @@ def drop_one(ground: FittedSet) -> list[DroppedParameter]:
     if not ground.determined:
         raise Unavailable("The data leave a direction of the parameters open already: hold some fixed and run again.")
     arcs = ground.thinned(min(MOST_FRAMES, -(-MOST_ARCS * ground.arcs.n_frames // ground.arcs.n_arcs)))
-    refusal = "The fit of all parameters does not come to rest, so none can be compared with it: free fewer."
+    refusal = "The fit of all parameters does not converge, so none can be compared with it: free fewer."
     fitted = _fit_all(ground, arcs, MOST_ITERATIONS, refusal)
     best = Optimum(fitted.x, covariance(fitted.A), fitted.cost)
     whole = best if arcs.n_frames == ground.arcs.n_frames else Optimum(ground.x, covariance(ground.A), np.nan)

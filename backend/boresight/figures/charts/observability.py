@@ -217,8 +217,8 @@ OBSERVABILITY = make_figure(
 )
 
 
-_PARTS_THE_CENTRE = "stars far out on opposite sides of the detector: they part the principal point from the tilts"
-_PARTS_THE_FOCUS = "stars at all radii, near the centre and in the corners: they part focal length from distortion"
+_PARTS_THE_CENTRE = "stars far out on opposite sides of the detector: they separate the principal point from the tilts"
+_PARTS_THE_FOCUS = "stars at all radii, near the centre and in the corners: they separate focal length from distortion"
 ROLES = {
     name: one.role
     for camera in CAMERA_MODELS.values()

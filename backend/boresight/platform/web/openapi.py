@@ -54,7 +54,7 @@ TAGS = [
     {"name": "audit", "description": "The append-only, hash-chained log."},
     {"name": "users", "description": "People and their roles."},
     {"name": "API keys", "description": "Keys for programs."},
-    {"name": "webhooks", "description": "Programs that are told what happens."},
+    {"name": "webhooks", "description": "Programs that are notified of events."},
     {"name": "sessions", "description": "Logging in and out."},
     {"name": "server", "description": "Health, readiness, metrics."},
 ]

@@ -147,7 +147,7 @@ NO_RUN = "The set was declared with the sensor; no run measured this."
 ENDED = {
     "converged": ("PASS", "The estimate came to rest."),
     "max_iterations": ("MARGINAL", "The estimate was still moving at its last iteration: allow more, or free fewer."),
-    "ground calibration": ("PASS", "A ground calibration is declared; there was nothing to come to rest."),
+    "ground calibration": ("PASS", "A ground calibration is declared; there was nothing to settle."),
 }
 ARCSEC = float(np.degrees(1.0) * 3600)
 INCOMPLETE = "The numbers of this set are not complete enough to tell: calibrate again."
@@ -531,7 +531,7 @@ GATES = {
             critical=True,
             measure=sensor,
         ),
-        Gate("convergence", "Convergence", "Did the estimate come to rest?", "met", measure=convergence),
+        Gate("convergence", "Convergence", "Did the estimate settle?", "met", measure=convergence),
         Gate(
             "validation-rms",
             "Validation RMS",
