@@ -139,6 +139,6 @@ def test_where_cookies_are_secure_the_log_in_is_bound_to_host_and_https_and_brow
     assert {"Secure", "HttpOnly", "Path=/"} <= {part.strip() for part in cookie.split(";")}
     assert "domain" not in cookie.lower()
     assert opened.headers["strict-transport-security"] == "max-age=31536000; includeSubDomains"
-    schemes = httpx.get(f"{site}/api/v1/openapi.json").json()["components"]["securitySchemes"].values()
+    schemes = httpx.get(f"{site}/api/v1/openapi.json", timeout=60).json()["components"]["securitySchemes"].values()
     assert {one["name"] for one in schemes if one.get("in") == "cookie"} == {"__Host-boresight_session"}
     assert "strict-transport-security" not in house.anybody().get("/healthz").headers
