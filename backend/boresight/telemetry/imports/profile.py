@@ -360,7 +360,7 @@ def _check(profile: Profile, name: str) -> None:
     """Refuse what cannot be meant."""
     remedies = [remedy for wrong, remedy in _troubles(profile) if wrong]
     if remedies:
-        raise RefusedInputError(f"{name} cannot be used: {'; '.join(remedies)}.")
+        raise RefusedInputError(f"{name} cannot be used: {'; '.join(remedies)}: correct it.")
 
 
 def _troubles(profile: Profile) -> list[tuple[bool, str]]:
