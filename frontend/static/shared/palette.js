@@ -95,7 +95,8 @@ class Palette {
   #key(event) {
     const count = this.list.children.length;
     const step = { ArrowDown: 1, ArrowUp: -1 }[event.key];
-    if (step && count) {
+    if (event.key === "Escape") this.dialog.close(); // a field of searching would only be emptied
+    else if (step && count) {
       event.preventDefault();
       this.#at = (this.#at + step + count) % count;
       this.#mark();
