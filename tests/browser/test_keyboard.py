@@ -255,12 +255,14 @@ def test_ctrl_k_finds_a_run_and_a_page_and_leads_there(people, batch_run):
     with people.seat("analyst") as window:
         keyboard = window.page.keyboard
         window.open("/")
+        expect(window.page.locator("#palette-open")).to_be_visible()  # its module listens
         keyboard.press("Control+k")
         keyboard.type(f"#{batch_run}")
         expect(window.page.get_by_role("option").first).to_contain_text(f"Run {batch_run}")
         assert window.barriers() == []
         keyboard.press("Enter")
         expect(window.page.get_by_role("heading", name=f"Run #{batch_run}")).to_be_visible()
+        expect(window.page.locator("#palette-open")).to_be_visible()  # its module listens
         keyboard.press("Control+k")
         keyboard.type("audit")
         expect(window.page.get_by_role("option", name=re.compile("Audit"))).to_be_visible()
