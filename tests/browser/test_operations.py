@@ -1,9 +1,7 @@
 """The operator's part: a set on its way to the spacecraft and back, and a drift alarm seen, handled and over."""
 
-import io
 import json
 import re
-import zipfile
 
 import numpy as np
 import pytest
@@ -19,39 +17,16 @@ from boresight.settings import read_settings
 from boresight.simulation.sensors import st16_sensor
 from boresight.telemetry.sensors import sensor_document
 from tests.browser.people import PRINTED_NAMES, get_password
+from tests.browser.work import register_with_table, sent_table
 from tests.missions import add_run, add_set, make_baseline
 
 pytestmark = pytest.mark.browser
 
 
-NAMES = ("f_m", "m0_px", "n0_px", "b4_per_m4", "b2_per_m2", "a1_rad", "a2_rad", "g_y")
-DOCUMENT = {
-    "table_id": "STR_CAM",
-    "flight_software_version": "4.2.1",
-    "length_bytes": 68,
-    "fields": [
-        {"name": name.upper(), "parameter": name, "offset_bytes": 8 * place, "type": "float64"}
-        for place, name in enumerate(NAMES)
-    ],
-    "crc": {"name": "CRC-16/ARC", "offset_bytes": 64, "over": [0, 64]},
-}
-
-
 @pytest.fixture(scope="module")
 def sensor(people):
     with people.seat("analyst") as window:
-        window.open("/")
-        token = window.page.locator("input[name=csrf_token]").first.input_value()
-
-        def post(address, document, **headers):
-            answer = window.page.request.post(address, data=document, headers={"X-CSRF-Token": token, **headers})
-            assert answer.ok, answer.text()
-            return answer.json()
-
-        made = post("/api/v1/sensors", json.loads(EXAMPLE.replace("ST16-7", "FLOWN-1")))
-        definition = {"document": DOCUMENT, "reason": "As flown."}
-        post(f"/api/v1/sensors/{made['id']}/table-definitions", definition, **{"If-Match": '"v0"'})
-        return made["id"]
+        return register_with_table(window, json.loads(EXAMPLE.replace("ST16-7", "FLOWN-1")))
 
 
 def record(window, state, source):
@@ -70,13 +45,6 @@ def upload(window, dump, source):
     form.get_by_label("Dump of the table").set_input_files(file)
     form.get_by_label("Known from").fill(source)
     form.get_by_role("button", name="Compare").click()
-
-
-def sent_table(window, set_id):
-    newest = window.read(f"/api/v1/packages?parameter_set_id={set_id}")["items"][0]
-    content = window.page.request.get(f"/api/v1/packages/{newest['id']}/content").body()
-    with zipfile.ZipFile(io.BytesIO(content)) as packed:
-        return packed.read("table.bin")
 
 
 def test_a_set_goes_from_export_to_active_through_a_dump_that_was_damaged(people, sensor):

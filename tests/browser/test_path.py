@@ -7,8 +7,7 @@ import pytest
 from playwright.sync_api import expect
 
 from tests.browser.people import get_password
-from tests.browser.test_operations import DOCUMENT, sent_table
-from tests.browser.work import choose_upload
+from tests.browser.work import choose_upload, register_with_table, sent_table
 
 pytestmark = pytest.mark.browser
 MOST_PRESSES = 20
@@ -42,19 +41,7 @@ class Presses:
 def sensor(people, files):
     """A sensor with a table on board and no baseline but its own."""
     with people.seat("analyst") as window:
-        window.open("/")
-        token = window.page.locator("input[name=csrf_token]").first.input_value()
-
-        def post(address, document, **headers):
-            answer = window.page.request.post(address, data=document, headers={"X-CSRF-Token": token, **headers})
-            assert answer.ok, answer.text()
-            return answer.json()
-
-        document = json.loads((files / "sensor.json").read_text()) | {"name": "PATH-1"}
-        made = post("/api/v1/sensors", document)
-        definition = {"document": DOCUMENT, "reason": "As flown."}
-        post(f"/api/v1/sensors/{made['id']}/table-definitions", definition, **{"If-Match": '"v0"'})
-        return made["id"]
+        return register_with_table(window, json.loads((files / "sensor.json").read_text()) | {"name": "PATH-1"})
 
 
 def submit_a_set(people, sensor, files):

@@ -1,11 +1,49 @@
 """What people do on the pages, a function each: upload, queue, submit, sign."""
 
+import io
 import re
+import zipfile
 from pathlib import Path
+from typing import Any
 
 from playwright.sync_api import expect
 
 from tests.browser.window import Window
+
+NAMES = ("f_m", "m0_px", "n0_px", "b4_per_m4", "b2_per_m2", "a1_rad", "a2_rad", "g_y")
+DOCUMENT = {
+    "table_id": "STR_CAM",
+    "flight_software_version": "4.2.1",
+    "length_bytes": 68,
+    "fields": [
+        {"name": name.upper(), "parameter": name, "offset_bytes": 8 * place, "type": "float64"}
+        for place, name in enumerate(NAMES)
+    ],
+    "crc": {"name": "CRC-16/ARC", "offset_bytes": 64, "over": [0, 64]},
+}
+
+
+def register_with_table(window: Window, document: dict[str, Any]) -> int:
+    """Register a sensor over REST with the layout of its table on board; returns its number."""
+    window.open("/")
+    token = window.page.locator("input[name=csrf_token]").first.input_value()
+
+    def post(address, body, **headers):
+        answer = window.page.request.post(address, data=body, headers={"X-CSRF-Token": token, **headers})
+        assert answer.ok, answer.text()
+        return answer.json()
+
+    made = post("/api/v1/sensors", document)
+    definition = {"document": DOCUMENT, "reason": "As flown."}
+    post(f"/api/v1/sensors/{made['id']}/table-definitions", definition, **{"If-Match": '"v0"'})
+    return made["id"]
+
+
+def sent_table(window: Window, set_id: int | str) -> bytes:
+    newest = window.read(f"/api/v1/packages?parameter_set_id={set_id}")["items"][0]
+    content = window.page.request.get(f"/api/v1/packages/{newest['id']}/content").body()
+    with zipfile.ZipFile(io.BytesIO(content)) as packed:
+        return packed.read("table.bin")
 
 
 def choose_upload(window: Window, sensor_id: int, path: Path, purpose: str = "calibration") -> None:
