@@ -118,11 +118,16 @@ def _listed(words: list[str]) -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
+def is_overconfident(innovations: float, most: float, chi2_per_dof: float) -> bool:
+    """Whether a filter's mean normalised innovation is above its bound `most`, and above what the residuals themselves explain."""
+    return innovations > max(most, chi2_per_dof * 1.05)
+
+
 def _of_consistency(fit: ChiSquare, nis: ChiSquare, settings: CalibrationSettings, estimate: Estimate) -> Iterator[str]:
     """Say where a filter claims too much; what the size of the residuals says is one of the tests of trust."""
     if estimate.status == "diverged":
         return
-    if settings.sequential and nis.mean > max(nis.upper, fit.mean * 1.05):
+    if settings.sequential and is_overconfident(nis.mean, nis.upper, fit.mean):
         yield (
             f"The filter is over-confident (normalised innovations {nis.mean:.3g} per degree of freedom, at most "
             f"{nis.upper:.3g} expected): do not rely on its sigmas; compare with a batch run."

@@ -239,8 +239,8 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
     parameters = select_free_parameters(sensor, settings)
     context = CalibrationContext(cancelled or never, report, cache_folder, scratch_folder, executor)
     told = nullcontext() if report is None else report_waits_to(lambda message, _: report(Progress(0.0, message, None)))
-    corrections: Corrections | None = Corrections(sensor, catalogue, left_out=settings.leave_out_stars)
     catalogue = catalogue.without(settings.leave_out_stars)
+    corrections: Corrections | None = Corrections(sensor, catalogue, left_out=settings.leave_out_stars)
     with told:
         while corrections is not None:
             used = corrections

@@ -38,8 +38,8 @@ class Corrections:
     """What is put right in the telemetry of a sensor, under a state x (n_parameters,) of its camera.
 
     `star_id`: (n_rows,) stars of the set as an earlier pass matched them; None before. `noise`: what is applied of the noise.
-    `done`: what was done about the readout so far. `left_out`: Hipparcos numbers of stars that take no part; `catalogue` is without
-    them.
+    `done`: what was done about the readout so far. `left_out`: Hipparcos numbers of stars that take no part, which `catalogue`
+    does not contain either.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class Corrections:
         *,
         left_out: tuple[int, ...] = (),
     ) -> None:
-        self.sensor, self.catalogue, self.left_out = sensor, catalogue.without(left_out), left_out
+        self.sensor, self.catalogue, self.left_out = sensor, catalogue, left_out
         self.x = sensor.initial if x is None else x
         self.star_id, self.noise, self.passes = star_id, noise, passes
         self.done = ReadoutCorrection()

@@ -118,17 +118,21 @@ def select_rows(telemetry: Telemetry, rows: slice) -> Telemetry:
     """Return consecutive rows of a set as a set of their own."""
     if rows == slice(0, len(telemetry)):
         return telemetry
-    arrays = {item.name: getattr(telemetry, item.name) for item in fields(telemetry)}
-    parts: dict[str, Any] = {name: value[rows] for name, value in arrays.items() if isinstance(value, np.ndarray)}
     unknown = {name: cells.slice(rows.start, rows.stop - rows.start) for name, cells in telemetry.unknown.items()}
-    return replace(telemetry, **parts, unknown=unknown, first_row=telemetry.first_row + rows.start)
+    return replace(
+        telemetry, **_arrays_at(telemetry, rows), unknown=unknown, first_row=telemetry.first_row + rows.start
+    )
 
 
 def take_rows(telemetry: Telemetry, rows: IntArray) -> Telemetry:
     """Return some rows (n,) of a set as a set of their own, without its further columns; their numbers in the file are lost."""
+    return replace(telemetry, **_arrays_at(telemetry, rows), unknown={})
+
+
+def _arrays_at(telemetry: Telemetry, rows: slice | IntArray) -> dict[str, Any]:
+    """Some rows of every array of a set, by its name."""
     arrays = {item.name: getattr(telemetry, item.name) for item in fields(telemetry)}
-    parts: dict[str, Any] = {name: value[rows] for name, value in arrays.items() if isinstance(value, np.ndarray)}
-    return replace(telemetry, **parts, unknown={})
+    return {name: value[rows] for name, value in arrays.items() if isinstance(value, np.ndarray)}
 
 
 def joined(parts: Sequence[Telemetry]) -> Telemetry:

@@ -11,26 +11,23 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from boresight.calibration.advice import to_hold
+from boresight.calibration.advice import is_overconfident, to_hold
 from boresight.calibration.calibration import Calibration
+from boresight.calibration.trust.advice import OF_THE_LENS
 from boresight.verdicts.numbers import count, quantity
 
 #: More iterations than the form begins with, for a fit that was still moving.
 MORE_ITERATIONS = 200
-#: Settings that answer a cause, and what the button says.
+_MATCH_AGAIN = ("Clone with the stars matched again", {"match": "rematch"})
+_FOLLOW = ("Clone as a filter with process noise", {"method": "sqrf", "variant": "q"})
+_NOISE = ("Clone with noise from the data", {"noise_model": "from-data"})
+#: What the button that answers a cause says, and its settings.
 OF_CAUSES: Mapping[str, tuple[str, dict[str, str]]] = {
-    "drift": ("Clone as a filter with process noise", {"method": "sqrf", "variant": "q"}),
-    "trend": ("Clone as a filter with process noise", {"method": "sqrf", "variant": "q"}),
-    "time": ("Clone as a filter with process noise", {"method": "sqrf", "variant": "q"}),
-    "temperature": ("Clone as a filter with process noise", {"method": "sqrf", "variant": "q"}),
-    "identities": ("Clone with the stars matched again", {"match": "rematch"}),
+    **dict.fromkeys(("drift", "trend", "time", "temperature"), _FOLLOW),
+    **dict.fromkeys(("magnitude", "colour", "phase", "noise"), _NOISE),
+    "identities": _MATCH_AGAIN,
     "tails": ("Clone with the robust loss by stars", {"robust": "stars"}),
-    "magnitude": ("Clone with noise from the data", {"noise_model": "from-data"}),
-    "colour": ("Clone with noise from the data", {"noise_model": "from-data"}),
-    "phase": ("Clone with noise from the data", {"noise_model": "from-data"}),
-    "noise": ("Clone with noise from the data", {"noise_model": "from-data"}),
 }
-OF_THE_LENS = ("tangential", "radial", "affine", "lens")
 MOST_STARS_NAMED = 20
 
 
@@ -67,12 +64,12 @@ def _of_status(result: Calibration) -> Iterator[Remedy]:
     if result.status == "max_iterations":
         yield Remedy("Clone with more iterations", {"max_iterations": str(MORE_ITERATIONS)})
     if result.status == "diverged":
-        yield Remedy("Clone with the stars matched again", {"match": "rematch"})
-    nis, of_set = result.nis, result.chi2
-    if result.variant is not None and nis is not None and nis.mean is not None and nis.upper is not None:
-        per_dof = of_set.value / of_set.dof if of_set is not None and of_set.value is not None and of_set.dof else 0.0
-        if nis.mean > max(nis.upper, 1.05 * per_dof):
-            yield Remedy("Clone as a batch", {"method": "batch"})
+        yield Remedy(*_MATCH_AGAIN)
+    nis = result.nis
+    if result.variant is None or nis is None or nis.mean is None or nis.upper is None:
+        return
+    if is_overconfident(nis.mean, nis.upper, result.chi2_per_dof or 0.0):
+        yield Remedy("Clone as a batch", {"method": "batch"})
 
 
 def _of_causes(result: Calibration) -> Iterator[Remedy]:

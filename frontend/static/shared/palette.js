@@ -3,7 +3,7 @@
  * page at hand. It leads to places and opens dialogs; it never acts by itself.
  */
 import { find, findAll } from "./dom.js";
-import { fetchJson } from "./requests.js";
+import { describeError, fetchJson } from "./requests.js";
 
 const QUIET_MS = 150;
 const HERE = "main .tabs a[href], main .page-head a.button[href], main .next-act a[href], main .contents a[href]";
@@ -54,7 +54,7 @@ class Palette {
       try {
         found = (await fetchJson(`/search?q=${encodeURIComponent(text)}`)).found;
       } catch (error) {
-        said = error instanceof Error ? error.message : String(error);
+        said = describeError(error);
       }
       if (asked === this.#asked) this.#show([...found, ...this.#near(text)], said);
     }, QUIET_MS);
@@ -95,7 +95,7 @@ class Palette {
   #key(event) {
     const count = this.list.children.length;
     const step = { ArrowDown: 1, ArrowUp: -1 }[event.key];
-    if (event.key === "Escape") this.dialog.close(); // a field of searching would only be emptied
+    if (event.key === "Escape") this.dialog.close(); // Escape in a search field would only empty it
     else if (step && count) {
       event.preventDefault();
       this.#at = (this.#at + step + count) % count;

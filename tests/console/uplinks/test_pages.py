@@ -25,7 +25,7 @@ from boresight.console.uplinks.stations import (
     UPLINK_STATES,
     find_exported_package,
     lay_out,
-    list_flight_stations,
+    list_uplink_stations,
 )
 from boresight.console.uplinks.tables import Package, Uplink
 from boresight.platform.db.sessions import open_reading, open_writing
@@ -59,7 +59,7 @@ def _records(*states: str) -> list[Uplink]:
 )
 def test_the_ladder_shows_the_present_progress(states, words):
     stopped = bool(states) and states[-1] in {"MISMATCH", "UNKNOWN"}
-    taken = list_flight_stations(None, _records(*states), {1: "Olga Operator"}.get)
+    taken = list_uplink_stations(None, _records(*states), {1: "Olga Operator"}.get)
     assert [station.word for station in lay_out(taken, TITLES[5:], stopped=stopped)] == words
 
 

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Callable, Collection, Iterable
 
-import sqlalchemy as sa
-
-from boresight.console.access.tables import User
-from boresight.console.fleet.tables import Sensor
-from boresight.console.parameter_sets.tables import ParameterSet
-from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.access import queries as user_rows
+from boresight.console.fleet import queries as sensor_rows
+from boresight.console.parameter_sets import queries as set_rows
+from boresight.console.telemetry import queries as telemetry_rows
 from boresight.platform.db.sessions import Session
 
-#: Columns that name a row, by its noun.
-NAMED = {
-    "parameter-sets": ParameterSet.name,
-    "sensors": Sensor.name,
-    "telemetry-sets": TelemetrySet.name,
-    "users": User.printed_name,
+
+def _read_set_names(session: Session, ids: Collection[int]) -> dict[int, str]:
+    return {number: head.name for number, head in set_rows.read_heads(session, ids).items()}
+
+
+def _read_people(session: Session, ids: Collection[int]) -> dict[int, str]:
+    return {user.id: user.printed_name for user in user_rows.list_users(session) if user.id in ids}
+
+
+#: What reads the names of some rows, by their noun.
+NAMED: dict[str, Callable[[Session, Collection[int]], dict[int, str]]] = {
+    "parameter-sets": _read_set_names,
+    "sensors": sensor_rows.read_names,
+    "telemetry-sets": telemetry_rows.read_names,
+    "users": _read_people,
 }
 #: Words before the number of a row that has no name.
 NUMBERED = {
@@ -55,7 +62,5 @@ def name_objects(session: Session, objects: Iterable[str]) -> dict[str, str]:
                 f", thread {thread}" if part.startswith("threads/") else ""
             )
     for noun, numbers in asked.items():
-        column = NAMED[noun]
-        rows = session.execute(sa.select(column.class_.id, column).where(column.class_.id.in_(numbers)))
-        found |= {f"{noun}/{number}": str(name) for number, name in rows}
+        found |= {f"{noun}/{number}": name for number, name in NAMED[noun](session, numbers).items()}
     return found

@@ -136,10 +136,11 @@ class NavigationLine:
 
 @dataclass(frozen=True)
 class NavigationGroup:
-    """Lines that belong together, under a heading."""
+    """Lines that belong together, under a heading; `roles` do most of their work there."""
 
     title: str
     lines: tuple[NavigationLine, ...]
+    roles: frozenset[str] = frozenset()
 
 
 NAVIGATION = (
@@ -159,6 +160,7 @@ NAVIGATION = (
             NavigationLine("/campaigns", "Campaigns", "n"),
             NavigationLine("/compare", "Compare", "c"),
         ),
+        frozenset({"analyst"}),
     ),
     NavigationGroup(
         "Release",
@@ -167,6 +169,7 @@ NAVIGATION = (
             NavigationLine("/approvals", "Approvals", "a"),
             NavigationLine("/uplink", "Uplink", "u"),
         ),
+        frozenset({"approver", "operator"}),
     ),
     NavigationGroup(
         "Administer",
@@ -176,22 +179,15 @@ NAVIGATION = (
             NavigationLine("/users", "Users and keys", "k"),
             NavigationLine("/administration", "Administration", "m"),
         ),
+        frozenset({"administrator"}),
     ),
 )
-#: The group that a role works in, which stands open first on a phone and right below the fleet elsewhere.
-GROUP_OF_ROLE = {
-    "analyst": "Calibration",
-    "approver": "Release",
-    "operator": "Release",
-    "administrator": "Installation",
-}
 
 
 def order_navigation(roles: frozenset[str]) -> tuple[NavigationGroup, ...]:
     """Return the groups as a person with these roles needs them: the fleet, their own, the others."""
-    own = {GROUP_OF_ROLE.get(role) for role in roles}
     first, *others = NAVIGATION
-    return (first, *sorted(others, key=lambda group: group.title not in own))
+    return (first, *sorted(others, key=lambda group: group.roles.isdisjoint(roles)))
 
 
 # What keys do within a page; `keys.js` acts on them. None signs, promotes, rolls back, cancels or deletes.

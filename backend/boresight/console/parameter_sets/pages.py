@@ -57,7 +57,7 @@ from boresight.console.parameter_sets.tables import GROUND_STATES, ONBOARD_STATE
 from boresight.console.runs import service as runs
 from boresight.console.runs.pages.list import RunNames, read_names
 from boresight.console.telemetry.tables import TelemetrySet
-from boresight.console.uplinks.stations import make_way
+from boresight.console.uplinks.stations import make_workflow
 from boresight.console.uplinks.tables import Uplink
 from boresight.errors import RefusedInputError
 from boresight.figures.tables import set_rows
@@ -285,7 +285,7 @@ def _page(
         set=row,
         sensor=sensor,
         names=read_names(session),
-        way=make_way(session, actor, policy, row),
+        workflow=make_workflow(session, actor, policy, row),
         incumbent=incumbent,
         rows=set_rows(*read_set_and_incumbent(row, incumbent), sensor.document["typical_sigma"]),
         requests=requests,

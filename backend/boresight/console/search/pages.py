@@ -54,14 +54,11 @@ def _find(session: Session, text: str) -> Iterator[Found]:
     for row in sets:
         yield Found("Parameter set", row.name, f"{row.ground_state}, {row.onboard_state}", f"/parameter-sets/{row.id}")
     for row in sets:
-        for request in lists.list_newest(session, Approval, set=row.id, limit=1):
-            yield Found("Request", f"Request {request.id}: {row.name}", request.state, f"/approvals/{request.id}")
-    for row in _rows(session, "runs", text, "-run"):
-        yield Found("Run", f"Run {row.id}: {row.label}" if row.label else f"Run {row.id}", row.state, f"/runs/{row.id}")
+        yield from (_request(one, row) for one in lists.list_newest(session, Approval, set=row.id, limit=1))
+    yield from map(_run, _rows(session, "runs", text, "-run"))
     for row in _rows(session, "telemetry", text, "-uploaded"):
         yield Found("Telemetry", row.name, row.purpose, f"/telemetry/{row.id}")
-    for row in lists.read_page(session, "alarms", {"sensor_name": text}, "-alarm", limit=MOST_OF_A_KIND):
-        yield Found("Alarm", f"Alarm {row.id}", row.sentence, f"/alarms/{row.id}")
+    yield from map(_alarm, lists.read_page(session, "alarms", {"sensor_name": text}, "-alarm", limit=MOST_OF_A_KIND))
 
 
 def _rows(session: Session, name: str, text: str, sort: str) -> list[Any]:
@@ -70,10 +67,20 @@ def _rows(session: Session, name: str, text: str, sort: str) -> list[Any]:
 
 def _of_number(session: Session, number: int) -> Iterator[Found]:
     if (run := session.get(Run, number)) is not None:
-        title = f"Run {run.id}: {run.label}" if run.label else f"Run {run.id}"
-        yield Found("Run", title, run.state, f"/runs/{run.id}")
+        yield _run(run)
     if (request := session.get(Approval, number)) is not None:
-        name = session.get_one(ParameterSet, request.parameter_set_id).name
-        yield Found("Request", f"Request {request.id}: {name}", request.state, f"/approvals/{request.id}")
+        yield _request(request, session.get_one(ParameterSet, request.parameter_set_id))
     if (alarm := session.get(Alarm, number)) is not None:
-        yield Found("Alarm", f"Alarm {alarm.id}", alarm.sentence, f"/alarms/{alarm.id}")
+        yield _alarm(alarm)
+
+
+def _run(row: Run) -> Found:
+    return Found("Run", f"Run {row.id}: {row.label}" if row.label else f"Run {row.id}", row.state, f"/runs/{row.id}")
+
+
+def _request(row: Approval, of: ParameterSet) -> Found:
+    return Found("Request", f"Request {row.id}: {of.name}", row.state, f"/approvals/{row.id}")
+
+
+def _alarm(row: Alarm) -> Found:
+    return Found("Alarm", f"Alarm {row.id}", row.sentence, f"/alarms/{row.id}")

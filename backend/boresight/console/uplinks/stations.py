@@ -31,7 +31,7 @@ from boresight.platform.db.sessions import Session
 TITLES = ("Created", "Assessed", "Submitted", "Signed", "Promoted", "Exported", "Sent", "Loaded", "Read back", "Active")
 UPLINK_STATES = {"Sent": "SENT", "Loaded": "LOADED", "Read back": "VERIFIED", "Active": "ACTIVE"}
 #: The step of an operator in each on-board state: what it is, its button, and its place on the uplink page.
-FLIGHT_STEPS = {
+UPLINK_STEPS = {
     "NOT SENT": ("Send the table with your own tools; then record it.", "Record SENT", "record-sent"),
     "SENT": ("Record when the spacecraft has loaded the table.", "Record LOADED", "record-loaded"),
     "LOADED": ("Compare what was read back with what was sent.", "Read back", "read-back"),
@@ -77,8 +77,8 @@ class NextStep:
 
 
 @dataclass(frozen=True)
-class Way:
-    """A set's way: its name, its stations, and the step that is next."""
+class Workflow:
+    """Where a set stands: its name, its stations, and the step that is next."""
 
     name: str
     stations: tuple[Station, ...]
@@ -97,7 +97,7 @@ class _Records:
 
 
 @dataclass(frozen=True)
-class _Asking:
+class _Viewer:
     """Who asks, among whom: what a step is made for."""
 
     session: Session
@@ -109,7 +109,7 @@ class _Asking:
         """Return a person's printed name, or Boresight's for what no person did."""
         return next((user.printed_name for user in self.people if user.id == user_id), "Boresight")
 
-    def of(self, roles: Iterable[str], sentence: str, label: str, href: str, *, posts: bool = False) -> NextStep:
+    def step_for(self, roles: Iterable[str], sentence: str, label: str, href: str, *, posts: bool = False) -> NextStep:
         """Ask a step of everyone who has one of some roles."""
         asked = tuple(roles)
         able = [user for user in self.people if user.disabled_utc is None and set(asked).intersection(user.roles)]
@@ -117,31 +117,31 @@ class _Asking:
         return NextStep(sentence, label, href, posts, mine, tuple(user.printed_name for user in able), asked[0])
 
 
-def make_way(session: Session, actor: Actor, policy: Policy, row: ParameterSet | None, run: Run | None = None) -> Way:
+def make_workflow(
+    session: Session, actor: Actor, policy: Policy, row: ParameterSet | None, run: Run | None = None
+) -> Workflow:
     """Say where a set stands, or a run that no set was made of yet, as an actor sees it."""
-    asking = _Asking(session, actor, policy, users.list_users(session))
+    viewer = _Viewer(session, actor, policy, users.list_users(session))
     if row is None:
-        step = _step_of_run(asking, run)
-        first = Station(TITLES[0], *(("standby", "next") if step.posts else ("off", "to come")))
-        return Way("", (first, *(Station(title, "off", "to come") for title in TITLES[1:])), step)
+        step = _step_of_run(viewer, run)
+        return Workflow("", tuple(lay_out([None] * len(TITLES), TITLES, stopped=not step.posts)), step)
     known = _read_records(session, row)
-    return Way(row.name, tuple(_list_stations(row, known, asking)), _step_of_set(asking, row, known))
+    return Workflow(row.name, tuple(_list_stations(row, known, viewer)), _step_of_set(viewer, row, known))
 
 
 def _read_records(session: Session, row: ParameterSet) -> _Records:
-    requests = lists.list_newest(session, Approval, set=row.id)
-    request = next(iter(requests), None)
+    request = next(iter(lists.list_newest(session, Approval, set=row.id, limit=1)), None)
     records = lists.list_newest(session, Uplink, set=row.id)
     exported = find_exported_package(lists.list_newest(session, Package, set=row.id), records)
     signed = () if request is None else approval_queries.list_signatures(session, request.id)
     return _Records(approval_queries.find_newest_report(session, row.id), request, signed, exported, records)
 
 
-def _list_stations(row: ParameterSet, known: _Records, asking: _Asking) -> list[Station]:
-    created = Station("Created", "normal", "done", row.created_utc, asking.name(row.created_by))
-    flown = list_flight_stations(known.exported, known.records, asking.name)
+def _list_stations(row: ParameterSet, known: _Records, viewer: _Viewer) -> list[Station]:
+    created = Station("Created", "normal", "done", row.created_utc, viewer.name(row.created_by))
+    uplinked = list_uplink_stations(known.exported, known.records, viewer.name)
     stopped = row.ground_state in {"REJECTED", "SUPERSEDED"} or row.onboard_state in {"MISMATCH", "UNKNOWN"}
-    return lay_out([created, *_on_the_ground(row, known, asking), *flown], TITLES, stopped=stopped)
+    return lay_out([created, *_on_the_ground(row, known, viewer), *uplinked], TITLES, stopped=stopped)
 
 
 def lay_out(taken: Sequence[Station | None], titles: Sequence[str], *, stopped: bool = False) -> list[Station]:
@@ -155,23 +155,29 @@ def lay_out(taken: Sequence[Station | None], titles: Sequence[str], *, stopped: 
     ]
 
 
-def _on_the_ground(row: ParameterSet, known: _Records, asking: _Asking) -> list[Station | None]:
+def _on_the_ground(row: ParameterSet, known: _Records, viewer: _Viewer) -> list[Station | None]:
     """Stations 2 to 5; None where one is still to come."""
     if row.run_id is None and known.request is None:
         declared = [Station(title, "off", DECLARED) for title in TITLES[1:4]]
         return [*declared, Station("Promoted", "normal", "done", row.baseline_from_utc, "Boresight")]
-    report, request = known.report, known.request
-    assessed: Station | None = None
-    submitted, signed, promoted = assessed, assessed, assessed
-    if report is not None:
-        assessed = Station("Assessed", "normal", report.verdict, report.created_utc, asking.name(report.created_by))
-    if request is not None and request.state in {"OPEN", "APPROVED", "REJECTED"}:
-        who = asking.name(request.submitted_by)
-        submitted = Station("Submitted", "normal", "done", request.submitted_utc, who, request.reason)
-        signed = _signed(request, known.signatures)
-    if row.baseline_from_utc is not None:
-        promoted = Station("Promoted", "normal", "done", row.baseline_from_utc)
-    return [assessed, submitted, signed, promoted]
+    report, request, since = known.report, known.request, row.baseline_from_utc
+    if request is not None and request.state not in {"OPEN", "APPROVED", "REJECTED"}:
+        request = None  # a request that came to nothing: the set stands where it stood before
+    return [
+        None if report is None else _assessed(report, viewer),
+        None if request is None else _submitted(request, viewer),
+        None if request is None else _signed(request, known.signatures),
+        None if since is None else Station("Promoted", "normal", "done", since),
+    ]
+
+
+def _assessed(report: GateReport, viewer: _Viewer) -> Station:
+    return Station("Assessed", "normal", report.verdict, report.created_utc, viewer.name(report.created_by))
+
+
+def _submitted(request: Approval, viewer: _Viewer) -> Station:
+    who = viewer.name(request.submitted_by)
+    return Station("Submitted", "normal", "done", request.submitted_utc, who, request.reason)
 
 
 def _signed(request: Approval, signatures: Sequence[Signature]) -> Station | None:
@@ -183,7 +189,7 @@ def _signed(request: Approval, signatures: Sequence[Signature]) -> Station | Non
     return Station("Signed", level, word, last.signed_utc, last.printed_name, last.meaning)
 
 
-def list_flight_stations(
+def list_uplink_stations(
     package: Package | None, records: Sequence[Uplink], name: Callable[[int | None], str]
 ) -> list[Station | None]:
     """Stations 6 to 10 by a package and a set's records, newest first; None where one is still to come."""
@@ -222,73 +228,73 @@ def find_exported_package(packages: Sequence[Package], records: Sequence[Uplink]
     return packages[0] if packages else None
 
 
-def _step_of_run(asking: _Asking, run: Run | None) -> NextStep:
+def _step_of_run(viewer: _Viewer, run: Run | None) -> NextStep:
     """What follows for a run that no set was made of."""
     if run is None or run.state not in TERMINAL_RUN_STATES:
         return NextStep("The page follows the run; the result stands here when it ends.")
     again = f"/runs/new?clone={run.id}"
     if run.state != "SUCCEEDED":
-        return asking.of(("analyst",), "Run it again, with what failed mended.", "Run it again", again)
+        return viewer.step_for(("analyst",), "Run it again, with what failed mended.", "Run it again", again)
     status = (run.summary or {}).get("status")
     if status not in USABLE_STATUSES:
         said = f"It ended {status}, which makes no parameter set: follow the advice and run again."
-        return asking.of(("analyst",), said, "Run it again", again)
+        return viewer.step_for(("analyst",), said, "Run it again", again)
     address = f"/runs/{run.id}/parameter-set"
     said = "Read the four views; then make a parameter set of the result and hold it against the gates."
-    return asking.of(("analyst",), said, "Create parameter set", address, posts=True)
+    return viewer.step_for(("analyst",), said, "Create parameter set", address, posts=True)
 
 
-def _step_of_set(asking: _Asking, row: ParameterSet, known: _Records) -> NextStep:
+def _step_of_set(viewer: _Viewer, row: ParameterSet, known: _Records) -> NextStep:
     """What follows for a set in its state on the ground."""
     address, state = f"/parameter-sets/{row.id}", row.ground_state
     if state == "SUBMITTED" and known.request is not None:
-        return _to_sign(asking, known.request)
+        return _signing_step(viewer, known.request)
     if state == "APPROVED":
         said = f"Promote {row.name}: it becomes the baseline, and nothing on board changes."
-        return asking.of(("operator",), said, "Promote", f"{address}#promote")
+        return viewer.step_for(("operator",), said, "Promote", f"{address}#promote")
     if state in {"REJECTED", "SUPERSEDED"}:
-        return _to_come_back(asking, row)
+        return _step_of_former(viewer, row)
     if state == "BASELINE":
-        return _to_fly(asking, row, known)
-    if known.report is None or gates.list_moved_since(asking.session, known.report):
+        return _uplink_step(viewer, row, known)
+    if known.report is None or gates.list_moved_since(viewer.session, known.report):
         said = f"Hold {row.name} against the gates and against the baseline."
-        return asking.of(gates.ASSESSORS, said, "Assess", f"{address}/assess", posts=True)
-    return asking.of(
+        return viewer.step_for(gates.ASSESSORS, said, "Assess", f"{address}/assess", posts=True)
+    return viewer.step_for(
         ("analyst",), f"Submit {row.name} with a reason; another person signs it.", "Submit", f"{address}#reason"
     )
 
 
-def _to_come_back(asking: _Asking, row: ParameterSet) -> NextStep:
+def _step_of_former(viewer: _Viewer, row: ParameterSet) -> NextStep:
     if row.ground_state == "REJECTED":
         said = f"{row.name} was refused: calibrate again, and submit that set."
-        return asking.of(("analyst",), said, "Run again", f"/runs/new?clone={row.run_id}")
-    baseline = set_queries.find_baseline(asking.session, row.sensor_id)
+        return viewer.step_for(("analyst",), said, "Run again", f"/runs/new?clone={row.run_id}")
+    baseline = set_queries.find_baseline(viewer.session, row.sensor_id)
     said = (
         f"{baseline.name if baseline else 'Another set'} replaced it; a roll-back is signed and promoted like any set."
     )
-    return asking.of(("analyst", "operator"), said, "Roll back", f"/parameter-sets/{row.id}#roll-back")
+    return viewer.step_for(("analyst", "operator"), said, "Roll back", f"/parameter-sets/{row.id}#roll-back")
 
 
-def _to_sign(asking: _Asking, request: Approval) -> NextStep:
+def _signing_step(viewer: _Viewer, request: Approval) -> NextStep:
     able = [
         one.user
-        for one in approvals.list_signers_of(asking.session, request.id, policy=asking.policy)
+        for one in approvals.list_signers_of(viewer.session, request.id, policy=viewer.policy)
         if one.refusal is None
     ]
     missing = request.needed - sum(one.decision == "APPROVE" for one in request.signatures)
     said = f"{missing} signature{'s' if missing != 1 else ''} of a second person {'are' if missing != 1 else 'is'} missing."
-    mine = approvals.explain_why_not_sign(asking.session, asking.actor, request.id, policy=asking.policy) is None
+    mine = approvals.explain_why_not_sign(viewer.session, viewer.actor, request.id, policy=viewer.policy) is None
     names = tuple(user.printed_name for user in able)
     return NextStep(said, "Review and sign", f"/approvals/{request.id}", is_mine=mine, who=names, role="approver")
 
 
-def _to_fly(asking: _Asking, row: ParameterSet, known: _Records) -> NextStep:
+def _uplink_step(viewer: _Viewer, row: ParameterSet, known: _Records) -> NextStep:
     """What follows for the baseline on its way to the spacecraft."""
     address = f"/parameter-sets/{row.id}/uplink"
     if known.exported is None and row.onboard_state == "NOT SENT":
         said = "Export the uplink package; the way back is inside."
-        return asking.of(("operator", "analyst"), said, "Export", f"{address}/package", posts=True)
+        return viewer.step_for(("operator", "analyst"), said, "Export", f"{address}/package", posts=True)
     if row.onboard_state == "ACTIVE":
         return NextStep("It is active on board: nothing is left to do.")
-    said, label, place = FLIGHT_STEPS.get(row.onboard_state, FLIGHT_STEPS["UNKNOWN"])
-    return asking.of(("operator",), said, label, f"{address}#{place}")
+    said, label, place = UPLINK_STEPS.get(row.onboard_state, UPLINK_STEPS["UNKNOWN"])
+    return viewer.step_for(("operator",), said, label, f"{address}#{place}")

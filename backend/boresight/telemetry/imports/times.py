@@ -22,7 +22,7 @@ import pyarrow as pa
 from boresight.arrays import FloatArray, TimeArray
 from boresight.errors import RefusedInputError
 from boresight.telemetry.imports.profile import Time, TimeForm, TimeSystem
-from boresight.telemetry.read.checks import Faults, floats, times
+from boresight.telemetry.read.checks import EARLIEST, LATEST, Faults, floats, times
 
 _US = {"days": 86400e6, "seconds": 1e6, "milliseconds": 1e3, "microseconds": 1.0, "nanoseconds": 1e-3}
 _EPOCHS: dict[TimeSystem, str] = {
@@ -40,7 +40,6 @@ _MIDNIGHT, _JD_OF_MIDNIGHT = np.datetime64("2000-01-01T00:00:00", "us"), 2_451_5
 _DAY_US = 86_400_000_000
 _WEEK_S = 604_800.0
 _ORDINAL = re.compile(r"^\s*([0-9]{4})-?([0-9]{3})(?=[T ])")
-_EARLIEST, _LATEST = np.datetime64("1900-01-01", "us"), np.datetime64("2100-01-01", "us")
 _LEAP = re.compile(r":60(\.\d*)?(?=Z|[+-]|\s*$)")
 #: The farthest that a number of microseconds may be before and after its epoch: the years 1900 to 2100 are looked for afterwards,
 #: and leap seconds are not told before the year -4799.
@@ -64,7 +63,7 @@ def read_times(cells: pa.Array, week: pa.Array | None, time: Time, faults: Fault
             lambda entry: f"{values[entry]:.9g} is no time of this form: check its unit",
         )
     found = to_utc(clock, time)
-    late = (found < _EARLIEST) | (found >= _LATEST)
+    late = (found < EARLIEST) | (found >= LATEST)
     if time.form != "iso":
         faults.add_entries(
             late,
@@ -176,5 +175,5 @@ def parse_times(texts: Sequence[str], system: str, what: str) -> TimeArray:
     if system not in names:
         raise RefusedInputError(f"{what}: TIME_SYSTEM {system} is not read: write it in UTC, TAI, GPS or TT.")
     clock = times(pa.chunked_array([_plain_iso(pa.array(texts, pa.string()))]), "time", Faults(what))
-    known = (clock >= _EARLIEST) & (clock < _LATEST)
+    known = (clock >= EARLIEST) & (clock < LATEST)
     return to_utc(np.where(known, clock, np.datetime64("NaT")), Time(column="time", system=names[system]))

@@ -321,7 +321,7 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _MICROSECOND = timedelta(microseconds=1)
 _ABSENT_TIME = int(np.datetime64("NaT", "us").astype(np.int64))
 #: The Earth's ephemeris holds between these years.
-_EARLIEST, _LATEST = np.datetime64("1900-01-01", "us"), np.datetime64("2100-01-01", "us")
+EARLIEST, LATEST = np.datetime64("1900-01-01", "us"), np.datetime64("2100-01-01", "us")
 
 
 def floats(column: pa.ChunkedArray, name: str, faults: Faults) -> tuple[FloatArray, BoolArray]:
@@ -408,7 +408,7 @@ def times(column: pa.ChunkedArray, name: str, faults: Faults) -> NDArray[np.date
         faults.add(f"holds {cells.type} where times are expected: write ISO 8601, as 2026-11-21T08:30:00Z", column=name)
         return np.full(len(cells), np.datetime64("NaT"), dtype="datetime64[us]")
     faults.add_entries(
-        (moments < _EARLIEST) | (moments >= _LATEST),
+        (moments < EARLIEST) | (moments >= LATEST),
         name,
         lambda entry: f"{moments[entry]} is not between the years 1900 and 2100: correct the clock or leave it empty",
     )

@@ -51,7 +51,7 @@ from boresight.console.parameter_sets.pages import find_bound_incumbent, read_se
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs import service as runs
 from boresight.console.runs.pages.list import read_names
-from boresight.console.uplinks.stations import make_way
+from boresight.console.uplinks.stations import make_workflow
 from boresight.errors import NotFoundError
 from boresight.figures import FIGURES, Figure
 from boresight.figures.tables import set_rows
@@ -159,7 +159,7 @@ def request_page(
         approval=approval,
         set=row,
         sensor=sensor,
-        way=make_way(session, actor, policy, row),
+        workflow=make_workflow(session, actor, policy, row),
         incumbent=incumbent,
         names=read_names(session),
         rows=rows,
@@ -380,7 +380,7 @@ def signature_page(request: Request, session: Reading, actor: Who, approval_id: 
         set=row,
         sensor=session.get_known(Sensor, row.sensor_id),
         record=find_record(session, approval, signature),
-        way=make_way(session, actor, get_server(request).policy, row),
+        workflow=make_workflow(session, actor, get_server(request).policy, row),
     )
 
 

@@ -39,7 +39,7 @@ from boresight.console.pages.rendering import (
 )
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.pages.list import read_names
-from boresight.console.uplinks.stations import make_way
+from boresight.console.uplinks.stations import make_workflow
 from boresight.console.uplinks.tables import TableDefinition
 from boresight.errors import RefusedInputError
 from boresight.platform.actors import Actor, Policy, require_role
@@ -147,7 +147,7 @@ def _page(
             refused=refusal,
             set=row,
             sensor=session.get_known(Sensor, row.sensor_id),
-            way=make_way(session, actor, get_server(request).policy, row),
+            workflow=make_workflow(session, actor, get_server(request).policy, row),
             panel=make_gates_panel(session, actor, row, typed),
             refusal=refusal,
         )

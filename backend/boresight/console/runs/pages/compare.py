@@ -15,6 +15,7 @@ import numpy as np
 from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import HTMLResponse
 
+from boresight.calibration.evaluation.contrast import Contrast
 from boresight.calibration.options import ALL, METHODS, OPTIONS, get_method_title, is_sequential
 from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading, get_server
@@ -92,19 +93,23 @@ def _cell(found: Comparison, i: int, k: int) -> ComparedCell:
         return ComparedCell(printed, "reference, held fixed" if held else "reference")
     if against is None or not np.isfinite(against.difference[i]):
         return ComparedCell(printed, held or MISSING)
-    if np.isfinite(against.sigma[i]):
-        apart = float(against.separation[i])
+    apart = _apart(against, i, base.reliable_sigma.get(name))
+    if apart is not None and np.isfinite(against.sigma[i]):
         note = f"{sigmas(apart)}{', held fixed' if held else ''}"
         return ComparedCell(printed, note, abs(apart) > FAR_SIGMAS, abs(apart) >= NEGLIGIBLE)
-    spread = base.reliable_sigma.get(name)
-    if against.difference[i] == 0 or not spread:
-        return ComparedCell(
-            printed, "alike" if against.difference[i] == 0 else held or MISSING, differs=bool(against.difference[i])
-        )
-    apart = float(against.difference[i]) / spread
+    alike = bool(against.difference[i] == 0)
+    if alike or apart is None:
+        return ComparedCell(printed, "alike" if alike else held or MISSING, differs=not alike)
     if abs(apart) < NEGLIGIBLE:
         return ComparedCell(printed, f"{number(apart, 2)} σ, negligible")
     return ComparedCell(printed, f"{number(apart, 2)} σ of the reference, not noise", differs=True)
+
+
+def _apart(against: Contrast, i: int, spread: float | None) -> float | None:
+    """Difference of parameter i in sigmas of the difference, else of the reference, which are its `spread`; None without either."""
+    if np.isfinite(against.sigma[i]):
+        return float(against.separation[i])
+    return float(against.difference[i]) / spread if spread and np.isfinite(against.difference[i]) else None
 
 
 @dataclass(frozen=True)
@@ -140,17 +145,13 @@ def answer(found: Comparison) -> ComparedAnswer:
 
 
 def _largest(found: Comparison, k: int) -> tuple[float, str]:
-    """The largest difference of a run, in sigmas of the difference or else of the reference, and its parameter."""
-    against, base = found.contrasts[k], found.compared[found.reference].calibration
-    sizes = {}
-    for i, name in enumerate(found.names):
-        spread = base.reliable_sigma.get(name)
-        if against is None or not np.isfinite(against.difference[i]):
-            continue
-        if np.isfinite(against.sigma[i]):
-            sizes[name] = abs(float(against.separation[i]))
-        elif spread:
-            sizes[name] = abs(float(against.difference[i])) / spread
+    """The largest difference of a run, in sigmas as `_apart` has them, and its parameter."""
+    against, spreads = found.contrasts[k], found.compared[found.reference].calibration.reliable_sigma
+    sizes = {
+        name: abs(apart)
+        for i, name in enumerate(found.names)
+        if against is not None and (apart := _apart(against, i, spreads.get(name))) is not None
+    }
     most = max(sizes, key=lambda name: sizes[name], default="")
     return sizes.get(most, 0.0), most
 

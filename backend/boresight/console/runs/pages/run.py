@@ -43,7 +43,7 @@ from boresight.console.runs.pages.list import compute_run_seconds, read_names
 from boresight.console.runs.pages.live import StateNotice, make_live_part, make_log_part
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
 from boresight.console.telemetry.tables import TelemetrySet
-from boresight.console.uplinks.stations import make_way
+from boresight.console.uplinks.stations import make_workflow
 from boresight.errors import NotFoundError
 from boresight.estimation.statistics.observability import WEAK
 from boresight.figures import CHAPTERS, WIDE, Figure
@@ -609,7 +609,7 @@ def make_run_head(review: RunReview) -> dict[str, Any]:
         "blocked": sorted({action.blocked for action in actions.values() if action.offered and action.blocked}),
         "parameter_set": made,
         "gates": assessed,
-        "way": make_way(review.session, review.actor, policy, made, review.run),
+        "workflow": make_workflow(review.session, review.actor, policy, made, review.run),
         "neighbours": run_queries.read_neighbours(review.session, review.run.id),
     }
 

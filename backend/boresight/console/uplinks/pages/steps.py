@@ -41,7 +41,7 @@ from boresight.console.runs.pages.list import read_names
 from boresight.console.uplinks import packages, read_backs
 from boresight.console.uplinks import service as uplinks
 from boresight.console.uplinks.queries import BOARD_WORDS, find_baseline_before
-from boresight.console.uplinks.stations import find_exported_package, find_uplink_progress, make_way
+from boresight.console.uplinks.stations import find_exported_package, find_uplink_progress, make_workflow
 from boresight.console.uplinks.tables import Package, Uplink
 from boresight.errors import BoresightError
 from boresight.figures.tables import set_rows
@@ -170,7 +170,7 @@ def _page(
     built = lists.list_newest(session, Package, set=set_id)
     exported = find_exported_package(built, records)
     names = read_names(session)
-    way = make_way(session, actor, get_server(request).policy, row)
+    workflow = make_workflow(session, actor, get_server(request).policy, row)
     reference, why = _reference(session, blobs, row)
     known, sensor = timeline.get_state_at(session, row.sensor_id), session.get_known(Sensor, row.sensor_id)
     other = known.active[0] if known.active and known.active[0].id != row.id else None
@@ -185,8 +185,8 @@ def _page(
         old=old,
         active_other=other is not None,
         rows=set_rows(*read_set_and_incumbent(row, old), sensor.document["typical_sigma"]),
-        way=way,
-        steps=way.stations[5:],
+        workflow=workflow,
+        steps=workflow.stations[5:],
         records=records,
         compared=next((it for it in find_uplink_progress(records) if it.method), None) if records else None,
         packages=built,
