@@ -248,7 +248,7 @@ def _steps(definition: TableDefinition | None, facts: Mapping[str, Any] | None) 
     name = definition.table_id if definition.cfe is None else definition.cfe.table_name
     file = "table.bin" if definition.cfe is None else "table.tbl"
     told = facts["crc_told"]
-    check = f"{told['name']} {told['value']}" if told else "agrees with the mission's own check"
+    check = f"{told['name']} as under Expected values" if told else "agrees with the mission's own check"
     return [
         *steps,
         ("Check the software", "flight software version in telemetry", definition.flight_software_version),

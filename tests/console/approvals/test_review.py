@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from boresight.console import list_queries as lists
+from boresight.console.approvals import service as approvals
 from boresight.console.approvals import threads
 from boresight.console.approvals.review import Acknowledgement, Point, answer_points, refuse_open_points
 from boresight.console.approvals.tables import Approval
@@ -13,7 +14,7 @@ from boresight.errors import ConflictError, ForbiddenError, RefusedInputError, S
 from boresight.platform.actors import POLICY
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import open_reading, open_writing
-from tests.passwords import approve
+from tests.passwords import PASSWORD, approve, proved
 
 COVERAGE = Point("gate", "coverage", "Detector coverage", "One corner is empty.", "MARGINAL")
 WARNED = Point("warning", "advice-1", "Warning", "Only 5 frames took part.")
@@ -122,6 +123,33 @@ def test_a_thread_is_resolved_once_by_who_saw_it_last_and_is_on_record(engine, p
         for version, error in ((1, StaleError), (2, ConflictError)):
             with pytest.raises(error):
                 threads.set_resolved(session, people["cy"], request_id, row.id, "resolved", version)
+
+
+def test_a_mention_waits_until_it_is_answered_in_its_place_or_its_thread_is_resolved(engine, people, request_id):
+    def waiting() -> dict[str, int]:
+        with open_reading(engine) as session:
+            return {name: len(found) for name, found in threads.find_open_mentions(session).items()}
+
+    with open_writing(engine) as session:
+        f_m = threads.open_thread(session, people["ana"], request_id, "parameter", "f_m", "@cy and @bo: why?")
+        threads.add_remark(session, people["ana"], request_id, "@cy look, please")
+    assert waiting() == {"cy": 2, "bo": 1}
+    with open_writing(engine) as session:
+        threads.add_remark(session, people["cy"], request_id, "I did.")
+    assert waiting() == {"cy": 1, "bo": 1}
+    with open_writing(engine) as session:
+        threads.set_resolved(session, people["cy"], request_id, f_m.id, "resolved", 1)
+    assert waiting() == {}
+
+
+def test_a_decided_request_waits_for_nobodys_answer(engine, people, request_id):
+    with open_writing(engine) as session:
+        threads.add_remark(session, people["ana"], request_id, "@cy look, please")
+        decided = approvals.Decision("REFUSE", "I refuse", "too few stars at the rim")
+        proof = proved(session, people["cy"], PASSWORD)
+        approvals.sign(session, people["cy"], request_id, decided, proof, seen_version=1)
+    with open_reading(engine) as session:
+        assert threads.find_open_mentions(session) == {}
 
 
 @pytest.mark.parametrize(

@@ -79,6 +79,25 @@ def list_remarks(session: Session, approval_id: int) -> Sequence[Remark]:
     return session.scalars(sa.select(Remark).where(*of_all).order_by(Remark.id)).all()
 
 
+def list_mentioning_remarks(session: Session) -> Sequence[Remark]:
+    """Return the remarks that mention somebody, in order, of the requests that are not decided."""
+    query = sa.select(Remark).join(Approval, Remark.approval_id == Approval.id)
+    query = query.where(Approval.state.in_(UNDECIDED), Remark.mentions.is_not(None))
+    return session.scalars(query.order_by(Remark.id)).all()
+
+
+def list_answers(session: Session, approval_ids: Collection[int]) -> Sequence[tuple[int, int, int | None, int]]:
+    """Return number, request, thread and author of everything said about some requests."""
+    query = sa.select(Remark.id, Remark.approval_id, Remark.thread_id, Remark.user_id)
+    return [tuple(row) for row in session.execute(query.where(among(Remark.approval_id, approval_ids)))]
+
+
+def list_resolved_threads(session: Session, approval_ids: Collection[int]) -> frozenset[int]:
+    """Return the numbers of the resolved threads of some requests."""
+    query = sa.select(Thread.id).where(Thread.state == "RESOLVED", among(Thread.approval_id, approval_ids))
+    return frozenset(session.scalars(query))
+
+
 def list_threads(session: Session, approval_id: int) -> Sequence[Thread]:
     """Return the threads of a request, in order."""
     return session.scalars(sa.select(Thread).where(Thread.approval_id == approval_id).order_by(Thread.id)).all()

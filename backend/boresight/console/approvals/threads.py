@@ -71,6 +71,28 @@ def _find_mentions(session: Session, text: str) -> list[str]:
     return named
 
 
+def find_open_mentions(session: Session) -> dict[str, list[Remark]]:
+    """Return what mentions whom, by log-in name, newest first: remarks that wait for an answer.
+
+    A mention waits until that person has said something in the same place, the thread is resolved, or the request is decided.
+    """
+    waiting: dict[str, list[Remark]] = {}
+    found = rows.list_mentioning_remarks(session)
+    if not found:
+        return waiting
+    requests = {remark.approval_id for remark in found}
+    resolved = rows.list_resolved_threads(session, requests)
+    said = rows.list_answers(session, requests)
+    ids = {user.name: user.id for user in user_rows.list_users(session)}
+    last = {(approval, thread, user): remark for remark, approval, thread, user in sorted(said)}
+    for remark in reversed(found):
+        for name in remark.mentions or ():
+            answered = last.get((remark.approval_id, remark.thread_id, ids.get(name, 0)), 0) > remark.id
+            if remark.thread_id not in resolved and not answered:
+                waiting.setdefault(name, []).append(remark)
+    return waiting
+
+
 def list_threads(session: Session, approval_id: int) -> Sequence[Thread]:
     """Return the threads of a request, in order."""
     return rows.list_threads(session, session.get_known(Approval, approval_id).id)

@@ -17,6 +17,8 @@ from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import Alarm
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
+from boresight.console.approvals import threads
+from boresight.console.approvals.tables import Remark
 from boresight.console.audit.pages import make_audit_line
 from boresight.console.audit.queries import name_objects
 from boresight.console.change_proposals import queries as proposal_queries
@@ -84,6 +86,20 @@ def _requests(session: Session, where: Mapping[str, Any], level: str, words: str
         for request in newest
     ]
     return WaitingItems(lists.count(session, "approvals", where), first)
+
+
+def _mentions(remarks: Sequence[Remark]) -> WaitingItems:
+    """Write where others mentioned a person who has not answered."""
+    first = [
+        WaitingAction(
+            "standby",
+            f"{remark.printed_name} mentions you on request {remark.approval_id}.",
+            f"/approvals/{remark.approval_id}#remark-{remark.id}",
+            "Answer",
+        )
+        for remark in remarks[:MOST_ACTIONS]
+    ]
+    return WaitingItems(len(remarks), first)
 
 
 def _proposals(session: Session, actor: Actor) -> WaitingItems:
@@ -204,6 +220,7 @@ class FleetView:
     open_requests: int = 0
     open_proposals: int = 0
     submitters: Collection[int] = ()
+    mentions: Mapping[str, Sequence[Remark]] = field(default_factory=dict)
     by_roles: dict[frozenset[str], tuple[WaitingItems, Sequence[WaitingItems]]] = field(default_factory=dict)
 
     @property
@@ -290,6 +307,7 @@ def _fleet(session: Session) -> FleetView:
         lists.count(session, "approvals", {"state": "OPEN"}),
         proposal_queries.count_open_proposals(session),
         approval_queries.list_submitter_ids(session, CAME_BACK),
+        threads.find_open_mentions(session),
     )
 
 
@@ -309,7 +327,8 @@ def _mine(session: Session, actor: Actor, policy: Policy, overview: FleetView) -
     own = _own_requests(session, actor) if actor.user_id in overview.submitters else ()
     decisions = _proposals(session, actor) if overview.open_proposals else NOTHING
     alarming, (*promotions, calibrations) = _ours(session, actor, overview)
-    kinds = [alarming, signatures, decisions, *promotions, *own, calibrations]
+    mentions = _mentions(overview.mentions.get(actor.name, ()))
+    kinds = [alarming, signatures, mentions, decisions, *promotions, *own, calibrations]
     first = [action for kind in kinds for action in kind.first][:MOST_ACTIONS]
     return signatures, WaitingItems(sum(kind.count for kind in kinds), first)
 
