@@ -7,6 +7,7 @@ from collections import Counter
 import pytest
 from playwright.sync_api import expect
 
+from boresight.console.runs.pages.run import PARTS
 from tests.browser.work import choose_filter, ends_as, queue, upload
 
 pytestmark = pytest.mark.browser
@@ -66,6 +67,9 @@ def test_a_run_whose_data_are_lost_fails_with_its_cause_and_what_to_try(people, 
         expect(window.page.get_by_role("button", name="Create parameter set")).to_have_count(0)
         expect(window.page.locator("plot-figure")).to_have_count(0)
         window.shoot("41-failed", wide=True)
+        for part in PARTS:
+            window.begins_high(f"/runs/{run_id}?part={part}")
+        window.open(f"/runs/{run_id}")
         head.get_by_role("link", name="Whole log").click()
         window.page.get_by_role("link", name=re.compile("^Errors")).click()
         expect(window.page.get_by_role("listitem").filter(has_text=f"FAILED: {reason}")).to_be_visible()
@@ -84,8 +88,13 @@ def test_a_cancelled_run_says_who_stopped_it_and_keeps_no_result(people, batch_r
         choose_filter(window, ONE_A_SECOND)
         run_id = queue(window, "To be stopped")
         expect(window.page.locator("#run-head")).to_contain_text("RUNNING")
+        for part in PARTS:
+            window.begins_high(f"/runs/{run_id}?part={part}")
         window.page.get_by_role("button", name="Cancel run").click()
         ends_as(window, "CANCELLED")
+        for part in PARTS:
+            window.begins_high(f"/runs/{run_id}?part={part}")
+        window.open(f"/runs/{run_id}")
         expect(window.page.locator("#what-happened")).to_contain_text("Cancelled by Ada Analyst")
         expect(window.page.get_by_role("button", name="Cancel run")).to_have_count(0)
         expect(window.page.locator("#verdict")).to_contain_text("the run ended as CANCELLED before it had a result")

@@ -49,6 +49,8 @@ TRACES = """figure => figure._fullData.map(t => Object.fromEntries(
     ["type", "name", "x", "y", "z", "text", "customdata", "fill", "visible"].map(key => [key, plain(t[key])])
 ))"""
 SETTLED = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 50))))"
+GLANCE, HIGHEST_PX = {"width": 1280, "height": 720}, 420
+FIRST = "() => document.querySelector('plot-figure, .answer, main .empty, main .log').getBoundingClientRect().top"
 FITS = "() => document.documentElement.scrollWidth <= document.documentElement.clientWidth"
 GROWN = """([place, length]) => {
     const points = document.querySelector(place)?._fullData?.[1]?.x?.length;
@@ -202,6 +204,13 @@ class Window:
 
     def settle(self) -> None:
         self.page.evaluate(SETTLED)
+
+    def begins_high(self, address: str) -> None:
+        """Hold that the first figure of a page, or what stands in its place, is in sight at 1280 x 720 without scrolling."""
+        self.open(address)
+        self.page.set_viewport_size(GLANCE)
+        top = self.page.evaluate(FIRST)
+        assert top <= HIGHEST_PX, f"the first figure of {address} begins at {top} px"
 
     def fits(self) -> None:
         self.page.wait_for_function(FITS)

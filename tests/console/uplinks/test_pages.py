@@ -49,12 +49,12 @@ def _records(*states: str) -> list[Uplink]:
     ("states", "words"),
     [
         ((), ["next", "to come", "to come", "to come", "to come"]),
-        (("SENT",), ["next", "done", "to come", "to come", "to come"]),
-        (("SENT", "LOADED", "MISMATCH"), ["to come", "done", "done", "MISMATCH", "to come"]),
-        (("SENT", "LOADED", "MISMATCH", "SENT"), ["next", "done", "to come", "to come", "to come"]),
-        (("SENT", "LOADED", "MISMATCH", "VERIFIED"), ["next", "done", "done", "done", "to come"]),
-        (("SENT", "UNKNOWN"), ["to come", "done", "to come", "to come", "to come"]),
-        (LADDER, ["next", "done", "done", "done", "done"]),
+        (("SENT",), ["not on record", "done", "next", "to come", "to come"]),
+        (("SENT", "LOADED", "MISMATCH"), ["not on record", "done", "done", "MISMATCH", "to come"]),
+        (("SENT", "LOADED", "MISMATCH", "SENT"), ["not on record", "done", "next", "to come", "to come"]),
+        (("SENT", "LOADED", "MISMATCH", "VERIFIED"), ["not on record", "done", "done", "done", "next"]),
+        (("SENT", "UNKNOWN"), ["not on record", "done", "to come", "to come", "to come"]),
+        (LADDER, ["not on record", "done", "done", "done", "done"]),
     ],
 )
 def test_the_ladder_shows_the_present_progress(states, words):

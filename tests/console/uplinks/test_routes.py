@@ -199,3 +199,15 @@ def test_the_tag_of_the_definitions_is_the_number_in_force(house):
     before = client.get(address).headers["etag"]
     client.post(address, **options)
     assert (before, client.get(address).headers["etag"]) == ('"v0"', '"v1"')
+
+
+def test_the_stations_of_a_set_are_told_with_the_step_of_whoever_reads(house):
+    row = onboard.at(house, "SENT", "LOADED")
+    address = f"/api/v1/parameter-sets/{row['id']}/workflow"
+    told = house.person("olga").get(address).json()
+    words = {one["title"]: one["word"] for one in told["stations"]}
+    assert [words[title] for title in ("Promoted", "Sent", "Loaded", "Read back", "Active")] == [
+        "done", "done", "done", "next", "to come",
+    ]  # fmt: skip
+    assert (told["next_step"]["role"], told["next_step"]["is_mine"]) == ("operator", True)
+    assert house.person("victor").get(address).json()["next_step"]["is_mine"] is False

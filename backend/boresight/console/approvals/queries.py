@@ -86,10 +86,10 @@ def list_mentioning_remarks(session: Session) -> Sequence[Remark]:
     return session.scalars(query.order_by(Remark.id)).all()
 
 
-def list_answers(session: Session, approval_ids: Collection[int]) -> Sequence[tuple[int, int, int | None, int]]:
+def list_answers(session: Session, approval_ids: Collection[int]) -> Sequence[sa.Row[int, int, int | None, int]]:
     """Return number, request, thread and author of everything said about some requests."""
     query = sa.select(Remark.id, Remark.approval_id, Remark.thread_id, Remark.user_id)
-    return [tuple(row) for row in session.execute(query.where(among(Remark.approval_id, approval_ids)))]
+    return session.execute(query.where(among(Remark.approval_id, approval_ids))).all()
 
 
 def list_resolved_threads(session: Session, approval_ids: Collection[int]) -> frozenset[int]:

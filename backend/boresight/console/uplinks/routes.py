@@ -27,9 +27,11 @@ from boresight.console.approvals.tables import GateProfile
 from boresight.console.change_proposals import service as proposals
 from boresight.console.change_proposals.routes import PROPOSED, in_force_or_proposed
 from boresight.console.operation import FORM_CONTENT, Answer, operations
+from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.schemas import Shape
 from boresight.console.uplinks import packages, read_backs, schemas, table_definitions
 from boresight.console.uplinks import service as uplinks
+from boresight.console.uplinks.stations import Workflow, make_workflow
 from boresight.console.uplinks.tables import Package, TableDefinition, Uplink
 from boresight.errors import RefusedInputError
 from boresight.platform.actors import Actor
@@ -165,6 +167,14 @@ async def read_form(
     came = ReadBack(texts.get("source", ""), texts.get("crc", ""), texts.get("happened_utc", ""), dump)
     setattr(request.state, FORM_CONTENT, came.content)
     return came
+
+
+@onboard_router.get(
+    "/{parameter_set_id}/workflow", summary="Read where a set stands", response_model=schemas.Workflow
+)
+def get_workflow(session: Reading, actor: Who, policy: ServerPolicy, parameter_set_id: Id) -> Workflow:
+    """Return the ten stations of a set, and who is to do what next."""
+    return make_workflow(session, actor, policy, session.get_known(ParameterSet, parameter_set_id))
 
 
 @onboard_router.post(

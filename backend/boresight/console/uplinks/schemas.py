@@ -8,7 +8,7 @@ from pydantic import BaseModel, Field, model_validator
 
 from boresight.console.approvals.schemas import Approval
 from boresight.console.parameter_sets.schemas import ParameterSet
-from boresight.console.schemas import Document, Row
+from boresight.console.schemas import Document, Row, Shape
 
 
 class Uplink(Row):
@@ -141,3 +141,33 @@ class Package(Row):
             "four_eyes": row.inputs["four_eyes"]["sentence"],
             "audit_head": row.inputs["first_built"]["audit_head"],
         }
+
+
+class Station(Shape):
+    """One station between a run and the spacecraft, and how the set stands there."""
+
+    title: str = Field(examples=["Promoted"])
+    level: str = Field(description="Severity: `normal` is done, `standby` is next, `off` is to come or not needed.")
+    word: str = Field(description="`done`, `next`, `to come`, or what came of it: a verdict, REFUSED, MISMATCH.")
+    at_utc: str | None
+    who: str = Field(description="The printed name; empty where nobody did it.")
+    source: str
+
+
+class NextStep(Shape):
+    """What is next, and who may do it."""
+
+    sentence: str
+    label: str = Field(description="The button of the page; empty where nothing is left to do.")
+    href: str = Field(description="The page where it is done.")
+    is_mine: bool = Field(description="Whether the reader may do it.")
+    who: list[str] = Field(description="The printed names of those who may.")
+    role: str
+
+
+class Workflow(Shape):
+    """The ten stations of a set, from the run to the spacecraft, and the step that is next."""
+
+    name: str
+    stations: list[Station]
+    next_step: NextStep

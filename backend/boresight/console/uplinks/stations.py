@@ -43,6 +43,7 @@ UPLINK_STEPS = {
     ),
     "UNKNOWN": ("What became of it on board is not known: send it again, or read it back.", "Record", "record"),
 }
+PASSED_BY = "not on record"
 DECLARED = "not needed: the set came with its sensor"
 
 
@@ -145,14 +146,19 @@ def _list_stations(row: ParameterSet, known: _Records, viewer: _Viewer) -> list[
 
 
 def lay_out(taken: Sequence[Station | None], titles: Sequence[str], *, stopped: bool = False) -> list[Station]:
-    """Fill in what is still to come; the first of it is next, unless the way is stopped or something on it failed."""
-    following = next((place for place, station in enumerate(taken) if station is None), None)
+    """Fill in what is still to come, and what was passed by without a record.
+
+    The one after the last that was taken is next, unless the way is stopped or something on it failed.
+    """
+    following = max((place + 1 for place, station in enumerate(taken) if station is not None), default=0)
     stopped = stopped or any(station is not None and station.level == "critical" for station in taken)
-    nexts = [place == following and not stopped for place in range(len(titles))]
-    return [
-        station or Station(title, *(("standby", "next") if is_next else ("off", "to come")))
-        for station, title, is_next in zip(taken, titles, nexts, strict=True)
-    ]
+
+    def fill(place: int, title: str) -> Station:
+        if place < following:
+            return Station(title, "off", PASSED_BY)
+        return Station(title, *(("standby", "next") if place == following and not stopped else ("off", "to come")))
+
+    return [station or fill(place, title) for place, (station, title) in enumerate(zip(taken, titles, strict=True))]
 
 
 def _on_the_ground(row: ParameterSet, known: _Records, viewer: _Viewer) -> list[Station | None]:
