@@ -134,8 +134,9 @@ def _of_consistency(fit: ChiSquare, nis: ChiSquare, settings: CalibrationSetting
         )
     claimed = claim(estimate.A, estimate.P, settings.initial_sigma_scale) if settings.sequential else 1.0
     if claimed > OVERCLAIM:
+        times = f"{claimed:.2g} times" if np.isfinite(claimed) else "far more than"
         yield (
-            f"The filter claims {claimed:.2g} times the information that the data hold along some direction, because it took "
+            f"The filter claims {times} the information that the data hold along some direction, because it took "
             "early frames in far from where it ended: its sigmas there are too small; run the batch, or start from its result."
         )
     if settings.sequential and settings.linearisations == 1:
