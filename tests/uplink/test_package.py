@@ -96,7 +96,7 @@ def test_the_sheet_marks_a_gate_that_is_only_observed():
     for observed in (False, True):
         gates = inputs["subject"]["gates"] | {"document": {"gates": [GATE | {"observe_only": observed}]}}
         sheet = _files(inputs | {"subject": inputs["subject"] | {"gates": gates}})["verification_sheet.html"]
-        said.append(b"<td>FAIL (observed only)</td>" in sheet)
+        said.append(b"<td>FAIL (observe only)</td>" in sheet)
     assert said == [False, True]
 
 
@@ -177,9 +177,9 @@ def test_a_simulated_sensor_is_said_to_be_one_and_the_way_back_is_named_with_its
     assert b"SIMULATED: " in simulated["verification_sheet.html"]
     assert b"SIMULATED: " not in files["verification_sheet.html"]
     told = json.loads(files["MANIFEST.json"])["tables"]["backout/"]["crc_told"]["value"]
-    assert "load the way back. backout/ is PS-FM1-1" in files["verification_sheet.html"].decode()
+    assert "load the back-out table. backout/ is PS-FM1-1" in files["verification_sheet.html"].decode()
     assert told in files["verification_sheet.html"].decode()
-    assert "load the way back" not in files["backout/verification_sheet.html"].decode()
+    assert "load the back-out table" not in files["backout/verification_sheet.html"].decode()
 
 
 SENSOR = parse_sensor(

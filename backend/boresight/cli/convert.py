@@ -231,6 +231,6 @@ def _lines(written: dict[str, Any]) -> Iterator[str]:
         yield f"\nuncertainty that {written['camera_model']} cannot express: at most {how['lost_sigma_px']:.2g} px (1 sigma)"
     if how["assumed"]:
         yield (
-            f"not estimated: {', '.join(how['assumed'])}; before the conversion ten typical sigmas stand for each, "
-            "so a sigma above may be theirs"
+            f"not estimated: {', '.join(how['assumed'])}; each was given ten typical sigmas before the conversion, "
+            "so a sigma above may come from them"
         )

@@ -140,5 +140,5 @@ def test_the_alarms_of_a_view_can_be_had_as_csv_and_their_table_sorted(drifting)
     assert row["sentence"] == alarm(drifting).sentence
     assert row["sentence"] in page
     for query in ("?state=closed", "?kind=AGE&sensor=1"):
-        assert "No alarm fits" in visitor.get(f"/alarms{query}")
+        assert "No alarm matches" in visitor.get(f"/alarms{query}")
     assert list(csv.DictReader(io.StringIO(visitor.get("/alarms.csv?state=shelved")))) == []

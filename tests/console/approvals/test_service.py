@@ -174,7 +174,7 @@ def test_a_wrong_password_signs_nothing(engine, people, submit_request):
         ("APPROVE", {"meaning": " "}, RefusedInputError, "what your signature means"),
         ("REFUSE", {"comment": " "}, RefusedInputError, "why you refuse"),
         ("APPROVE", {"seen_version": None}, PreconditionRequiredError, "If-Match"),
-        ("APPROVE", {"seen_version": 7}, StaleError, "you saw v7, it is v1"),
+        ("APPROVE", {"seen_version": 7}, StaleError, "you saw v7, it is now v1"),
     ],
 )
 def test_a_signature_that_lacks_something_is_refused(engine, people, submit_request, decision, changes, error, says):

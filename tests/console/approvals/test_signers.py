@@ -342,7 +342,7 @@ def _assign(engine: Engine, actor: Actor, request_id: int, user_id: int | None, 
 def test_a_request_is_assigned_to_who_may_sign_it(engine, people, request_id):
     row = _assign(engine, people["ana"], request_id, people["cy"].user_id, 1)
     assert (row.assigned_to, row.version, row.state) == (people["cy"].user_id, 2, "OPEN")
-    with pytest.raises(StaleError, match=r"you saw v1, it is v2\): Ana assigned it at"):
+    with pytest.raises(StaleError, match=r"you saw v1, it is now v2\): Ana assigned it at"):
         _assign(engine, people["ana"], request_id, None, 1)
     assert _assign(engine, people["dee"], request_id, None, 2).assigned_to is None
 

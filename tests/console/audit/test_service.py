@@ -157,7 +157,7 @@ def test_pages_are_newest_first_and_do_not_overlap(log):
         ("centroid_sigma_px", "Centroid sigma", "px"),
         ("bound.incumbent_sha256", "Bound, Incumbent, SHA-256", ""),
         ("expires_utc", "Expires", ""),
-        ("must_change_password", "Must set a password of their own", ""),
+        ("must_change_password", "Must still set their own password", ""),
     ],
 )
 def test_a_member_has_a_name_and_the_unit_it_is_shown_in(name, title, unit):
@@ -323,8 +323,8 @@ def test_the_light_says_whether_the_chain_holds_of_a_long_one_when_asked(site, r
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("boresight.console.audit.pages.VERIFIED_AT_EVERY_VISIT", 1)
         assert "NOT VERIFIED" in read(visitor.get("/audit"))
-        assert "CHAIN HOLDS" in read(visitor.get("/audit?verify=1"))
-    assert "CHAIN HOLDS" in read(visitor.get("/audit"))
+        assert "CHAIN INTACT" in read(visitor.get("/audit?verify=1"))
+    assert "CHAIN INTACT" in read(visitor.get("/audit"))
     with site.engine.begin() as connection:
         drop_triggers(connection)
         connection.exec_driver_sql("UPDATE audit SET reason = 'altered' WHERE id = 2")

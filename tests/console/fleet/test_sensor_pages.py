@@ -296,7 +296,7 @@ def test_without_a_validation_set_the_calibration_set_is_quoted_and_said_to_be_t
     }
     visitor = site.visitor("ada")
     visitor.post("/sensors", document=EXAMPLE)
-    assert "No finished run says yet" in read_panel(visitor.get("/sensors/2"), read)
+    assert "No finished run yet" in read_panel(visitor.get("/sensors/2"), read)
     site.add_run("batch", state="SUCCEEDED", result=result, validation_set_id=None, sensor_id=2)
     panel = read_panel(visitor.get("/sensors/2"), read)
     assert "on its calibration set" in panel

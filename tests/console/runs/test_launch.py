@@ -154,7 +154,7 @@ def test_queueing_stores_the_settings_as_typed_and_a_clone_starts_from_them(site
         ({"process_noise_sigma": "lots"}, "Drift a frame: 'lots' is not a number"),
         ({"free-1": []}, "No parameter is free"),
         ({"linearisations": "0"}, "give a whole number from 1"),
-        ({"validation_set_id": "1"}, "cannot validate a calibration made from itself"),
+        ({"validation_set_id": "1"}, "cannot validate a calibration that was made from it"),
         ({"replay_frames_per_s": "nan"}, "give a number from 0"),
         (BATCH_FORM | {"huber_threshold": "wide"}, "Huber threshold: 'wide' is not a number"),
         (BATCH_FORM | {"minimum_stars": "3"}, "give a whole number from 4"),
@@ -213,7 +213,7 @@ def test_a_check_names_the_choices_that_differ_from_the_usual(site, read):
     text = read(site.visitor("ada").post("/runs/new", **BATCH_FORM, intent="check").text)
     assert "minimum_stars 6" in text
     assert "robust huber" in text
-    assert "forgetting_factor" not in text[text.index("Other choices") :]
+    assert "forgetting_factor" not in text[text.index("Other settings") :]
 
 
 def _count(site):

@@ -407,6 +407,6 @@ def test_a_disabled_webhook_offers_to_be_enabled_and_nothing_else(site):
 def test_who_is_no_administrator_is_told_who_may_and_shown_no_address(site, read):
     address = _made(site)
     page = read(site.visitor("ada").get("/webhooks"))
-    assert "Webhooks are managed by administrators" in page
+    assert "Only administrators manage webhooks" in page
     assert "mission.invalid" not in page
     assert site.visitor("ada").send("GET", address, headers={"accept": "text/html"}).status_code == 403

@@ -81,7 +81,7 @@ def make_problem(error: Exception) -> Problem:
     for kind in type(error).__mro__:
         if kind in KINDS:
             return Problem(KINDS[kind], str(error), _faults(error), _headers(error))
-    return Problem(UNFORESEEN, "The server failed in a way nobody foresaw; report the request id with what you did.")
+    return Problem(UNFORESEEN, "The server failed unexpectedly; report the request id with what you did.")
 
 
 def _find_kind(status: int) -> ProblemKind:
