@@ -361,7 +361,7 @@ def test_a_filter_shows_its_own_innovations_and_its_wandering_is_not_taken_for_d
     assert trust["whiteness"]["white"]
     assert trust["suspects"] == []
     assert trust["efficiency"]["overall_ratio"] > 1.5
-    assert "hold more than the method took" in trust["efficiency"]["sentence"]
+    assert "contain more information than the method used" in trust["efficiency"]["sentence"]
 
 
 def test_an_outlier_of_a_long_series_is_shown_wherever_it_is():

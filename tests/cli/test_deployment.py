@@ -238,7 +238,7 @@ def test_a_plain_scheduler_beyond_this_machine_is_refused_by_all_who_use_one(bor
 
     assert_refused(
         done,
-        "BORESIGHT_SCHEDULER=tcp://10.1.2.3:8786 is a plain link beyond this machine",
+        "BORESIGHT_SCHEDULER=tcp://10.1.2.3:8786 is a plain link to another machine",
         "BORESIGHT_CLUSTER_NETWORK_CLOSED=1",
     )
 

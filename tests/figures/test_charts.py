@@ -158,7 +158,7 @@ def test_a_direction_that_is_not_seen_is_amber_and_hatched_and_figure_view_verdi
         assert len(set(drawn.data[0].marker.color[:6])) == len(set(drawn.data[0].marker.color[6:])) == 1
         assert drawn.data[0].marker.color[0] != drawn.data[0].marker.color[-1]
     result = replace(sequential_result, observability=weak)
-    said = "2 of 8 directions are not seen"
+    said = "2 of 8 directions are weak"
     assert said in draw("observability", result).layout.title.text
     assert said in make_four_views(result)[3].answer.sentence
     assert summarise_run(result).weak_directions == 2

@@ -103,9 +103,9 @@ def test_a_sigma_that_is_no_number_fails_and_none_of_a_fixed_parameter_is_finite
         (with_matrix(correlated(1.01)), "not positive definite"),
         (with_matrix(correlated(1.0)), "not positive definite"),
         (with_matrix(correlated(0.5, 1 / 0.9)), "not symmetric"),
-        (with_matrix(P * 0), "no positive number"),
-        (with_matrix(-P), "no positive number"),
-        (with_matrix(P * np.nan), "no positive number"),
+        (with_matrix(P * 0), "not a positive number"),
+        (with_matrix(-P), "not a positive number"),
+        (with_matrix(P * np.nan), "not a positive number"),
         (with_matrix(P[:7]), "not names and a square matrix"),
         (with_matrix([]), "not names and a square matrix"),
         *(
@@ -149,7 +149,7 @@ def test_the_shift_is_in_sigmas_of_the_difference_at_least_a_tenth_of_the_typica
     typical = SENSOR.typical_sigma
     measured = found("parameter-shift", candidate=with_parameters(n0_px=SENSOR.initial[2] + 6 * typical[2]))
     assert measured.value == pytest.approx(6 / np.sqrt(1 + 0.02**2 + 0.1**2))
-    assert measured.sentence.startswith("n0_px moved farthest, by +6.0 σ")
+    assert measured.sentence.startswith("n0_px changed most, by +6.0 σ")
     sure = a_set(covariance={"names": list(NAMES), "matrix": (1e-6 * P).tolist()})
     moved = {**sure, "parameters": sure["parameters"] | {"f_m": sure["parameters"]["f_m"] + SENSOR.typical_sigma[0]}}
     assert found("parameter-shift", candidate=moved, incumbent=sure).value == pytest.approx(10, rel=1e-6)
@@ -171,7 +171,7 @@ def test_observability_is_told_with_its_weakest_direction_and_coverage_counts_re
     blind = {"singular_values": [1.0, 0.0], "sigma_of_direction": [1.0, None], "condition_number": None}
     unseen = a_result(observability=dataclasses.replace(a_result().observability, **blind))
     for name in ("condition-number", "weak-directions"):
-        assert "leave a direction open" in found(name, result=unseen).sentence
+        assert "do not determine one direction" in found(name, result=unseen).sentence
     counts = np.zeros((12, 16), int)
     counts[:6, :8] = 3
     half_seen = a_result(coverage=dataclasses.replace(a_result().coverage, counts=counts.tolist()))

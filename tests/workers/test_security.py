@@ -67,7 +67,7 @@ def test_links_without_certificates_are_plain():
 @pytest.mark.parametrize(
     ("given", "sentence"),
     [
-        ({"scheduler": "tls://127.0.0.1:1"}, "wants certificates"),
+        ({"scheduler": "tls://127.0.0.1:1"}, "needs certificates"),
         ({"scheduler": "tls://127.0.0.1:1", "tls_certificate": __file__}, "BORESIGHT_TLS_AUTHORITY='' is no file"),
         (
             {"tls_authority": __file__, "tls_certificate": "nowhere.pem"},
@@ -126,5 +126,5 @@ def test_a_certificate_that_will_soon_expire_is_told(certificates, tmp_path, cap
 
 def test_an_authority_that_is_none_is_refused(certificates):
     given = certificates | {"tls_authority": __file__}
-    with pytest.raises(RefusedInputError, match=r"BORESIGHT_TLS_AUTHORITY=.* holds no certificate"):
+    with pytest.raises(RefusedInputError, match=r"BORESIGHT_TLS_AUTHORITY=.* contains no readable certificate"):
         make_security(settings(scheduler="tls://127.0.0.1:1", **given))

@@ -280,7 +280,7 @@ def test_the_secret_itself_is_not_kept(key):
 def test_a_secret_with_one_letter_changed_is_unknown(session, key):
     secret = key[1]
     for wrong in (secret[:-1] + ("A" if secret[-1] != "A" else "B"), secret[:-1], "", "bs_", "bs_a_b", "é_é_é"):
-        with pytest.raises(UnauthenticatedError, match="copied whole"):
+        with pytest.raises(UnauthenticatedError, match="copied completely"):
             api_keys.find_actor_of_key(session, wrong)
 
 

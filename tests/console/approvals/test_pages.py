@@ -178,7 +178,7 @@ def test_a_request_is_asked_of_one_who_may_sign_and_the_inbox_says_whom(site, re
     assert "Olga Operator" not in asked
     number = asked.split(">Alan Approver")[0].rsplit('value="', 1)[1].split('"')[0]
     assert site.visitor("ada").post(f"{request_page}/assign", person=number, version="1").status_code == 303
-    assert "Asked of Alan Approver." in read(site.visitor("ada").get(request_page))
+    assert "Assigned to Alan Approver." in read(site.visitor("ada").get(request_page))
     stale = site.visitor("ada").post(f"{request_page}/assign", person="", version="1")
     assert stale.status_code == 412
     assert "Alan Approver" in read(site.visitor("both").get("/approvals"))

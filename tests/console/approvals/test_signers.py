@@ -313,8 +313,8 @@ def test_a_second_person_signs_at_the_console_of_another(engine, people, request
         ("cy", "cy", PASSWORD, ForbiddenError, "sign without a name"),
         ("cy", "ana", PASSWORD, ForbiddenError, "role approver; Ana has analyst"),
         ("ana", "root", PASSWORD, ForbiddenError, "An administrator cannot sign"),
-        ("ana", "cy", "wrong horse battery", UnauthenticatedError, "do not fit"),
-        ("ana", "nobody", PASSWORD, UnauthenticatedError, "do not fit"),
+        ("ana", "cy", "wrong horse battery", UnauthenticatedError, "Wrong name or password"),
+        ("ana", "nobody", PASSWORD, UnauthenticatedError, "Wrong name or password"),
     ],
 )
 def test_over_the_shoulder_signs_nobody_who_may_not(engine, people, request_id, console, name, password, error, says):

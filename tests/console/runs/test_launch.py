@@ -150,8 +150,8 @@ def test_queueing_stores_the_settings_as_typed_and_a_clone_starts_from_them(site
 @pytest.mark.parametrize(
     ("typed", "said"),
     [
-        ({"linearisations": "many"}, "Linearisations a frame: 'many' is not a whole number"),
-        ({"process_noise_sigma": "lots"}, "Drift a frame: 'lots' is not a number"),
+        ({"linearisations": "many"}, "Linearisations per frame: 'many' is not a whole number"),
+        ({"process_noise_sigma": "lots"}, "Drift per frame: 'lots' is not a number"),
         ({"free-1": []}, "No parameter is free"),
         ({"linearisations": "0"}, "give a whole number from 1"),
         ({"validation_set_id": "1"}, "cannot validate a calibration that was made from it"),
@@ -159,7 +159,7 @@ def test_queueing_stores_the_settings_as_typed_and_a_clone_starts_from_them(site
         (BATCH_FORM | {"huber_threshold": "wide"}, "Huber threshold: 'wide' is not a number"),
         (BATCH_FORM | {"minimum_stars": "3"}, "give a whole number from 4"),
         (BATCH_FORM | {"flight_tolerance_urad": "0"}, "give a number from 0.1"),
-        (BATCH_FORM | {"error": "cosine"}, "has no weights to be robust by"),
+        (BATCH_FORM | {"error": "cosine"}, "has no weights for a robust loss"),
     ],
 )
 def test_a_refusal_keeps_everything_that_was_typed(site, read, typed, said):
@@ -276,7 +276,7 @@ def test_a_clone_shows_what_was_changed_of_its_run(site, read):
     other = read(ada.post(f"/runs/new?clone={number}", **changed).text)
     assert "No setting differs." in same
     assert f"Changed from run #{number}" in other
-    assert "Linearisations a frame 4 2" in other
+    assert "Linearisations per frame 4 2" in other
     assert "Free parameters f_m, b2_per_m2 f_m" in other
 
 

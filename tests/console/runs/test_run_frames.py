@@ -83,7 +83,7 @@ def test_a_frame_that_is_not_there_says_which_there_are(site, read, run_id):
 
 def test_a_queued_run_shows_its_frames_under_the_parameters_it_has(site, read):
     text = read(frames_page(site, site.add_run("batch"), frame=3))
-    assert "The run has no parameters of its own to show this frame under." in text
+    assert "The run has no parameters to show this frame with." in text
     assert "On the detector" in text
 
 

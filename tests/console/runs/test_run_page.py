@@ -88,7 +88,7 @@ def test_a_running_run_shows_its_partial_estimate_marked_partial_and_follows_the
     assert "live-run.js" in page
     assert "data-follows" in page
     page = site.visitor("victor").get(f"/runs/{run_id}?part=evidence")
-    assert "Trust is examined when the run ends" in read(page)
+    assert "trust is examined when the run ends" in read(page)
     assert not list_figures(page) & {figure.name for figure in CHAPTERS["trust"] + CHAPTERS["matching"]}
 
 

@@ -131,7 +131,7 @@ def _draw_threshold(figure: go.Figure, **place: int) -> None:
     """Draw the value below which a direction is not seen, and say so."""
     figure.add_hline(y=THRESHOLD, line={**theme.LEVEL, "color": WEAK_COLOUR}, **place)
     beside = {"x": 1, "xref": "x domain", "xanchor": "left", "y": float(np.log10(THRESHOLD)), "yanchor": "middle"}
-    words = f"below {THRESHOLD:g}:<br>not seen"
+    words = f"below {THRESHOLD:g}:<br>weak"
     figure.add_annotation(text=words, align="left", font={"color": WEAK_COLOUR}, showarrow=False, **beside, **place)
 
 
@@ -210,7 +210,7 @@ OBSERVABILITY = make_figure(
     guide=(
         "Each column is one direction in parameter space: the bar, its singular value, is how many times better than the "
         "spread from one such sensor to the next the stars determine it, the colours below are the parameters it mixes. "
-        f"Below {THRESHOLD:g} (dotted) a direction is not seen: amber and hatched."
+        f"Below {THRESHOLD:g} (dotted) a direction is weak: amber and hatched."
     ),
     wide=True,
     forms={"small": draw_small, "narrow": draw_narrow},

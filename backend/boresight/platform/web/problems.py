@@ -51,7 +51,7 @@ KINDS: Mapping[type[Exception], ProblemKind] = {
     errors.CancelledError: ProblemKind(409, "Cancelled"),
 }
 UNFORESEEN = ProblemKind(500, "Unforeseen error")
-UNKNOWN_ADDRESS = "There is nothing at this address; look it up in /api/v1/openapi.json."
+UNKNOWN_ADDRESS = "There is nothing at this address; see /api/v1/openapi.json."
 
 
 @dataclass(frozen=True)
