@@ -61,7 +61,7 @@ def test_what_was_backed_up_comes_back_and_its_audit_log_holds(filled, monkeypat
 def test_nothing_is_written_over(filled):
     boresight, archive, _ = filled
     assert_refused(boresight("restore", archive), "already; restore into an empty")
-    assert_refused(boresight("backup", "--out", archive), "a backup is never written over")
+    assert_refused(boresight("backup", "--out", archive), "a backup is never overwritten")
 
 
 @pytest.mark.parametrize("name", ["boresight.sqlite3", "blobs"])

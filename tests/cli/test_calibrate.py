@@ -420,7 +420,7 @@ def test_the_telemetry_itself_is_never_overwritten(match, half):
 
 
 @pytest.mark.parametrize(
-    ("name", "sentence"), [("out.txt", "says no format"), ("no/out.csv", "does not exist"), (".", "is a folder")]
+    ("name", "sentence"), [("out.txt", "has no known format"), ("no/out.csv", "does not exist"), (".", "is a folder")]
 )
 def test_a_place_that_cannot_be_written_is_refused_before_the_work(match, half, tmp_path, name, sentence):
     assert_refused(match(half[0], tmp_path / name), sentence, lines=1)

@@ -254,7 +254,7 @@ def test_what_is_mixed_says_which_stars_would_part_it(direction, wanted):
     [
         (2 * WEAK, "About 800 frames like these, in place of 200"),
         (20 * WEAK, "alone would not do"),
-        (None, "as open as it is"),
+        (None, "would not determine"),
         (WEAK, "Every direction is known"),
     ],
 )

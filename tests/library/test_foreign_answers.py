@@ -170,5 +170,5 @@ def test_who_stops_waiting_or_loses_the_server_learns_which_run_goes_on(monkeypa
     assert ended.exit_code == 130
     assert ended.stderr.splitlines() == [
         "boresight: stopped.",
-        "  Run 7 goes on at the server: its page there shows how it ends, and stops it.",
+        "  Run 7 continues on the server: see or cancel it on its page there.",
     ]

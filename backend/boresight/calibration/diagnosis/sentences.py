@@ -77,7 +77,7 @@ def _say_unknown(found: Diagnosis, looked: str) -> str:
         "pixel or from 1 would not prevent stars from matching"
     )
     return (
-        f"{told}: check that the centroids are stars (at least 4 an exposure, in pixels), and that sensor and telemetry have the same "
+        f"{told}: check that the centroids are stars (at least 4 an exposure, in pixels), and that sensor and telemetry share a "
         "camera."
     )
 

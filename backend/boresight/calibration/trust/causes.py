@@ -185,7 +185,7 @@ CAUSES: dict[str, CauseKind] = {
         ),
         CauseKind(
             "refraction",
-            "These residuals look like refraction: stars are displaced by {size} times as much as by usual air above a place on the "
+            "These residuals look like refraction: stars are displaced {size} times as much as by usual air above a place on the "
             "ground",
             "give the site in the sensor file (`site`: latitude_deg, longitude_deg, pressure_hpa, temperature_c), or on the "
             "command line with --site, and times in UTC; if directions in the telemetry include refraction already, declare it "
