@@ -291,7 +291,7 @@ def test_with_wrong_stars_the_view_shows_where_least_squares_would_have_ended(se
     without = np.array(list(view["parameters_without"].values()))
     np.testing.assert_allclose((without - plain.x) / sigma, 0, atol=0.1)  # weights are taken at the robust estimate
     assert np.abs((estimate.x - TRUTH) / sigma).max() < 4 < np.abs((without - TRUTH) / sigma).max()
-    assert "look for wrong matches" in view["sentence"]
+    assert "check for wrong matches" in view["sentence"]
 
 
 def test_the_cosine_error_gives_sigmas_that_hold_and_says_what_it_costs(sensor, catalogue, make_telemetry):

@@ -343,7 +343,7 @@ def test_a_hundredth_of_wrong_centroids_makes_heavy_tails_and_a_set_too_small_sa
         ground = case(replace(clean, row_px=wrong), sensor, catalogue).ground
     view = to_plain(residual_distribution(ground, compute_star_residuals(ground)))
     assert not view["normal_tails"]
-    assert view["sentence"].endswith("some stars are wrong; look at the outliers.")
+    assert view["sentence"].endswith("some stars are wrong; check the outliers.")
     trust = case(field(2, frames=3, stars=4, exposures=1), sensor, catalogue, free=("f_m",)).trust
     assert trust["residual_distribution"] is None
     assert trust["unavailable"]["residual_distribution"].startswith("A distribution needs 50 residuals")

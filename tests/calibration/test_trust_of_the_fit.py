@@ -309,7 +309,7 @@ def test_the_residual_grows_with_the_temperature_and_a_noisier_part_lies_outside
     good.row_px[bad] += 0.6 * rng.normal(size=bad.sum())
     part = case(good, st16_sensor(1), catalogue).trust["nis_over_time"]
     assert not part["consistent"]
-    assert "do not follow one another as by chance" in part["sentence"]
+    assert "are not in random order" in part["sentence"]
     outside = np.array(part["nis_per_dof"]) > np.array(part["upper"])
     assert outside[-50:].mean() > 3 * outside[:50].mean()
 

@@ -252,10 +252,10 @@ def test_what_is_mixed_says_which_stars_would_part_it(direction, wanted):
 @pytest.mark.parametrize(
     ("sigma", "said"),
     [
-        (2 * WEAK, "About 800 frames like these, in place of 200"),
-        (20 * WEAK, "alone would not do"),
+        (2 * WEAK, "About 800 frames like these, instead of 200"),
+        (20 * WEAK, "would not help enough"),
         (None, "would not determine"),
-        (WEAK, "Every direction is known"),
+        (WEAK, "Every direction is determined"),
     ],
 )
 def test_so_many_times_the_frames_as_the_square_of_what_is_missing(sigma, said, sequential_result):

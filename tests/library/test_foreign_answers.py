@@ -100,7 +100,7 @@ def test_what_is_damaged_on_the_way_is_asked_again():
 
 def test_a_list_that_begins_anew_is_not_read_for_ever():
     page = (200, {"items": [], "next": "a"})
-    assert "begins anew" in refused([page, page], lambda client: client.sensors())[0]
+    assert "starts again after a page" in refused([page, page], lambda client: client.sensors())[0]
 
 
 def test_a_package_is_the_one_that_the_server_built():

@@ -166,7 +166,7 @@ def test_a_wrong_number_is_named(document, path, value, words):
         ("parity", True, "parity is True"),
         ("centroid_sigma_px", 0, "centroid_sigma_px is 0"),
         ("centroid_sigma_px", -0.1, "centroid_sigma_px is -0.1"),
-        ("initial.k1", 0.1, "initial.k1 is no parameter of inverted_wang"),
+        ("initial.k1", 0.1, "initial.k1 is not a parameter of inverted_wang"),
         ("typical_sigma.f_m", 0, "typical_sigma.f_m is 0"),
         ("typical_sigma.f_m", -1e-4, "typical_sigma.f_m is -0.0001"),
         ("typical_sigma.f_mm", 1, "typical_sigma.f_mm is no parameter"),

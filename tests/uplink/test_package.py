@@ -287,7 +287,7 @@ def test_other_values_are_told_from_damage_by_the_dumps_own_crc_and_many_differe
     other = compare(DEFINITION, SENT, encode(DEFINITION, VALUES | {"f_m": 0.0161}))
     assert (other.crc_ok, "other values were loaded" in other.sentence) == (True, True)
     damaged = compare(DEFINITION, SENT, flipped(100))
-    assert (damaged.crc_ok, "altered in memory or on the way down" in damaged.sentence) == (False, True)
+    assert (damaged.crc_ok, "altered in memory or during downlink" in damaged.sentence) == (False, True)
     sentence = compare(DEFINITION, SENT, bytes(255 - byte for byte in SENT)).sentence
     assert sentence.startswith("32 of 32 bytes differ: all bits of byte 0 (mask 0xFF), in VERSION; ")
     assert "; and 29 more." in sentence

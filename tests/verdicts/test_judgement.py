@@ -228,8 +228,8 @@ def test_a_wrong_entry_is_refused_with_its_gate_and_key(entry, words):
     [
         ({"gate": []}, "no key 'gate'"),
         ({"schema": "other", "gates": []}, "schema is 'other'"),
-        ({"gates": {}}, "no list of objects"),
-        ({"gates": ["coverage"]}, "no list of objects"),
+        ({"gates": {}}, "not a list of objects"),
+        ({"gates": ["coverage"]}, "not a list of objects"),
         ({"gates": [{"name": "nis"}, {"name": "nis"}]}, "nis is given twice"),
     ],
 )

@@ -68,7 +68,7 @@ def test_links_without_certificates_are_plain():
     ("given", "sentence"),
     [
         ({"scheduler": "tls://127.0.0.1:1"}, "needs certificates"),
-        ({"scheduler": "tls://127.0.0.1:1", "tls_certificate": __file__}, "BORESIGHT_TLS_AUTHORITY='' is no file"),
+        ({"scheduler": "tls://127.0.0.1:1", "tls_certificate": __file__}, "BORESIGHT_TLS_AUTHORITY='' is not a file"),
         (
             {"tls_authority": __file__, "tls_certificate": "nowhere.pem"},
             "BORESIGHT_TLS_CERTIFICATE='nowhere.pem' is no",
@@ -107,7 +107,7 @@ def changed(certificates, folder, *, ends=None, mode=0o600, drop=""):
     [
         ({"ends": datetime(2020, 1, 1, tzinfo=UTC)}, "has expired on 2020-01-01"),
         ({"mode": 0o644}, "can be read by every user"),
-        ({"drop": "key"}, "does not hold a certificate and its key"),
+        ({"drop": "key"}, "does not contain a certificate and its key"),
     ],
 )
 def test_a_certificate_that_cannot_serve_is_refused_at_the_start(certificates, tmp_path, wrong, sentence):

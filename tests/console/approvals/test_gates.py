@@ -97,7 +97,7 @@ def test_the_baseline_has_nothing_to_be_compared_with(assess):
     answers = {answer["name"]: answer for answer in report["gates"]}
     assert answers["covariance"]["status"] == "PASS"
     assert answers["parameter-shift"]["status"] == "NO-DATA"
-    assert "this one is the baseline" in answers["validation-rms-incumbent"]["sentence"]
+    assert "this set is the baseline" in answers["validation-rms-incumbent"]["sentence"]
     assert report["blocking"] == []
 
 
@@ -286,7 +286,7 @@ def test_neither_another_role_nor_a_key_nor_the_command_line_waives(waive, peopl
         ({"gate": "finite"}, ConflictError, "does not block"),
         ({"expires_utc": "2020-01-01T00:00:00Z"}, RefusedInputError, "cannot expire at"),
         ({"expires_utc": "9999-12-31"}, RefusedInputError, "cannot expire at"),
-        ({"expires_utc": "soon"}, RefusedInputError, "'soon' is no time"),
+        ({"expires_utc": "soon"}, RefusedInputError, "'soon' is not a time"),
         ({"parameter_set_id": 99}, NotFoundError, "no parameter set 99"),
         ({"expires_utc": utc_after(30 * DAY_S + 7200)}, RefusedInputError, "within 30 days"),
         ({"seen": None}, PreconditionRequiredError, "If-Match"),

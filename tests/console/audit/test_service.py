@@ -355,7 +355,7 @@ def test_filters_in_the_address_narrow_the_list_and_stay_in_the_form(site, read)
     assert "<option selected>tested</option>" in visitor.get("/audit?action=tested")
     assert 'class="empty"' in visitor.get("/audit?since=2100-01-01")
     assert "Run 2" in read(visitor.get("/audit?since=2020-01-01T00:00Z&until=2100-01-01&action=tested"))
-    assert "'soon' is no time" in read(visitor.get("/audit?since=soon"))
+    assert "'soon' is not a time" in read(visitor.get("/audit?since=soon"))
     page = visitor.get("/audit?object=users/2")
     assert ('title="users/2"' in page, 'title="users/3"' in page) == (True, False)
 

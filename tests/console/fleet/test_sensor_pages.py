@@ -243,7 +243,7 @@ def test_what_was_baseline_at_a_time_is_answered_and_nonsense_refused(site, read
     visitor = site.visitor("victor")
     assert "Baseline PS-ST16-1-0" in read(visitor.get("/sensors/1?at=2100-01-01T00:00:00Z")).split("What was in use")[1]
     assert "none yet" in read(visitor.get("/sensors/1?at=2000-01-01T00:00:00Z"))
-    assert "is no time" in read(visitor.get("/sensors/1?at=yesterday"))
+    assert "is not a time" in read(visitor.get("/sensors/1?at=yesterday"))
 
 
 def test_an_edit_of_an_older_version_is_refused_and_the_text_kept(site):

@@ -284,7 +284,7 @@ def test_differences_are_told_in_the_words_of_the_form():
     before, now = {"method": "batch"}, {"method": "svd", "singular_values": [1, 3], "leave_out_doubles": True}
     told = {one.title: (one.before, one.now) for one in differences(before, now)}
     assert told["Method"] == ("Batch", "Singular values")
-    assert told["Singular values"][1] == "σ1 and σ3: the same by another name"
+    assert told["Singular values"][1] == "σ1 and σ3: the same information"
     assert told["Leave out doubles and unreliable stars"] == ("no", "yes")
     assert differences(now, now) == []
 
@@ -309,7 +309,7 @@ def test_a_preset_without_a_sentence_is_refused_and_everything_stays_typed(site,
 
 def test_a_set_that_cannot_be_looked_into_leaves_the_dry_run_its_size(site, read):
     text = read(site.visitor("ada").post("/runs/new", **FORM, intent="check").text)
-    assert "No sigma can be foretold" in text
+    assert "No sigma can be predicted" in text
     assert "a guess before the first run" in text or "of this method" in text
 
 

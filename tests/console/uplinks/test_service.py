@@ -196,7 +196,7 @@ REFUSED: list[tuple[str, dict[str, Any], type[BoresightError], str]] = [
     ("dee", {"source": ""}, RefusedInputError, "Give the source"),
     ("dee", {"seen": None}, PreconditionRequiredError, "which version"),
     ("dee", {"seen": 1}, StaleError, "changed since you read it"),
-    ("dee", {"happened": "soon"}, RefusedInputError, "is no time"),
+    ("dee", {"happened": "soon"}, RefusedInputError, "is not a time"),
     ("ana", {}, ForbiddenError, "role operator"),
     ("cy", {}, ForbiddenError, "role operator"),
     ("root", {}, ForbiddenError, "An administrator cannot sign"),

@@ -378,7 +378,7 @@ def test_a_new_webhooks_secret_is_shown_this_once(site):
 def test_a_refused_webhook_keeps_what_was_typed(site, read):
     answer = site.visitor("adele").post("/webhooks", **{**FORM, "url": "mission"})
     assert answer.status_code == 422
-    assert "is no address" in read(answer.text)
+    assert "is not an address" in read(answer.text)
     assert 'value="Mission chat"' in answer.text
 
 

@@ -258,7 +258,7 @@ def test_a_rotated_key_reads_what_the_former_encrypted_and_the_former_can_then_g
     assert SecretBox(box.file).open(_secret(engine, number)) == secret
     assert stat.S_IMODE(box.file.stat().st_mode) == 0o600
     box.file.write_text("no key\n")
-    with pytest.raises(RefusedInputError, match="holds no key that can be used"):
+    with pytest.raises(RefusedInputError, match="contains no usable key"):
         SecretBox(box.file).open(first)
 
 
