@@ -297,4 +297,4 @@ def _shut(folder: Path) -> None:
     try:
         folder.chmod(folder.stat().st_mode & ~OTHERS)
     except OSError:
-        log.warning("Other users can enter %s, which holds secrets: let its owner run chmod 700 on it.", folder)
+        log.warning("Other users can enter %s, which contains secrets: let its owner run chmod 700 on it.", folder)

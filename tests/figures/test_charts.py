@@ -91,7 +91,7 @@ def test_displacements_differ_by_the_radial_difference_or_say_how_to_have_them(s
     (new,), (old,) = named(drawn, "Run"), named(drawn, "old: at launch")
     assert np.array(new.y) - np.array(old.y) == pytest.approx(sequential_result.radial.difference_px, abs=1e-5)
     radial = replace(sequential_result.radial, displacement_px=None)
-    assert "start it again" in draw("distortion", sequential_result, radial=radial).layout.annotations[0].text
+    assert "run it again" in draw("distortion", sequential_result, radial=radial).layout.annotations[0].text
 
 
 def test_correlations_are_the_covariance_over_the_sigmas_and_name_the_strongest_pair():

@@ -71,7 +71,7 @@ def test_a_part_that_is_missing_is_drawn_as_its_own_reason(name, sequential_resu
     assert not drawn.data
     assert drawn.layout.annotations[0].text == "Twenty frames are needed &lt;and more&gt;."
     old = draw("whiteness", replace(sequential_result, trust=None))
-    assert "start it again" in old.layout.annotations[0].text
+    assert "run it again" in old.layout.annotations[0].text
 
 
 def test_halves_are_held_against_three_sigmas_and_only_those_that_differ_are_called_so(sequential_result):

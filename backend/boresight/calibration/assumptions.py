@@ -144,7 +144,7 @@ def _velocity(telemetry: Telemetry, sensor: Sensor, corner_px: float) -> Assumpt
     if word == "negligible" or (word == "given" and telemetry.ra_rad is not None):
         return Assumption(name=name, declared=True, value=word, sentence=f"Declared. {_words(name, word)}.")
     opening = (
-        "Declared as given, yet this telemetry has none" if word else "The telemetry gives no velocity of the satellite"
+        "Declared as given, but this telemetry has none" if word else "The telemetry gives no velocity of the satellite"
     )
     sentence = (
         f"{opening}, so none is assumed. In a low orbit 5 arcsec of aberration would stretch the field by up to 25 ppm, "

@@ -414,7 +414,7 @@ def _read_raw(content: bytes, name: str, sensor: Sensor, raw: ImageFormat, limit
     if dn.max() > white:
         other = "big" if raw.byte_order == "little" else "little"
         raise RefusedInputError(
-            f"{name} holds {dn.max():,.0f}, more than {raw.bits} bits allow: check the byte order "
+            f"{name} contains {dn.max():,.0f}, more than {raw.bits} bits allow: check the byte order "
             f"(--raw-order {other})."
         )
     return Image(name, dn, hashlib.sha256(content).hexdigest(), np.datetime64("NaT", "us"), "", white_dn=white)

@@ -382,7 +382,7 @@ def test_a_result_from_before_the_examination_says_how_to_have_one(site, read, r
     old = {name: said for name, said in results["batch"].items() if name not in ("trust", "matching", "shadow")}
     run_id = site.add_run("batch", state="SUCCEEDED", result=old)
     victor = site.visitor("victor")
-    assert "clone its run and start it again" in read(victor.get(f"/runs/{run_id}?part=evidence"))
+    assert "clone its run and run it again" in read(victor.get(f"/runs/{run_id}?part=evidence"))
     assert "used the matches it was given" in read(victor.get(f"/runs/{run_id}?part=evidence"))
 
 

@@ -60,7 +60,7 @@ def say(found: Diagnosis, best: Trial, sensor: Sensor) -> str:
     others = [CAUSES[cause.name] for cause in found.causes if cause.alternative]
     told = "; ".join(parts)
     if others:
-        told += f" (or {' or '.join(others)}: stars alone cannot tell these apart)"
+        told += f" (or {' or '.join(others)}: stars alone cannot separate these)"
     if found.names == ("no_time",):
         return f"{told[0].upper()}{told[1:]}; everything else matches: {found.exposures_solved:,} of {looked} match apart from it."
     before = f"{found.exposures_solved_before:,} with the files as they are"

@@ -126,7 +126,7 @@ CAUSES: dict[str, CauseKind] = {
         CauseKind(
             "readout",
             "Lines are read out one after another: stars are displaced by about {size} px with their line and the image's velocity",
-            "state readout mode and line time in the sensor file, or use frames taken at rest",
+            "state readout mode and line time in the sensor file, or use frames taken without motion",
             ("readout", *GENERAL),
         ),
         CauseKind(

@@ -80,7 +80,7 @@ def residual_field(fitted: FittedSet, found: StarResiduals) -> ResidualField:
     was = _binned(r, M, arcs.sigma_px * spread, cell, row_edges, col_edges)
     after = _binned(found.r, found.M, arcs.sigma_px * spread, cell, row_edges, col_edges)
     if after is None:
-        raise Unavailable(f"No cell of the detector holds {LEAST_STARS} stars: add frames.")
+        raise Unavailable(f"No cell of the detector has {LEAST_STARS} stars: add frames.")
     return ResidualField(
         row_edges_px=nested(row_edges),
         col_edges_px=nested(col_edges),

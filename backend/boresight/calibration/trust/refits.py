@@ -155,7 +155,7 @@ def _sentence(value: float, dof: int, bounds: tuple[float, float], found: float,
         return (
             f"Two halves of the set agree better than their sigmas allow ({numbers}); {over}: the noise is overstated."
         )
-    return f"Two halves of the set, fitted apart, agree ({numbers}); {over}."
+    return f"Two halves of the set, fitted separately, agree ({numbers}); {over}."
 
 
 MOST_FRAMES = 200

@@ -269,7 +269,7 @@ TRUST_TESTS: tuple[TrustTestKind, ...] = (
     ),
     TrustTestKind(
         "two_halves", "Two halves", "stability",
-        "Two halves of the set, fitted apart, disagree", "Two halves of the set, fitted apart, agree",
+        "Two halves of the set, fitted separately, disagree", "Two halves of the set, fitted separately, agree",
         _of_part("two_halves", lambda part: part.chi2.p),
     ),
     TrustTestKind(

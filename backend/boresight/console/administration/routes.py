@@ -183,5 +183,5 @@ def documentation() -> HTMLResponse:
 
 @documentation_router.get("/api/v1/docs")
 def documentation_of_version() -> RedirectResponse:
-    """Redirect to the documentation from the address beside the routes."""
+    """Redirect to the documentation."""
     return RedirectResponse("/docs")

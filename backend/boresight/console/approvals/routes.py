@@ -199,7 +199,7 @@ def get_gate_report(parameter_set_id: Id, session: Reading, sha256: Hash | None 
 def waive_gate(
     parameter_set_id: Id, signed: Waiving, actor: Who, seen: SeenVersion, proof: ProvenWaiver, session: Writing
 ) -> Waiver:
-    """Let this set pass in spite of a gate that blocks it, in person. The next request then needs two approvals."""
+    """Let this set pass despite a gate that blocks it, in person. The next request then needs two approvals."""
     return gates.waive(
         session, actor, parameter_set_id, signed.gate, signed.code, signed.reason, signed.expires_utc, proof, seen
     )

@@ -114,7 +114,7 @@ def _tolerance(pooled: Pooled) -> Finding:
         said.append(f"Here at {size}: {by_sensor(records, found, 2)}.")
     return finding(
         "How wide the flight matching would have to be",
-        "The paper does not give the tolerance of its matching, on which Table IV's initial availability rests.",
+        "The paper does not give the tolerance of its matching, on which Table IV's initial availability depends.",
         *said,
     )
 

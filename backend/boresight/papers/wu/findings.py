@@ -122,9 +122,9 @@ def _errors(pooled: Pooled) -> Finding:
         f"Model 4 {{2,3}} reaches {at['full', 0.2]:.3f}″ at 0.2 px with the full R and {at['diagonal', 0.2]:.3f}″ with a diagonal "
         f"one; the printed figure is {A_23 / at['full', 0.2]:.1f} and {A_23 / at['diagonal', 0.2]:.1f} times these. At 0.5 px it "
         f"reaches {at['full', 0.5]:.3f}″ and {at['diagonal', 0.5]:.3f}″.",
-        f"Over the {len(PRINTED_A)} printed means of criterion A ours at 0.2 px lie a typical factor of "
+        f"Over the {len(PRINTED_A)} printed means of criterion A ours at 0.2 px are a typical factor of "
         f"{_typical(pooled, 'full'):.2f} from the print with the full R and {_typical(pooled, 'diagonal'):.2f} with a diagonal "
-        "one: that much of the difference is R.",
+        "one: this part of the difference is due to R.",
         "The text recommends process noise without a number; it and the order of the stars can move the printed figure too.",
     )
 

@@ -201,7 +201,7 @@ def _sentence(found: VerificationFindings, kept: ExternalHead | None, looked_at:
         )
         what = "it was truncated, rewritten" if lost else "it was rewritten"
         return (
-            f"The chain of {count} records holds together, but the head {found.unmet[0]} is not in it{lost}: {what}, or is of an "
+            f"The chain of {count} records is intact, but the head {found.unmet[0]} is not in it{lost}: {what}, or is of an "
             "older state of the disk."
         )
     if (misfit := found.misfit or next(iter(found.guards), None)) is not None:
@@ -226,7 +226,7 @@ def _absence(file: Path, *, is_lost: bool) -> str:
     if not is_lost:
         return f" No head was kept in {file} yet, so nothing tells whether newer records were lost."
     return (
-        f" But {file} holds no head although heads were kept there, so records may have been lost unseen: mount its disk or bring "
+        f" But {file} contains no head although heads were stored there, so records may have been lost unseen: mount its disk or bring "
         "the file back; where it is gone for good, find out why and name another file by BORESIGHT_AUDIT_HEAD_FILE."
     )
 

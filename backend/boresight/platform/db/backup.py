@@ -367,7 +367,7 @@ def _manifest(backup: zipfile.ZipFile) -> BackupManifest:
     with backup.open(MANIFEST) as packed_manifest:
         manifest = BackupManifest.from_json(packed_manifest.read(MANIFEST_BYTES))
     if DATABASE not in names:
-        raise RefusedInputError("This file is no backup of Boresight: it holds no database. Use another file.")
+        raise RefusedInputError("This file is no backup of Boresight: it contains no database. Use another file.")
     return manifest
 
 
@@ -380,7 +380,7 @@ def _members(backup: zipfile.ZipFile, manifest: BackupManifest) -> list[tuple[st
     found = [(name, sha256) for name, sha256 in matches if sha256 not in left_out]
     if unknown or len(set(names)) < len(names) or len(found) != manifest.blobs:
         raise RefusedInputError(
-            f"This backup was altered: it holds {len(found)} stored files and {len(unknown)} unknown members where its manifest "
+            f"This backup was altered: it contains {len(found)} stored files and {len(unknown)} unknown members where its manifest "
             f"counts {manifest.blobs} files, or a member twice. Use another backup."
         )
     return found

@@ -42,7 +42,7 @@ GONE = (
 )
 NUMBER_OUT_OF_RANGE, UNTRANSLATABLE = "22003", "22021"  # states of SQL
 NO_SUCH_NUMBER = "Nothing has this number; choose one from the list."
-TOO_LARGE = "A number is larger than the store can hold, 64 bits; send a smaller one."
+TOO_LARGE = "A number is larger than 64 bits; send a smaller one."
 UNWRITABLE = "A text contains a character that cannot be stored: NUL, or half of a surrogate pair; remove it."
 OF_DISK = {
     "SQLITE_FULL": full,

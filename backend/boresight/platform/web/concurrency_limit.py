@@ -192,7 +192,7 @@ class ConcurrencyLimit:
     async def _small(self, body: _AnnouncedBody, receive: Receive) -> Receive | None:
         if body.is_large:
             raise UnauthenticatedError(
-                f"Only who is logged in, or sends an API key that holds, may send over {SMALL_BODY_BYTES:,} bytes; log in first."
+                f"Only requests with a log-in or a valid API key may send over {SMALL_BODY_BYTES:,} bytes; log in first."
             )
         try:
             async with asyncio.timeout(self.limits.unknown_body_s):

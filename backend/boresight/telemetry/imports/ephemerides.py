@@ -240,7 +240,7 @@ def _numbers(name: str, segment: Segment, least: int) -> tuple[TimeArray, FloatA
             values[place] = [float(cell) for cell in cells[1 : least + 1]]
     wrong = np.flatnonzero(np.isnat(moments) | ~np.isfinite(values).all(axis=1))
     if len(wrong):
-        fault = Fault(segment.data[wrong[0]][0], None, f"holds no time and {least} numbers")
+        fault = Fault(segment.data[wrong[0]][0], None, f"does not contain a time and {least} numbers")
         raise RefusedInputError(f"{name}: {fault}: correct the line.", (fault,))
     early = np.flatnonzero(moments[1:] <= moments[:-1]) + 1
     if len(early):

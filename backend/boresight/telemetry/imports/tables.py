@@ -80,8 +80,8 @@ class SourceTable:
             return found[0]
         if found:
             raise RefusedInputError(
-                f"{self.name}: column {name}: {len(found)} columns end so, {', '.join(found[:3])}: write the whole name.",
-                (Fault(None, name, f"{len(found)} columns end so"),),
+                f"{self.name}: column {name}: {len(found)} columns end like this, {', '.join(found[:3])}: write the full name.",
+                (Fault(None, name, f"{len(found)} columns end like this"),),
             )
         close = difflib.get_close_matches(name.split("|", maxsplit=1)[0], self.columns, 1, 0.6)
         listed = ", ".join([*list(self.columns)[:_LISTED], *(["..."] if len(self.columns) > _LISTED else [])])
@@ -426,7 +426,7 @@ def _place_indexed(
         if not isinstance(values, list) or not isinstance(places, list) or len(values) != len(places):
             if values is not None or places is not None:
                 faults.add(
-                    f"is not as long as {by}, which says whose its entries are: give one for each", row=row, column=key
+                    f"is not as long as {by}, the list that it refers to: give one for each", row=row, column=key
                 )
             continue
         for value, place in zip(values, places, strict=True):

@@ -745,7 +745,7 @@ def _measured(function: Callable[[GateInputs], Measurement], inputs: GateInputs)
 def _finite(measured: Measurement) -> Measurement:
     """Return a measurement whose value is a number, or none at all."""
     if measured.value is not None and not np.isfinite(measured.value):
-        return absent(f"This is no finite number for this set. {measured.sentence}")
+        return absent(f"This is not a finite number for this set. {measured.sentence}")
     if measured.incumbent is not None and not np.isfinite(measured.incumbent):
         return replace(measured, incumbent=None)
     return measured

@@ -162,5 +162,5 @@ def _check_critical(gate: Gate, threshold: Threshold) -> None:
     for key, needed in (("waivable", False), ("observe_only", False), ("must_have_data", True)):
         if getattr(threshold, key) is not needed:
             raise RefusedInputError(
-                f"{gate.name}: {key} is {str(needed).lower()} in every profile, for the gate is critical; leave it out."
+                f"{gate.name}: {key} is {str(needed).lower()} in every profile, because the gate is critical; leave it out."
             )
