@@ -372,7 +372,7 @@ def test_a_record_is_shown_whole_with_names_and_units(site, read):
 
 def test_the_bar_tells_through_which_record_the_chain_was_verified(site):
     visitor = site.visitor("victor")
-    assert "NOT YET" in visitor.get("/sensors").split("<main")[0]
+    assert "UNVERIFIED" in visitor.get("/sensors").split("<main")[0]
     site.app.state.maintenance.verify()
     with open_reading(site.engine) as session:
         last = audit.list_records(session, limit=1)[0].id

@@ -226,7 +226,7 @@ def _absence(file: Path, *, is_lost: bool) -> str:
     if not is_lost:
         return f" No head was kept in {file} yet, so nothing tells whether newer records were lost."
     return (
-        f" But {file} contains no head although heads were stored there, so records may have been lost unseen: mount its disk or bring "
+        f" But {file} contains no head although it had some before, so records may have been lost unseen: mount its disk or bring "
         "the file back; where it is gone for good, find out why and name another file by BORESIGHT_AUDIT_HEAD_FILE."
     )
 
