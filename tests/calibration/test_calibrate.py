@@ -154,8 +154,8 @@ def test_a_history_follows_the_frames_with_bounds_and_both_rms_and_a_long_one_st
 
 def test_over_confidence_and_wrong_noise_are_said_with_the_sigma_that_would_fit(calibrated, make_telemetry, sensor):
     said = " ".join(calibrated(make_telemetry(6, frames=80, stars=5), method="sqrf", linearisations=1)["advice"])
-    assert "as printed, makes the filter over-confident" in said
-    assert "times the information that the data hold" in said
+    assert "as published, makes the filter over-confident" in said
+    assert "times the information that the data contain" in said
     document = calibrated(make_telemetry(10), replace(sensor, centroid_sigma_px=0.2))
     assert document["advice"][0].startswith("The centroid noise is ")
     assert float(document["advice"][0].split()[4]) == pytest.approx(0.437 / 0.2, rel=0.05)

@@ -131,7 +131,7 @@ def test_on_a_large_set_the_increase_of_all_frames_is_told_from_some(sensor, cat
     again = batch.normal_equations(ground.arcs, small.estimate.x, ground.parameters.free, ground.parameters.scale)
     assert thinned["g_y"].frames_used == 200
     assert thinned["g_y"].chi2_increase == pytest.approx(again.chi2 - ground.estimate.chi2, rel=0.1)
-    assert "ask for every free parameter" in drop_one_sentence(ground, list(thinned.values()))
+    assert "need every free parameter" in drop_one_sentence(ground, list(thinned.values()))
 
 
 def test_a_batch_is_efficient_the_printed_cosine_is_not_and_the_bound_from_some_frames_is_that_of_all(

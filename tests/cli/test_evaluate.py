@@ -105,7 +105,7 @@ def test_parameters_must_be_named(evaluate):
     ("change", "sentence"),
     [
         (lambda values: values.pop("b4_per_m4"), "gives no b4_per_m4: give every parameter of inverted_wang"),
-        (lambda values: values.update(k1=1.0), "gives 'k1', which is no parameter"),
+        (lambda values: values.update(k1=1.0), "gives 'k1', which is not a parameter"),
         (lambda values: values.update(f_m=-0.016), "gives f_m as -0.016, expected a number"),
         (lambda values: values.update(f_m=16.0), "a field of view of 0.025"),
         (lambda values: values.update(g_y=None), "gives g_y as None, expected a number"),

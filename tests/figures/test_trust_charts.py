@@ -161,7 +161,7 @@ def test_matching_draws_both_counts_of_every_cycle_or_says_that_matches_were_giv
     assert [values(trace).tolist() for trace in drawn.data[:2]] == [[4401, 4466, 4466], [2297, 65, 0]]
     assert "settled after 3 cycles" in drawn.layout.title.text
     given = changed(sequential_result, matching=None, inputs={"settings": {"match": "given"}})
-    assert "matches it was given" in draw("matching", given).layout.annotations[0].text
+    assert "the given matches" in draw("matching", given).layout.annotations[0].text
 
 
 def test_residuals_are_turned_to_the_radius_at_their_length_and_an_axis_has_its_rms_with_sigma(sequential_result):

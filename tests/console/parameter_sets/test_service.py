@@ -145,7 +145,7 @@ def test_a_request_binds_set_run_and_incumbent(engine, submitted):
 @pytest.mark.parametrize(
     ("who", "given", "error", "says"),
     [
-        ("command line", {}, ForbiddenError, "answer for this"),
+        ("command line", {}, ForbiddenError, "needs a person"),
         ("ana", {"seen": None}, PreconditionRequiredError, "If-Match"),
         ("ana", {"reason": "  "}, RefusedInputError, "Give the reason"),
     ],

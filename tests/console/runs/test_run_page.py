@@ -383,7 +383,7 @@ def test_a_result_from_before_the_examination_says_how_to_have_one(site, read, r
     run_id = site.add_run("batch", state="SUCCEEDED", result=old)
     victor = site.visitor("victor")
     assert "clone its run and run it again" in read(victor.get(f"/runs/{run_id}?part=evidence"))
-    assert "used the matches it was given" in read(victor.get(f"/runs/{run_id}?part=evidence"))
+    assert "used the given matches" in read(victor.get(f"/runs/{run_id}?part=evidence"))
 
 
 FREE = {"turns": True, "connected": True, "threads": 2, "tasks": 1}

@@ -181,7 +181,7 @@ def test_what_was_verified_by_word_alone_is_to_be_read_back_before_it_is_signed(
     with open_writing(site.engine) as session:
         add_entry(session, site.actor("olga"), session.get_one(ParameterSet, 1), "VERIFIED", "pass 1")
     visitor = site.visitor("olga")
-    assert "VERIFIED by statement alone: read it back before you sign." in read(visitor.get(STEPS))
+    assert "VERIFIED only by statement: read it back before you sign." in read(visitor.get(STEPS))
 
 
 def test_loaded_is_not_offered_while_a_dump_stands_against_it(site):

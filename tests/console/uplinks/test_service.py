@@ -100,7 +100,7 @@ def test_nobodys_word_makes_a_set_verified_or_active_and_the_door_is_named(engin
         _record(engine, key, "ACTIVE")
     with pytest.raises(ConflictError, match="VERIFIED is not recorded by statement"):
         _record(engine, key, "VERIFIED")
-    with pytest.raises(ForbiddenError, match="answer for this"):
+    with pytest.raises(ForbiddenError, match="needs a person"):
         _record(engine, COMMAND_LINE, "SENT")
     assert onboard(engine) == before
 
