@@ -169,7 +169,7 @@ def test_a_wrong_number_is_named(document, path, value, words):
         ("initial.k1", 0.1, "initial.k1 is not a parameter of inverted_wang"),
         ("typical_sigma.f_m", 0, "typical_sigma.f_m is 0"),
         ("typical_sigma.f_m", -1e-4, "typical_sigma.f_m is -0.0001"),
-        ("typical_sigma.f_mm", 1, "typical_sigma.f_mm is no parameter"),
+        ("typical_sigma.f_mm", 1, "typical_sigma.f_mm is not a parameter"),
         ("free", [], "free is []"),
         ("free", "f_m", "free is 'f_m'"),
         ("free", ["f_m", "k1"], "free names 'k1'"),

@@ -210,7 +210,7 @@ WRONG = {
     ),
     "a field past the end": (_field(offset_bytes=31), "past the 32 bytes of the table|inside"),
     "a name twice": (_field(name="version"), "is the name of 2 fields"),
-    "a parameter twice": (_field(parameter="k1"), "the parameter s lies in 0 fields"),
+    "a parameter twice": (_field(parameter="k1"), "the parameter s is in 0 fields"),
     "an unknown CRC": (_entry("crc", {"name": "CRC-15"}), "crc.name is not a known CRC: choose CRC-16/ARC"),
     "a known CRC with other parameters": (
         _crc(width=16, poly=3, init=0, refin=False, refout=False, xorout=0),
@@ -315,7 +315,7 @@ def test_a_dump_comes_back_with_or_without_its_headers():
     ("damage", "sentence"),
     [
         (lambda file: file[:80], "ends after 80 bytes"),
-        (lambda file: file[:-1], "holds 31 bytes and says 32"),
+        (lambda file: file[:-1], "contains 31 bytes and says 32"),
         (lambda file: file.replace(b"CAMERA", b"CAMERB"), "is of the table 'STR_APP.CAMERB'"),
         (lambda file: file[:68] + b"\0\0\0\4" + file[72:], "says 32 from byte 4"),
     ],
