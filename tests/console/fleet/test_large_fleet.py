@@ -192,7 +192,7 @@ def test_of_several_that_are_found_the_chosen_one_stays_and_all_are_offered(ada,
     ]
     assert selected(page, "sensor_id")[0] == "5"
     assert "10 of 1" in read(page)
-    assert "holds “nobody”" in read(ada.get("/runs/new?find=nobody"))
+    assert "contains “nobody”" in read(ada.get("/runs/new?find=nobody"))
 
 
 def test_without_scripts_another_sensor_is_chosen_by_the_form_which_keeps_what_was_typed(ada, fleets):

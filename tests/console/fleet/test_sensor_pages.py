@@ -328,7 +328,7 @@ def test_analysts_and_administrators_register(session, people, document, name):
         truth = {"f_m": 0.0161}
         row = sensors.register_sensor(session, people[name], document, simulated=True, truth=truth)
         assert (row.name, row.simulated, row.truth) == ("ST16-2", 1, truth)
-        with pytest.raises(ConflictError, match="is a sensor ST16-2 already"):
+        with pytest.raises(ConflictError, match="sensor ST16-2 exists already"):
             sensors.register_sensor(session, people[name], document)
     else:
         with pytest.raises(ForbiddenError, match="analyst or administrator"):

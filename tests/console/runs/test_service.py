@@ -180,7 +180,7 @@ def test_the_list_is_paged_newest_first_and_filtered(session, people, launch):
     assert len(runs.list_runs(session, state=["QUEUED", "CANCELLED"], sensor_id=1)) == 4
     assert runs.list_runs(session, sensor_id=2) == []
     assert runs.count_by_state(session)["QUEUED"] == 3
-    with pytest.raises(RefusedInputError, match="DONE is no state"):
+    with pytest.raises(RefusedInputError, match="DONE is not a state"):
         runs.list_runs(session, state="DONE")
 
 
