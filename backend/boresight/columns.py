@@ -43,8 +43,8 @@ class Columns:
         """Map the file; what is written into the arrays stays with this process (the compiled loops take writable ones)."""
         if not integrity.is_intact(Path(self.path), self.sha256):
             raise CorruptFileError(
-                f"The working copy {Path(self.path).name} was altered on the disk while the run computed, so nothing is made of "
-                "it: look at the disk of the data folder, and launch the run again."
+                f"The working copy {Path(self.path).name} was altered on the disk while the run computed, so it is not used"
+                ": check the disk of the data folder, and launch the run again."
             )
         with Path(self.path).open("rb") as file:
             if not os.fstat(file.fileno()).st_size:

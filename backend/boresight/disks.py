@@ -37,7 +37,7 @@ def full(place: object) -> str:
 
 def failing(place: object) -> str:
     """Say that a disk takes no write, for no reason that it gives."""
-    return f"The disk of {place} fails to read or write, so nothing was stored: make room there, and look at the disk."
+    return f"The disk of {place} fails to read or write, so nothing was stored: make room there, and check the disk."
 
 
 def read_only(place: object) -> str:
@@ -47,7 +47,7 @@ def read_only(place: object) -> str:
 
 def absent(place: object) -> str:
     """Say that a folder is not there."""
-    return f"The folder of {place} is not there: mount its disk or make the folder, and try again."
+    return f"The folder of {place} does not exist: mount its disk or make the folder, and try again."
 
 
 class Opened:
@@ -63,12 +63,12 @@ class Opened:
             found = _identity(self.place)
         except OSError as error:
             raise StorageError(
-                f"{self.place} is not there any more: mount its disk, or move it back to where it was, and try again."
+                f"{self.place} is gone: mount its disk, or move it back to where it was, and try again."
             ) from error
         if found != self._identity:
             raise StorageError(
                 f"{self.place} is not what this process opened: mount its disk or move it back to where it was and try again; "
-                "start Boresight anew if it was replaced on purpose."
+                "restart Boresight if it was replaced on purpose."
             )
 
 

@@ -79,8 +79,8 @@ class SessionEndedError(UnauthenticatedError):
         "password_changed": "Your password was changed, which ends every log-in; log in with the new one.",
         "roles_changed": "Your roles were changed, which ends every log-in; log in again.",
         "disabled": "This account is disabled; ask an administrator.",
-        "idle": "Your log-in was not used for long and has ended; log in again.",
-        "expired": "Your log-in has reached its greatest age and has expired; log in again.",
+        "idle": "Your log-in was unused for too long and has ended; log in again.",
+        "expired": "Your log-in has reached its maximum age and has expired; log in again.",
     }
 
     def __init__(self, because: str) -> None:

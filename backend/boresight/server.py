@@ -229,7 +229,7 @@ def _encrypt_secrets(app: FastAPI) -> None:
     try:
         encryption = encrypt_all(app.state.engine, app.state.secret_box)
     except (BoresightError, OSError) as error:
-        log.error("Webhooks are not told anything: %s", error)  # noqa: TRY400 - the sentence says it all
+        log.error("Webhooks receive no events: %s", error)  # noqa: TRY400 - the sentence says it all
         return
     if encryption.sentence is not None:
         log.warning("%s", encryption.sentence)
@@ -240,7 +240,7 @@ def _warm(catalogue: Callable[[], Catalogue]) -> None:
     try:
         catalogue()
     except Exception:
-        log.exception("The star catalogue could not be loaded; the first upload tries again")
+        log.exception("The star catalogue could not be loaded; the first upload will try again")
 
 
 def _turn_away(request: Request, error: Exception) -> Response:

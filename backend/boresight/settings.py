@@ -66,68 +66,68 @@ class Settings:
     )
     database_url: str = _setting("", "URL", "SQLAlchemy address of the store; empty = SQLite in the data folder.")
     blobs: str = _setting("", "path or URL", "Folder of files, or s3://bucket/prefix; empty = in the data folder.")
-    blob_cache_mb: float = _setting("10240", "MB", "Files of an object store kept here; the least used go.")
+    blob_cache_mb: float = _setting("10240", "MB", "Files of an object store cached here; the least used are removed.")
     host: str = _setting("127.0.0.1", "address", "Address the server listens on.")
     port: int = _setting("8000", "", "Port the server listens on.")
-    trusted_proxies: str = _setting("127.0.0.1", "addresses", "Proxies whose X-Forwarded-For and -Proto count.")
+    trusted_proxies: str = _setting("127.0.0.1", "addresses", "Proxies whose X-Forwarded-For and -Proto are trusted.")
     public_url: str = _setting(
-        "", "URL", "Where people find the server, if a proxy hides it; empty = what Host says.", read=_site
+        "", "URL", "Public address of the server behind a proxy; empty = that of the Host header.", read=_site
     )
     mode: str = _setting("OPS", "", "Tag in the top bar: OPS, SIM or TRAINING.")
-    scheduler: str = _setting("", "address", "Dask scheduler, tls://host:port; empty = our own worker processes.")
+    scheduler: str = _setting(
+        "", "address", "Dask scheduler, tls://host:port; empty = the server's own worker processes."
+    )
     tls_authority: str = _setting(
         "", "path", "Authority (PEM) that signed every machine's certificate, for tls:// links."
     )
     tls_certificate: str = _setting("", "path", "This machine's certificate and key in one PEM file, for tls:// links.")
     cluster_network_closed: int = _setting(
-        "0", "0 or 1", "1 = plain tcp:// links may leave this machine: nobody else is on their network."
+        "0", "0 or 1", "1 = plain tcp:// links to other machines are allowed: nobody else is on their network."
     )
     workers: int = _setting("2", "processes", "Worker processes started when no scheduler is given; 0 = none here.")
     threads: int = _setting(
-        "0", "threads", "Threads a command computes on, 0 = one a core; worker processes use one each."
+        "0", "threads", "Threads that a command computes on, 0 = one per core; worker processes use one each."
     )
-    lease_s: float = _setting("10", "s", "How long a run belongs to the server that claimed it without a renewal.")
-    max_attempts: int = _setting("3", "", "After so many lost attempts a run is FAILED as poison.")
+    lease_s: float = _setting("10", "s", "How long a server keeps a run that it claimed, unless it renews the claim.")
+    max_attempts: int = _setting("3", "", "Lost attempts after which a run is FAILED.")
     upload_limit_mb: float = _setting("512", "MB", "Largest telemetry file that is accepted.")
     telemetry_rows: int = _setting("50000000", "rows", "Most detections of a telemetry file, compressed or not.")
     telemetry_columns: int = _setting("1000", "columns", "Most columns of a telemetry file.")
-    images: int = _setting("2000", "images", "Most images of one set.")
+    images: int = _setting("2000", "images", "Most images in one set.")
     image_mb: float = _setting(
-        "512", "MB", "Largest image file; BORESIGHT_UPLOAD_LIMIT_MB holds for all images of an upload together."
+        "512", "MB", "Largest image file; BORESIGHT_UPLOAD_LIMIT_MB applies to all images of an upload together."
     )
     image_seconds: float = _setting("600", "s", "How long a server works on the images of one upload.")
-    image_megapixels: float = _setting("150", "megapixels", "Most pixels of an image, told before it is expanded.")
-    session_hours: float = _setting("12", "h", "A log-in ends after so long.")
-    session_idle_minutes: float = _setting(
-        "60", "min", "A log-in that is not used for so long ends too; 0 = it does not."
-    )
+    image_megapixels: float = _setting("150", "megapixels", "Most pixels of an image, checked before it is expanded.")
+    session_hours: float = _setting("12", "h", "A log-in ends after this time.")
+    session_idle_minutes: float = _setting("60", "min", "A log-in that is unused for this time ends; 0 = never.")
     login_attempts: int = _setting(
-        "5", "", "Wrong passwords for a name from one place; after so many each further try waits."
+        "5", "", "Wrong passwords for a name from one place before each further try must wait."
     )
-    webhooks_local: int = _setting("0", "0 or 1", "1 = webhooks may go to this machine and its link.")
+    webhooks_local: int = _setting("0", "0 or 1", "1 = webhooks may go to this machine and link-local addresses.")
     webhooks_private: int = _setting("0", "0 or 1", "1 = webhooks may go to private networks (RFC 1918, fc00::/7).")
     webhook_hosts: tuple[str, ...] = _setting(
         "", "hosts", "The only hosts webhooks may go to, exact or *.suffix; empty = any.", read=read_hosts
     )
     webhook_key: str = _setting(
-        "", "path", "File of the key that encrypts webhooks' secrets; empty = in the data folder."
+        "", "path", "File with the key that encrypts webhooks' secrets; empty = in the data folder."
     )
-    four_eyes: int = _setting("1", "0 or 1", "0 = one person works alone here and may sign what they submitted.")
-    second_person: int = _setting("0", "0 or 1", "1 = somebody else must confirm new gate limits and table layouts.")
+    four_eyes: int = _setting("1", "0 or 1", "0 = one person works alone here and can sign what they submitted.")
+    second_person: int = _setting("0", "0 or 1", "1 = a second person must confirm new gate limits and table layouts.")
     approvals: int = _setting("1", "people", "Approvals that a request needs; two at least where a gate is waived.")
     rest_review: int = _setting(
-        "0", "0 or 1", "1 = an approval over REST too must answer for every point of the request, as on its page."
+        "0", "0 or 1", "1 = an approval over REST must also answer every point of the request, as on its page."
     )
-    approval_days: float = _setting("30", "d", "A request that nobody decided on expires after so long.")
-    rollback_days: float = _setting("3", "d", "The same for a request to go back to a former baseline.")
-    promotion_password: int = _setting("1", "0 or 1", "1 = who promotes a set on a page gives the password once more.")
+    approval_days: float = _setting("30", "d", "A request that nobody decided on expires after this time.")
+    rollback_days: float = _setting("3", "d", "The same for a request to roll back to a former baseline.")
+    promotion_password: int = _setting("1", "0 or 1", "1 = promoting a set on a page needs the password again.")
     promotion_reason: int = _setting(
         "0", "0 or 1", "1 = a promotion over the REST API needs a reason too; on a page it always does."
     )
     audit_head_file: str = _setting(
-        "", "path", "Gets each new head of the audit log, a line each; outside the data folder."
+        "", "path", "File that gets each new head of the audit log, one per line; outside the data folder."
     )
-    audit_head_minutes: float = _setting("5", "min", "How often the head is written there, and told to webhooks.")
+    audit_head_minutes: float = _setting("5", "min", "How often the head is written there, and sent to webhooks.")
     secure_cookies: int = _setting("0", "0 or 1", "1 = the session cookie is sent over HTTPS only.")
 
     @property
@@ -297,4 +297,4 @@ def _shut(folder: Path) -> None:
     try:
         folder.chmod(folder.stat().st_mode & ~OTHERS)
     except OSError:
-        log.warning("Other users can enter %s, which holds secrets: let its owner run chmod 700 on it.", folder)
+        log.warning("Other users can enter %s, which contains secrets: let its owner run chmod 700 on it.", folder)

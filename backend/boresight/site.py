@@ -35,12 +35,10 @@ SITE_FIELDS = {
         SiteField("latitude_deg", "°", -90.0, 90.0, "geodetic latitude, north positive", optional=False),
         SiteField("longitude_deg", "°", -180.0, 360.0, "longitude, east positive", optional=False),
         SiteField("height_m", "m", -500.0, 9000.0, "height above the ellipsoid", 0.0),
-        SiteField(
-            "pressure_hpa", "hPa", 0.0, 1100.0, "air pressure at the site itself, not reduced to the sea's level"
-        ),
+        SiteField("pressure_hpa", "hPa", 0.0, 1100.0, "air pressure at the site itself, not reduced to sea level"),
         SiteField("temperature_c", "°C", -70.0, 60.0, "air temperature", 10.0),
         SiteField("relative_humidity", "", 0.0, 1.0, "relative humidity, 0 to 1", 0.5),
-        SiteField("wavelength_um", "µm", 0.3, 2.5, "wavelength of the light that the detector sees most of", 0.6),
+        SiteField("wavelength_um", "µm", 0.3, 2.5, "wavelength at which the detector is most sensitive", 0.6),
     )
 }
 

@@ -28,4 +28,4 @@ def tell(message: str, share: float) -> None:
     if _receivers:
         _receivers[-1](message, share)
     elif share == 0.0:
-        log.warning("Boresight is %s; a few seconds.", message)
+        log.warning("Boresight is %s; this takes a few seconds.", message)

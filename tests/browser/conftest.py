@@ -85,10 +85,10 @@ def people(installation, browser):
             window.open("/users")
             form = window.page.get_by_role("region", name="Add a person")
             form.get_by_label("Log-in name").fill(name)
-            form.get_by_label("Name as it is printed").fill(PRINTED_NAMES[name])
+            form.get_by_label("Name printed").fill(PRINTED_NAMES[name])
             form.get_by_label("First password").fill(get_password(name))
             form.get_by_role("checkbox", name=name).check()
-            form.get_by_role("checkbox", name="They set a password of their own").uncheck()
+            form.get_by_role("checkbox", name="They must set their own password").uncheck()
             form.get_by_role("button", name="Add this person").click()
             expect(window.page.get_by_role("table", name="People and their roles")).to_contain_text(PRINTED_NAMES[name])
     return made
@@ -155,7 +155,7 @@ def watched(people, batch_run):
         seen.log = window.page.locator("log-tail").inner_text()
         window.shoot("03-log")
         _read_log(window, seen)
-        window.page.get_by_label("Why stop it").fill("Seen enough.")
+        window.page.get_by_label("Why cancel it").fill("Seen enough.")
         window.page.get_by_role("button", name="Cancel run").click()
         ends_as(window, "CANCELLED")
         window.open(f"/runs/{run_id}")
@@ -221,10 +221,10 @@ def promoted(people, batch_run):
 def key(people):
     with people.seat("analyst") as window:
         window.open("/users")
-        form = window.page.get_by_role("region", name="Make a key")
-        form.get_by_label("What uses it").fill("Pass automation")
+        form = window.page.get_by_role("region", name="Create a key")
+        form.get_by_label("Program that uses it").fill("Pass automation")
         form.get_by_role("checkbox", name="runs").check()
-        form.get_by_role("button", name="Make the key").click()
+        form.get_by_role("button", name="Create the key").click()
         secret = window.page.locator(".secret code").inner_text()
         assert secret.startswith("bs_")
         return secret

@@ -197,5 +197,5 @@ def test_the_audit_page_tells_it_all_and_its_chain_holds(people, promoted):
         for name in ("analyst", "operator"):
             expect(table).to_contain_text(PRINTED_NAMES[name])
         expect(table).to_contain_text("BASELINE")
-        expect(window.page.get_by_text("CHAIN HOLDS")).to_be_visible()
+        expect(window.page.get_by_text("CHAIN INTACT")).to_be_visible()
         window.shoot("11-audit", wide=True)

@@ -34,7 +34,7 @@ def record(window, state, source):
     asked = window.page.get_by_role("dialog")
     if state == "SENT":
         asked.get_by_label("Package that was sent").select_option(index=1)
-    asked.get_by_label("Known from").fill(source)
+    asked.get_by_label("Source").fill(source)
     asked.get_by_role("button", name=state).click()
     expect(window.page.get_by_role("status").filter(has_text="Recorded.")).to_be_visible()
 
@@ -43,7 +43,7 @@ def upload(window, dump, source):
     form = window.page.get_by_role("region", name="Read back")
     file = {"name": "dump.bin", "mimeType": "application/octet-stream", "buffer": dump}
     form.get_by_label("Dump of the table").set_input_files(file)
-    form.get_by_label("Known from").fill(source)
+    form.get_by_label("Source").fill(source)
     form.get_by_role("button", name="Compare").click()
 
 
@@ -72,7 +72,7 @@ def test_a_set_goes_from_export_to_active_through_a_dump_that_was_damaged(people
         expect(window.page.get_by_role("status").filter(has_text="byte for byte")).to_be_visible()
         window.page.get_by_role("button", name="Sign that it is ACTIVE").click()
         form = window.page.get_by_role("dialog")
-        form.get_by_label("Known from").fill("TM page STR-2")
+        form.get_by_label("Source").fill("TM page STR-2")
         form.get_by_label("What your signature means").fill("I saw this table active in telemetry.")
         form.locator("#password").fill(get_password("operator"))
         window.shoot("32-to-sign-active")
@@ -82,7 +82,7 @@ def test_a_set_goes_from_export_to_active_through_a_dump_that_was_damaged(people
         window.open(f"/sensors/{sensor}/timeline")
         expect(window.page.locator(".standing-line")).to_contain_text("ACTIVE: the same")
         window.shoot("34-timeline", wide=True)
-        then = window.page.get_by_role("row").filter(has_text="MISMATCH").get_by_role("link", name="Answer")
+        then = window.page.get_by_role("row").filter(has_text="MISMATCH").get_by_role("link", name="Show")
         then.last.click()
         window.page.wait_for_url("**/timeline?at=*")
         expect(window.page.get_by_role("region", name=re.compile("^As of"))).to_contain_text("MISMATCH")
@@ -131,7 +131,7 @@ def test_a_drift_alarm_is_seen_handled_understood_and_over(people, store, drifti
         window.page.wait_for_url(re.compile(r"/alarms/\d+$"))
         address = re.sub(".*(/alarms/.*)", r"\1", window.page.url)
         window.holds_in_themes_and_widths("alarm")
-        window.page.get_by_label("Take care of it").select_option(label=PRINTED_NAMES["analyst"])
+        window.page.get_by_label("Assign to").select_option(label=PRINTED_NAMES["analyst"])
         window.page.get_by_role("button", name="Assign").click()
         window.page.get_by_label("Comment").fill("Seen on the night shift; the day shift recalibrates.")
         window.page.get_by_role("button", name="Acknowledge").click()
@@ -139,7 +139,7 @@ def test_a_drift_alarm_is_seen_handled_understood_and_over(people, store, drifti
         window.shoot("81-alarm-acknowledged")
     with people.seat("analyst") as window:
         window.open(f"/sensors/{drifting}/trend")
-        expect(window.page.locator("#advice")).to_contain_text("Recalibrate: PS-ST16-5-1 does not hold any more.")
+        expect(window.page.locator("#advice")).to_contain_text("Recalibrate: PS-ST16-5-1 is no longer valid.")
         window.figures_drawn()
         window.shoot("82-trend", wide=True)
         window.open("/alarms")

@@ -44,7 +44,7 @@ def test_a_running_filter_says_its_pace_what_is_left_and_when_it_was_last_heard_
 def test_the_log_follows_and_a_stop_keeps_its_reason(watched):
     assert re.search(r"\d+ %: frame \d+: \d+ of 100 frames", watched.log)
     assert "Cancelled by Ada Analyst: Seen enough." in watched.at_the_end
-    assert "PARTIAL: It had come to" in watched.at_the_end
+    assert "PARTIAL: It had reached" in watched.at_the_end
 
 
 def test_the_log_stays_where_somebody_reads_and_rests_while_it_is_paused(watched):

@@ -119,8 +119,8 @@ def test_a_page_says_that_its_server_is_gone_holds_what_would_write_and_recovers
         expect(link).to_have_text("LIVE")
         expect(window.page.locator("#run-head")).to_contain_text("RUNNING")
         window.grown("convergence", 1)
-        window.page.get_by_label("Why stop it").fill(WHY)
-        window.page.get_by_label("Why stop it").blur()  # what is being typed in is not renewed
+        window.page.get_by_label("Why cancel it").fill(WHY)
+        window.page.get_by_label("Why cancel it").blur()  # what is being typed in is not renewed
         assert window.page.evaluate(WRITES)
         installation.kill()
         try:
@@ -137,7 +137,7 @@ def test_a_page_says_that_its_server_is_gone_holds_what_would_write_and_recovers
         expect(link).to_have_text("LIVE")
         expect(window.page.locator("#verdict")).to_contain_text("Attempt 1 ended without a result: its server")
         expect(age).to_have_text(re.compile("^last event"))
-        expect(window.page.get_by_label("Why stop it")).to_have_value(WHY)
+        expect(window.page.get_by_label("Why cancel it")).to_have_value(WHY)
         expect(form.locator(".link-banner")).to_have_count(0)
         expect(form.get_by_role("button", name="Queue run")).to_be_enabled()
         assert form.get_by_label("Label").input_value() == LABEL

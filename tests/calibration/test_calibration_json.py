@@ -166,7 +166,7 @@ def test_members_of_a_later_version_are_passed_over():
     ],
 )
 def test_what_is_no_calibration_is_refused_by_the_path_of_its_fault(change, place):
-    with pytest.raises(RefusedInputError, match="no whole calibration") as refused:
+    with pytest.raises(RefusedInputError, match="not a complete calibration") as refused:
         parse_calibration(BATCH | change, "cal.json")
     assert f"({place}:" in str(refused.value)
 

@@ -132,6 +132,6 @@ def test_stars_in_one_quarter_of_the_detector_are_said_with_the_error_elsewhere_
         "col_edges_px": np.linspace(-0.5, 2591.5, 17).tolist(),
     }
     (sentence,) = trust_advice(trust, Coverage(**edges, counts=counts.tolist()))[:1]
-    assert sentence.startswith("Stars lie in 12 of 48 parts of the detector")
-    assert "arcsec off (1 sigma, if the camera model holds there)" in sentence
+    assert sentence.startswith("Stars cover 12 of 48 parts of the detector")
+    assert "arcsec off (1 sigma, if the camera model is valid there)" in sentence
     assert trust_advice(trust, Coverage(**edges, counts=(counts + 1).tolist())) == trust_advice(trust)

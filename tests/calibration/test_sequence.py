@@ -141,7 +141,7 @@ def test_a_few_dense_fields_are_taken_in_at_once_and_end_where_the_batch_does(de
         found, batch = (dense_calibrated(seed, each) for each in (method, "batch"))
         assert off(found, batch) < (1.5 if method == "svd" else 0.3)  # singular values hold a tenth less
         assert not any("filter claims" in sentence for sentence in found["advice"])
-        assert any("All 5 frames were taken in as one update" in sentence for sentence in found["advice"])
+        assert any("All 5 frames were used in one update" in sentence for sentence in found["advice"])
 
 
 def test_taken_one_by_one_they_would_claim_several_times_what_they_hold_and_the_first_update_is_left_time_to_rest(

@@ -94,7 +94,7 @@ def test_a_model_that_does_not_fit_is_said_before_drift_and_stars(catalogue):
     trust = to_plain(judged.trust)
     advice = advise(trust, judged.causes)
     assert trust["unavailable"] == {
-        "drop_one": "Only one parameter is free, so there is no other to fit without it: free more."
+        "drop_one": "Only one parameter is free, so nothing can be fitted without it: free more parameters."
     }
     assert not trust["residual_against"]["radius"]["even"]
     assert judged.causes[0].name in {"radial", "lens", "tangential"}
@@ -206,14 +206,14 @@ def test_causes_come_first_in_their_order_with_their_share_and_what_they_leave_u
         drop_one_sentence="spare",
     )
     assert advise(spoiled, [_cause("places", 0.8), _cause("noise")]) == [
-        "Likeliest cause (80%): places it is. Do so.", "stars", "Besides: noise it is. Do so.", "bound", "spare",
+        "Most likely cause (80%): places it is. Do so.", "stars", "Besides: noise it is. Do so.", "bound", "spare",
     ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("likelihood", "is_likely"), [(0.03, False), (0.49, False), (0.5, True), (0.9, True)])
 def test_a_cause_at_less_than_even_odds_is_not_called_the_likeliest(clean, likelihood, is_likely):
     (said,) = advise(clean, [_cause("places", likelihood)])
-    assert said.startswith("Likeliest cause") == is_likely
+    assert said.startswith("Most likely cause") == is_likely
     assert said.startswith("No cause explains well") != is_likely
 
 
@@ -343,7 +343,7 @@ def test_a_hundredth_of_wrong_centroids_makes_heavy_tails_and_a_set_too_small_sa
         ground = case(replace(clean, row_px=wrong), sensor, catalogue).ground
     view = to_plain(residual_distribution(ground, compute_star_residuals(ground)))
     assert not view["normal_tails"]
-    assert view["sentence"].endswith("some stars are wrong; look at the outliers.")
+    assert view["sentence"].endswith("some stars are wrong; check the outliers.")
     trust = case(field(2, frames=3, stars=4, exposures=1), sensor, catalogue, free=("f_m",)).trust
     assert trust["residual_distribution"] is None
     assert trust["unavailable"]["residual_distribution"].startswith("A distribution needs 50 residuals")

@@ -55,13 +55,13 @@ def test_what_was_backed_up_comes_back_and_its_audit_log_holds(filled, monkeypat
     assert on_postgresql() or stat.S_IMODE((folder / "boresight.sqlite3").stat().st_mode) == 0o600
     accepted(boresight("audit", "verify"))
     again = boresight(*ADD, stdin=f"{PASSWORD}\n")
-    assert "There is a user 'ana' already" in again.stderr
+    assert "The log-in name 'ana' exists already" in again.stderr
 
 
 def test_nothing_is_written_over(filled):
     boresight, archive, _ = filled
     assert_refused(boresight("restore", archive), "already; restore into an empty")
-    assert_refused(boresight("backup", "--out", archive), "a backup is never written over")
+    assert_refused(boresight("backup", "--out", archive), "a backup is never overwritten")
 
 
 @pytest.mark.parametrize("name", ["boresight.sqlite3", "blobs"])
@@ -113,7 +113,10 @@ def test_an_installation_moves_to_postgresql_and_back_with_its_log(filled, monke
     heads = [line.split()[-1] for line in saved.stdout.splitlines() if line.startswith("audit head")]
     accepted(boresight("audit", "verify", "--head", *heads))
     for name in ("ana", "bo"):
-        assert f"There is a user '{name}' already" in boresight(*ADD[:2], name, *ADD[3:], stdin=f"{PASSWORD}\n").stderr
+        assert (
+            f"The log-in name '{name}' exists already"
+            in boresight(*ADD[:2], name, *ADD[3:], stdin=f"{PASSWORD}\n").stderr
+        )
 
 
 def test_files_of_an_object_store_stay_there_and_are_named(filled, monkeypatch, tmp_path):

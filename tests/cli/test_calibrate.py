@@ -165,7 +165,7 @@ def test_matching_choices_are_read(boresight, simulated):
 def test_choices_that_exclude_one_another_are_wrong_usage(boresight, simulated):
     done = calibrate(boresight, simulated, "--json", "-", "--method", "sqrf", "--robust", "huber")
     assert done.exit_code == click.UsageError.exit_code
-    assert "Robust loss is the batch's" in done.stderr
+    assert "Robust loss is only for the batch" in done.stderr
 
 
 def _calibrated(boresight, folder, method):
@@ -420,7 +420,7 @@ def test_the_telemetry_itself_is_never_overwritten(match, half):
 
 
 @pytest.mark.parametrize(
-    ("name", "sentence"), [("out.txt", "says no format"), ("no/out.csv", "does not exist"), (".", "is a folder")]
+    ("name", "sentence"), [("out.txt", "has no known format"), ("no/out.csv", "does not exist"), (".", "is a folder")]
 )
 def test_a_place_that_cannot_be_written_is_refused_before_the_work(match, half, tmp_path, name, sentence):
     assert_refused(match(half[0], tmp_path / name), sentence, lines=1)

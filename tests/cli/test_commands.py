@@ -339,7 +339,7 @@ def test_a_calibration_without_a_member_it_needs_is_refused_by_the_name_of_that_
     cut = tmp_path / "cut.json"
     cut.write_text(json.dumps(document))
     more = ["--out", tmp_path / "report.html"] if command == "report" else ["--sensor", simulated / "sensor.json"]
-    assert_refused(boresight(command, cut, *more), f"cut.json is no whole calibration ({member}")
+    assert_refused(boresight(command, cut, *more), f"cut.json is not a complete calibration ({member}")
 
 
 INITIAL = {"s": 1.0, "f_m": 0.05, "u0_px": 512.3, "v0_px": 511.2, "k1": 0.01, "k2": -0.02}
@@ -426,7 +426,7 @@ def test_a_damaged_table_is_refused_by_its_crc(boresight, files):
     damaged = bytearray(image.read_bytes())
     damaged[5] ^= 1
     image.write_bytes(damaged)
-    assert_refused(_table(boresight, files, "decode", image), "CRC of table.bin is not that of its bytes")
+    assert_refused(_table(boresight, files, "decode", image), "CRC of table.bin does not match its bytes")
 
 
 def test_a_definition_that_is_no_json_is_refused(boresight, files):

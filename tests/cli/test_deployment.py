@@ -198,7 +198,7 @@ def test_what_is_no_address_of_a_scheduler_is_refused_by_all_who_use_one(boresig
     monkeypatch.setenv("BORESIGHT_SCHEDULER", address)
     done = boresight(command, "--port", free_port()) if command != "worker" else boresight(command)
 
-    assert_refused(done, f"BORESIGHT_SCHEDULER={address!r} is no address of a scheduler: write tcp://host:port")
+    assert_refused(done, f"BORESIGHT_SCHEDULER={address!r} is not the address of a scheduler: write tcp://host:port")
 
 
 def test_a_scheduler_that_is_to_be_encrypted_does_not_open_a_plain_link(boresight, monkeypatch):
@@ -238,7 +238,7 @@ def test_a_plain_scheduler_beyond_this_machine_is_refused_by_all_who_use_one(bor
 
     assert_refused(
         done,
-        "BORESIGHT_SCHEDULER=tcp://10.1.2.3:8786 is a plain link beyond this machine",
+        "BORESIGHT_SCHEDULER=tcp://10.1.2.3:8786 is a plain link to another machine",
         "BORESIGHT_CLUSTER_NETWORK_CLOSED=1",
     )
 
@@ -252,7 +252,7 @@ def test_certificates_are_made_for_their_owner_only_and_never_replaced(boresight
     assert all(path.stat().st_mode & 0o077 == 0 for path in (tmp_path / "made", *(tmp_path / "made").iterdir()))
     assert "PRIVATE KEY" in files["boresight.pem"]
     assert "PRIVATE KEY" not in files["authority.pem"] + done.output
-    assert_refused(boresight("certificates", tmp_path / "made"), "is there already")
+    assert_refused(boresight("certificates", tmp_path / "made"), "exists already")
     assert {path.name: path.read_text() for path in (tmp_path / "made").iterdir()} == files
 
 
@@ -265,7 +265,7 @@ def test_a_scheduler_on_a_port_in_use_is_refused():
         done = subprocess.run(words, capture_output=True, text=True, check=False)
 
     assert done.returncode == 1
-    assert f"127.0.0.1:{port} cannot be listened on" in done.stderr
+    assert f"127.0.0.1:{port} is in use or not available" in done.stderr
     assert "--port" in done.stderr
 
 
@@ -276,7 +276,7 @@ def test_a_port_in_use_is_told_however_deep_it_is_wrapped(boresight, monkeypatch
     monkeypatch.setattr("boresight.workers.service._scheduler", fail)
     done = boresight("scheduler", "--port", "8786")
 
-    assert_refused(done, "127.0.0.1:8786 cannot be listened on (Address already in use)")
+    assert_refused(done, "127.0.0.1:8786 is in use or not available (Address already in use)")
 
 
 @pytest.mark.parametrize("words", [("--processes", "0"), ("--memory-gb", "0"), ("--port", "1")])

@@ -105,7 +105,7 @@ def test_parameters_must_be_named(evaluate):
     ("change", "sentence"),
     [
         (lambda values: values.pop("b4_per_m4"), "gives no b4_per_m4: give every parameter of inverted_wang"),
-        (lambda values: values.update(k1=1.0), "gives 'k1', which is no parameter"),
+        (lambda values: values.update(k1=1.0), "gives 'k1', which is not a parameter"),
         (lambda values: values.update(f_m=-0.016), "gives f_m as -0.016, expected a number"),
         (lambda values: values.update(f_m=16.0), "a field of view of 0.025"),
         (lambda values: values.update(g_y=None), "gives g_y as None, expected a number"),
@@ -123,9 +123,9 @@ def test_parameters_that_are_not_this_sensors_are_refused_in_one_line(written, c
     [
         ("{", "is not JSON"),
         ("[1]", "is not a JSON object"),
-        ({"camera_model": "pinhole_radial", "parameters": {}}, "is of the camera model pinhole_radial"),
+        ({"camera_model": "pinhole_radial", "parameters": {}}, "uses the camera model pinhole_radial"),
         ({"status": "diverged", "parameters": {}}, "is a calibration that diverged"),
-        ({"parameters": 3}, "has `parameters` that are no object"),
+        ({"parameters": 3}, "has `parameters` that are not an object"),
     ],
 )
 def test_a_file_that_holds_no_parameters_is_refused_in_one_line(written, document, sentence):
@@ -227,4 +227,4 @@ def test_what_cannot_be_used_is_refused_in_one_line(assess, stored, option, docu
 
 def test_what_is_no_calibration_is_refused(boresight, simulated):
     done = boresight("assess", simulated / "truth.json", "--sensor", simulated / "sensor.json")
-    assert_refused(done, "truth.json is no whole calibration (status")
+    assert_refused(done, "truth.json is not a complete calibration (status")

@@ -105,7 +105,7 @@ def test_costs_never_rise_and_a_fit_says_when_it_diverged_had_too_few_iterations
     assert all(after <= before * (1 + 1e-12) for before, after in pairwise(costs))
     assert batch.fit(field, absurd, FREE, SCALE).status == "diverged"
     assert batch.fit(field, GROUND, FREE, SCALE, max_iterations=1).status == "max_iterations"
-    with pytest.raises(CancelledError, match="Stopped as asked"):
+    with pytest.raises(CancelledError, match="Stopped on request"):
         batch.fit(field, GROUND, FREE, SCALE, cancelled=lambda: True)
 
 

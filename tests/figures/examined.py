@@ -131,7 +131,7 @@ def examined_document(method):
     return result | {
         "truth": truth,
         "delta_over_sigma": moved,
-        "advice": ["The principal point and the tilts trade against each other: do not read them one by one."],
+        "advice": ["The data cannot separate the principal point from the tilts: use them together, not one by one."],
         "frames": 200,
         "rms_arc_rad": {"initial": 412.9e-6, "final": 82.6e-6},
         "validation": validation,

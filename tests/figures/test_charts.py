@@ -91,7 +91,7 @@ def test_displacements_differ_by_the_radial_difference_or_say_how_to_have_them(s
     (new,), (old,) = named(drawn, "Run"), named(drawn, "old: at launch")
     assert np.array(new.y) - np.array(old.y) == pytest.approx(sequential_result.radial.difference_px, abs=1e-5)
     radial = replace(sequential_result.radial, displacement_px=None)
-    assert "start it again" in draw("distortion", sequential_result, radial=radial).layout.annotations[0].text
+    assert "run it again" in draw("distortion", sequential_result, radial=radial).layout.annotations[0].text
 
 
 def test_correlations_are_the_covariance_over_the_sigmas_and_name_the_strongest_pair():
@@ -100,7 +100,7 @@ def test_correlations_are_the_covariance_over_the_sigmas_and_name_the_strongest_
     drawn = draw("correlation", result)
     assert np.array(drawn.data[0].z, float)[0, 1] == pytest.approx(-0.9)
     assert np.isnan(np.array(drawn.data[0].z, float)[0, 0])
-    assert "−0.900: read them together" in drawn.layout.title.text
+    assert "−0.900: use them together" in drawn.layout.title.text
     assert FIGURES["correlation"].table(result)["correlation"] == pytest.approx([1.0, -0.9, 1.0])
 
 
@@ -158,7 +158,7 @@ def test_a_direction_that_is_not_seen_is_amber_and_hatched_and_figure_view_verdi
         assert len(set(drawn.data[0].marker.color[:6])) == len(set(drawn.data[0].marker.color[6:])) == 1
         assert drawn.data[0].marker.color[0] != drawn.data[0].marker.color[-1]
     result = replace(sequential_result, observability=weak)
-    said = "2 of 8 directions are not seen"
+    said = "2 of 8 directions are weak"
     assert said in draw("observability", result).layout.title.text
     assert said in make_four_views(result)[3].answer.sentence
     assert summarise_run(result).weak_directions == 2
@@ -370,7 +370,7 @@ def test_the_nees_takes_correlation_into_account_over_ten_decades(sequential_res
 
 def test_a_frame_costs_what_the_method_took_a_replay_has_no_cost_and_curves_end_at_their_scores(sequential_result):
     assert method_scores(sequential_result).ms_per_frame == pytest.approx(1e3 * 0.4 / 200)
-    assert draw("methods", sequential_result).data[0].name == "Run (2.0 ms a frame)"
+    assert draw("methods", sequential_result).data[0].name == "Run (2.0 ms per frame)"
     replay = replace(sequential_result, inputs=Inputs(settings={"replay_frames_per_s": 5.0}))
     assert method_scores(replay).ms_per_frame is None
     table, scores = FIGURES["methods"].table(sequential_result), method_scores(sequential_result)

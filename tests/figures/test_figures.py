@@ -199,8 +199,8 @@ def test_a_notebook_shows_it_and_several_calibrations_under_their_labels(file):
     ("arguments", "sentence"),
     [
         (("absent.json", "rms"), "cannot be read"),
-        (({}, "rms"), "no whole calibration"),
-        (({"schema": "boresight.evaluation/1"}, "rms"), "no whole calibration"),
+        (({}, "rms"), "not a complete calibration"),
+        (({"schema": "boresight.evaluation/1"}, "rms"), "not a complete calibration"),
         ((get_example_calibrations()["filter"], "nothing"), "There is no figure nothing; choose from"),
     ],
 )
@@ -211,7 +211,7 @@ def test_what_cannot_be_drawn_is_refused_in_a_sentence(arguments, sentence):
 
 def test_what_is_no_json_and_what_is_no_theme_are_refused(tmp_path, file):
     (tmp_path / "words.json").write_text("words")
-    with pytest.raises(RefusedInputError, match="is no whole calibration"):
+    with pytest.raises(RefusedInputError, match="is not a complete calibration"):
         draw(tmp_path / "words.json", "rms")
     with pytest.raises(RefusedInputError, match="choose from light, dark, contrast"):
         draw(file, "rms", theme="pink")

@@ -68,7 +68,7 @@ def test_the_report_has_verdict_advice_parameters_trust_matching_provenance_and_
 def test_the_report_says_where_one_person_works_alone_and_why_a_part_is_not_there(report, sequential_result):
     page = render_report(replace(sequential_result, trust=None, matching=None), four_eyes=False)
     assert ["FOUR EYES ARE OFF" in one for one in (report, page)] == [False, True]
-    assert "start it again to have one" in page
+    assert "run it again to get one" in page
     assert "nothing was matched again" in page
 
 
@@ -252,10 +252,10 @@ def test_what_is_mixed_says_which_stars_would_part_it(direction, wanted):
 @pytest.mark.parametrize(
     ("sigma", "said"),
     [
-        (2 * WEAK, "About 800 frames like these, in place of 200"),
-        (20 * WEAK, "alone would not do"),
-        (None, "as open as it is"),
-        (WEAK, "Every direction is known"),
+        (2 * WEAK, "About 800 frames like these, instead of 200"),
+        (20 * WEAK, "would not help enough"),
+        (None, "would not determine"),
+        (WEAK, "Every direction is determined"),
     ],
 )
 def test_so_many_times_the_frames_as_the_square_of_what_is_missing(sigma, said, sequential_result):

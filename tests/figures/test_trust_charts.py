@@ -71,7 +71,7 @@ def test_a_part_that_is_missing_is_drawn_as_its_own_reason(name, sequential_resu
     assert not drawn.data
     assert drawn.layout.annotations[0].text == "Twenty frames are needed &lt;and more&gt;."
     old = draw("whiteness", replace(sequential_result, trust=None))
-    assert "start it again" in old.layout.annotations[0].text
+    assert "run it again" in old.layout.annotations[0].text
 
 
 def test_halves_are_held_against_three_sigmas_and_only_those_that_differ_are_called_so(sequential_result):
@@ -161,7 +161,7 @@ def test_matching_draws_both_counts_of_every_cycle_or_says_that_matches_were_giv
     assert [values(trace).tolist() for trace in drawn.data[:2]] == [[4401, 4466, 4466], [2297, 65, 0]]
     assert "settled after 3 cycles" in drawn.layout.title.text
     given = changed(sequential_result, matching=None, inputs={"settings": {"match": "given"}})
-    assert "matches it was given" in draw("matching", given).layout.annotations[0].text
+    assert "the given matches" in draw("matching", given).layout.annotations[0].text
 
 
 def test_residuals_are_turned_to_the_radius_at_their_length_and_an_axis_has_its_rms_with_sigma(sequential_result):
@@ -305,7 +305,7 @@ def test_a_comparison_gives_each_candidate_its_colour_and_stays_small():
 def test_without_a_view_it_says_what_is_missing(result):
     drawn = SHADOW.draw([Trace("run", result)])
     assert not drawn.data
-    assert "side by side when the run ends" in drawn.layout.annotations[0].text
+    assert "are compared when the run ends" in drawn.layout.annotations[0].text
     assert SHADOW.table(result) == {}
 
 
@@ -370,7 +370,7 @@ def test_a_point_is_its_difference_from_the_baseline_of_now_with_three_sigmas_an
     assert list(focus.error_y.array) == pytest.approx([6.0, 6.0])
     assert list(distortion.y) == pytest.approx([10.0, 40.0])
     assert list(focus.x) == ["2026-01-02T01:00:00.000", "2026-01-05T01:00:00.000"]
-    shown = _named(figure, "Not counted")[0]
+    shown = _named(figure, "Not used")[0]
     assert (shown.marker.symbol, shown.customdata[0][1]) == ("circle-open", "its data overlap")
     assert table["f_m"] == pytest.approx([0.016002, 0.016003, 0.016005])
     assert table["sigma_b2_per_m2"] == [3.0] * 3
@@ -380,7 +380,7 @@ def test_a_point_is_its_difference_from_the_baseline_of_now_with_three_sigmas_an
 def test_baselines_truth_temperature_and_records_have_their_places(document: dict[str, Any]) -> None:
     figure = trend.draw(document)
     assert [list(trace.y) for trace in _named(figure, "Baseline PS-ST1-2")] == [[0.0, 0.0]] * 2
-    assert list(_named(figure, "Baselines before")[1].y) == [-5.0, -5.0]
+    assert list(_named(figure, "Earlier baselines")[1].y) == [-5.0, -5.0]
     assert _named(figure, "Truth")[1].y[0] == pytest.approx(2.0)
     assert list(_named(figure, "Temperature")[0].y) == [22.0, 23.0, 25.0]
     assert "PS-ST1-2 SENT" in _named(figure, "Records")[0].text

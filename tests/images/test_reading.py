@@ -188,7 +188,7 @@ def test_pixels_without_a_number_are_sky_in_a_tiff_as_in_fits(night, tmp_path):
 
 def test_an_image_of_another_size_is_refused(night, hard_images, tmp_path):
     fits.writeto(tmp_path / "a.fits", hard_images[0].dn.T.copy())
-    with pytest.raises(RefusedInputError, match=r"turn rows and columns"):
+    with pytest.raises(RefusedInputError, match=r"exchange rows and columns"):
         read_image(tmp_path / "a.fits", night.sensor)
     path = write_fits(tmp_path / "b.fits", hard_images[0])
     with pytest.raises(RefusedInputError, match=r"b\.fits"):

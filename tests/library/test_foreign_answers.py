@@ -100,7 +100,7 @@ def test_what_is_damaged_on_the_way_is_asked_again():
 
 def test_a_list_that_begins_anew_is_not_read_for_ever():
     page = (200, {"items": [], "next": "a"})
-    assert "begins anew" in refused([page, page], lambda client: client.sensors())[0]
+    assert "starts again after a page" in refused([page, page], lambda client: client.sensors())[0]
 
 
 def test_a_package_is_the_one_that_the_server_built():
@@ -170,5 +170,5 @@ def test_who_stops_waiting_or_loses_the_server_learns_which_run_goes_on(monkeypa
     assert ended.exit_code == 130
     assert ended.stderr.splitlines() == [
         "boresight: stopped.",
-        "  Run 7 goes on at the server: its page there shows how it ends, and stops it.",
+        "  Run 7 continues on the server: see or cancel it on its page there.",
     ]

@@ -42,7 +42,7 @@ def test_only_a_person_passes_for_a_person(actor: Actor) -> None:
 
 def test_somebody_answers_for_a_key_and_nobody_for_the_system() -> None:
     assert require_user(KEY, "submit") == 7
-    with pytest.raises(ForbiddenError, match="answer for this"):
+    with pytest.raises(ForbiddenError, match="needs a person"):
         require_user(SYSTEM, "submit")
 
 

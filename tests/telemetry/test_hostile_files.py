@@ -221,9 +221,9 @@ def test_a_damaged_page_header_is_told(damage):
 @pytest.mark.parametrize(
     ("column", "options", "words"),
     [
-        ([[1, 2], []], {}, "one value a row is expected"),
-        ([{"a": 1}, {"a": 2}], {}, "one value a row is expected"),
-        (pa.array([b"x" * 33] * 2, pa.binary(33)), {}, "33 bytes a value"),
+        ([[1, 2], []], {}, "one value per row is expected"),
+        ([{"a": 1}, {"a": 2}], {}, "one value per row is expected"),
+        (pa.array([b"x" * 33] * 2, pa.binary(33)), {}, "33 bytes per value"),
         (["aa", "ab"], {"use_dictionary": False, "column_encoding": {"note": "DELTA_BYTE_ARRAY"}}, "DELTA_BYTE_ARRAY"),
     ],
 )

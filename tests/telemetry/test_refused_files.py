@@ -65,8 +65,8 @@ from tests.telemetry.files import (
         (GOOD.replace("40.25,", "40.25").encode(), "row 3: has 4 cells where the header has 5"),
         (b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "is a PNG image"),
         (b"PK\x03\x04rest of a spreadsheet", "spreadsheet"),
-        (b"PAR1 rest", "is named as CSV but its content looks like Parquet"),
-        (b'{"frame": 0}', "is named as CSV but its content looks like JSON Lines"),
+        (b"PAR1 rest", "is named like CSV but its content looks like Parquet"),
+        (b'{"frame": 0}', "is named like CSV but its content looks like JSON Lines"),
     ],
 )
 def test_a_file_that_is_no_csv_is_refused_with_what_it_is(read, content, words):

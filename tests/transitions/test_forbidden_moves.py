@@ -262,7 +262,7 @@ def test_what_is_allowed_is_not_without_the_version_that_was_seen(board: Board, 
     unsaid, older = board.try_move(move, {}), board.try_move(move, tag(0))
     assert (unsaid.status_code, older.status_code) == (428, 412)
     assert "If-Match" in unsaid.json()["detail"]
-    assert re.search(r"\(you saw v0, it is v\d+\): .+ it at 20\d\d-", older.json()["detail"])  # who, what and when
+    assert re.search(r"\(you saw v0, it is now v\d+\): .+ it at 20\d\d-", older.json()["detail"])  # who, what and when
     assert board.digest() == before
 
 
@@ -285,7 +285,7 @@ def test_what_was_bound_and_moved_is_refused_and_only_its_request_becomes_stale(
     answer = board.try_move(move)
     request = board.find_request("MOVED")
     assert answer.status_code == 412
-    assert "The table definition moved since" in answer.json()["detail"]
+    assert "The table definition changed since" in answer.json()["detail"]
     assert request is not None
     assert (request.state, board.installation.find_set(row.id).ground_state) == ("STALE", "CANDIDATE")
 

@@ -96,7 +96,7 @@ def test_the_sheet_marks_a_gate_that_is_only_observed():
     for observed in (False, True):
         gates = inputs["subject"]["gates"] | {"document": {"gates": [GATE | {"observe_only": observed}]}}
         sheet = _files(inputs | {"subject": inputs["subject"] | {"gates": gates}})["verification_sheet.html"]
-        said.append(b"<td>FAIL (observed only)</td>" in sheet)
+        said.append(b"<td>FAIL (observe only)</td>" in sheet)
     assert said == [False, True]
 
 
@@ -177,9 +177,9 @@ def test_a_simulated_sensor_is_said_to_be_one_and_the_way_back_is_named_with_its
     assert b"SIMULATED: " in simulated["verification_sheet.html"]
     assert b"SIMULATED: " not in files["verification_sheet.html"]
     told = json.loads(files["MANIFEST.json"])["tables"]["backout/"]["crc_told"]["value"]
-    assert "load the way back. backout/ is PS-FM1-1" in files["verification_sheet.html"].decode()
+    assert "load the back-out table. backout/ is PS-FM1-1" in files["verification_sheet.html"].decode()
     assert told in files["verification_sheet.html"].decode()
-    assert "load the way back" not in files["backout/verification_sheet.html"].decode()
+    assert "load the back-out table" not in files["backout/verification_sheet.html"].decode()
 
 
 SENSOR = parse_sensor(
@@ -287,7 +287,7 @@ def test_other_values_are_told_from_damage_by_the_dumps_own_crc_and_many_differe
     other = compare(DEFINITION, SENT, encode(DEFINITION, VALUES | {"f_m": 0.0161}))
     assert (other.crc_ok, "other values were loaded" in other.sentence) == (True, True)
     damaged = compare(DEFINITION, SENT, flipped(100))
-    assert (damaged.crc_ok, "altered in memory or on the way down" in damaged.sentence) == (False, True)
+    assert (damaged.crc_ok, "altered in memory or during downlink" in damaged.sentence) == (False, True)
     sentence = compare(DEFINITION, SENT, bytes(255 - byte for byte in SENT)).sentence
     assert sentence.startswith("32 of 32 bytes differ: all bits of byte 0 (mask 0xFF), in VERSION; ")
     assert "; and 29 more." in sentence

@@ -181,13 +181,13 @@ def _pus(**changed):
 WRONG = {
     "an unknown entry": (
         _entry("lenght_bytes", 3),
-        "lenght_bytes is no entry of a table definition: write length_bytes",
+        "lenght_bytes is not an entry of a table definition: write length_bytes",
     ),
     "another schema": (_entry("schema", "x/2"), "schema is 'x/2'"),
     "no length": (lambda d: d.pop("length_bytes"), "length_bytes is missing"),
     "a length of parts": (_entry("length_bytes", 32.5), "length_bytes is 32.5"),
     "an order of no kind": (_entry("byte_order", "middle"), "byte_order is 'middle': choose big or little"),
-    "no fields": (_entry("fields", []), "fields is no list"),
+    "no fields": (_entry("fields", []), "fields is not a list"),
     "an empty software version": (_entry("flight_software_version", ""), "flight_software_version is ''"),
     "a type of no kind": (_field(type="float16"), r"fields\[1\].type is 'float16'"),
     "too many bits": (_field(type="uint65"), r"fields\[1\].type is 'uint65'"),
@@ -210,14 +210,14 @@ WRONG = {
     ),
     "a field past the end": (_field(offset_bytes=31), "past the 32 bytes of the table|inside"),
     "a name twice": (_field(name="version"), "is the name of 2 fields"),
-    "a parameter twice": (_field(parameter="k1"), "the parameter s lies in 0 fields"),
-    "an unknown CRC": (_entry("crc", {"name": "CRC-15"}), "crc.name is no known CRC: choose CRC-16/ARC"),
+    "a parameter twice": (_field(parameter="k1"), "the parameter s is in 0 fields"),
+    "an unknown CRC": (_entry("crc", {"name": "CRC-15"}), "crc.name is not a known CRC: choose CRC-16/ARC"),
     "a known CRC with other parameters": (
         _crc(width=16, poly=3, init=0, refin=False, refout=False, xorout=0),
         "crc is called CRC-16/CCITT-FALSE but has other parameters",
     ),
     "a CRC with another check value": (_crc(check="0xBB3D"), "crc.check is 0xBB3D, but these parameters make 0x29B1"),
-    "a CRC of itself": (_crc(over=[0, 32]), "inside what it is taken of"),
+    "a CRC of itself": (_crc(over=[0, 32]), "inside the bytes that it covers"),
     "a CRC of what is not there": (_crc(over=[0, 99]), "crc.over is"),
     "a CRC of no width": (
         _entry("crc", {"name": "x", "width": 12, "poly": 3, "init": 0, "refin": False, "refout": False, "xorout": 0}),
@@ -315,7 +315,7 @@ def test_a_dump_comes_back_with_or_without_its_headers():
     ("damage", "sentence"),
     [
         (lambda file: file[:80], "ends after 80 bytes"),
-        (lambda file: file[:-1], "holds 31 bytes and says 32"),
+        (lambda file: file[:-1], "contains 31 bytes and says 32"),
         (lambda file: file.replace(b"CAMERA", b"CAMERB"), "is of the table 'STR_APP.CAMERB'"),
         (lambda file: file[:68] + b"\0\0\0\4" + file[72:], "says 32 from byte 4"),
     ],
@@ -443,7 +443,7 @@ def test_sizes_the_projection_and_exponents_are_written_as_ros_and_yaml_read_the
     ("model", "parity", "reason"),
     [
         ("inverted_wang", -1, "distorts from the detector to the sky"),
-        ("inverted_wang", 1, "an approximation is another camera"),
+        ("inverted_wang", 1, "an approximation would be another camera"),
         ("pinhole_radial", 1, "would be left-handed"),
     ],
 )

@@ -210,7 +210,7 @@ def test_a_critical_gate_cannot_be_softened(name, key, value):
         ({"name": "chi-square", "limit": 0.5}, "chi-square: limit is 0.5; give a number from 1"),
         ({"name": "validation-rms", "limit": 2, "marginal": 3}, "validation-rms: marginal is 3 and the limit 2"),
         ({"name": "availability", "limit": 0.9, "marginal": 0.5}, "give a marginal of at least the limit"),
-        ({"name": "finite", "limit": 1.0}, "finite: limit and marginal are null"),
+        ({"name": "finite", "limit": 1.0}, "finite: this gate has no limit or marginal"),
         ({"name": "coverage", "direction": "below"}, "coverage: direction is 'below', and always 'above'"),
         ({"name": "coverage", "waivable": "yes"}, "coverage: waivable is 'yes'; give true or false"),
         ({"name": "coverage", "critical": True}, "coverage: it is not critical"),
@@ -228,8 +228,8 @@ def test_a_wrong_entry_is_refused_with_its_gate_and_key(entry, words):
     [
         ({"gate": []}, "no key 'gate'"),
         ({"schema": "other", "gates": []}, "schema is 'other'"),
-        ({"gates": {}}, "no list of objects"),
-        ({"gates": ["coverage"]}, "no list of objects"),
+        ({"gates": {}}, "not a list of objects"),
+        ({"gates": ["coverage"]}, "not a list of objects"),
         ({"gates": [{"name": "nis"}, {"name": "nis"}]}, "nis is given twice"),
     ],
 )

@@ -103,9 +103,9 @@ def test_a_sigma_that_is_no_number_fails_and_none_of_a_fixed_parameter_is_finite
         (with_matrix(correlated(1.01)), "not positive definite"),
         (with_matrix(correlated(1.0)), "not positive definite"),
         (with_matrix(correlated(0.5, 1 / 0.9)), "not symmetric"),
-        (with_matrix(P * 0), "no positive number"),
-        (with_matrix(-P), "no positive number"),
-        (with_matrix(P * np.nan), "no positive number"),
+        (with_matrix(P * 0), "not a positive number"),
+        (with_matrix(-P), "not a positive number"),
+        (with_matrix(P * np.nan), "not a positive number"),
         (with_matrix(P[:7]), "not names and a square matrix"),
         (with_matrix([]), "not names and a square matrix"),
         *(
@@ -125,7 +125,7 @@ def test_what_is_no_covariance_fails_and_a_strong_but_possible_correlation_is_on
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"candidate": a_set(sensor="ST16-2")}, "of the sensor ST16-2"),
+        ({"candidate": a_set(sensor="ST16-2")}, "belongs to the sensor ST16-2"),
         ({"candidate": a_set(camera_model="pinhole_radial")}, "camera model pinhole_radial"),
         ({"made_with": {"detector": {"rows": 1944, "columns": 2592, "pixel_pitch_m": 4e-6}, "parity": 1}}, "Detector"),
         ({"made_with": {"detector": {"rows": 1944, "columns": 2592, "pixel_pitch_m": 2.2e-6}, "parity": -1}}, "parity"),
@@ -149,7 +149,7 @@ def test_the_shift_is_in_sigmas_of_the_difference_at_least_a_tenth_of_the_typica
     typical = SENSOR.typical_sigma
     measured = found("parameter-shift", candidate=with_parameters(n0_px=SENSOR.initial[2] + 6 * typical[2]))
     assert measured.value == pytest.approx(6 / np.sqrt(1 + 0.02**2 + 0.1**2))
-    assert measured.sentence.startswith("n0_px moved farthest, by +6.0 σ")
+    assert measured.sentence.startswith("n0_px changed most, by +6.0 σ")
     sure = a_set(covariance={"names": list(NAMES), "matrix": (1e-6 * P).tolist()})
     moved = {**sure, "parameters": sure["parameters"] | {"f_m": sure["parameters"]["f_m"] + SENSOR.typical_sigma[0]}}
     assert found("parameter-shift", candidate=moved, incumbent=sure).value == pytest.approx(10, rel=1e-6)
@@ -171,7 +171,7 @@ def test_observability_is_told_with_its_weakest_direction_and_coverage_counts_re
     blind = {"singular_values": [1.0, 0.0], "sigma_of_direction": [1.0, None], "condition_number": None}
     unseen = a_result(observability=dataclasses.replace(a_result().observability, **blind))
     for name in ("condition-number", "weak-directions"):
-        assert "leave a direction open" in found(name, result=unseen).sentence
+        assert "do not determine one direction" in found(name, result=unseen).sentence
     counts = np.zeros((12, 16), int)
     counts[:6, :8] = 3
     half_seen = a_result(coverage=dataclasses.replace(a_result().coverage, counts=counts.tolist()))
@@ -197,7 +197,7 @@ def test_what_any_test_notices_reaches_its_gate_and_fails_it_by_its_size(kind):
 
 def test_a_run_without_tests_has_no_data_for_their_gates():
     for gate in {kind.gate for kind in TRUST_TESTS}:
-        assert "start it again" in found(gate, result=a_result(tests=[])).sentence
+        assert "run it again to get them" in found(gate, result=a_result(tests=[])).sentence
 
 
 @pytest.mark.parametrize(
@@ -206,7 +206,10 @@ def test_a_run_without_tests_has_no_data_for_their_gates():
 def test_what_no_run_measured_has_no_data(name):
     assert found(name, result=None).sentence == "The set was declared with the sensor; no run measured this."
     nothing = Calibration(status="converged")
-    assert "run it again" in found(name, result=nothing).sentence or "open" in found(name, result=nothing).sentence
+    assert (
+        "run it again" in found(name, result=nothing).sentence
+        or "do not determine" in found(name, result=nothing).sentence
+    )
 
 
 def test_assumptions_pass_once_declared_warn_until_then_and_are_marginal_where_something_is_left_in():

@@ -120,7 +120,7 @@ def test_a_run_that_kills_its_worker_every_time_fails_with_its_cause_and_harms_n
     ("behaviour", "reason"),
     [
         ("refuse", "Frame 3 has too few stars; use a longer set."),
-        ("crash", "The computation broke down, ZeroDivisionError: a defect"),
+        ("crash", "The computation failed, ZeroDivisionError: a defect"),
     ],
 )
 def test_a_run_that_cannot_be_computed_fails_once_with_its_sentence(store, behaviour, reason):

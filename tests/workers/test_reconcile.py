@@ -90,7 +90,7 @@ def test_a_run_whose_servers_are_lost_every_time_is_lost_itself(store, make_rows
         assert take_one(gone, run_id)
         gone.renew([])
     assert store.states([run_id]) == ["LOST"]
-    assert "not heard of any more" in store.run(run_id).reason
+    assert "stopped reporting" in store.run(run_id).reason
     assert store.ends(run_id) == ["LOST"]
 
 

@@ -67,8 +67,8 @@ def test_links_without_certificates_are_plain():
 @pytest.mark.parametrize(
     ("given", "sentence"),
     [
-        ({"scheduler": "tls://127.0.0.1:1"}, "wants certificates"),
-        ({"scheduler": "tls://127.0.0.1:1", "tls_certificate": __file__}, "BORESIGHT_TLS_AUTHORITY='' is no file"),
+        ({"scheduler": "tls://127.0.0.1:1"}, "needs certificates"),
+        ({"scheduler": "tls://127.0.0.1:1", "tls_certificate": __file__}, "BORESIGHT_TLS_AUTHORITY='' is not a file"),
         (
             {"tls_authority": __file__, "tls_certificate": "nowhere.pem"},
             "BORESIGHT_TLS_CERTIFICATE='nowhere.pem' is no",
@@ -107,7 +107,7 @@ def changed(certificates, folder, *, ends=None, mode=0o600, drop=""):
     [
         ({"ends": datetime(2020, 1, 1, tzinfo=UTC)}, "has expired on 2020-01-01"),
         ({"mode": 0o644}, "can be read by every user"),
-        ({"drop": "key"}, "does not hold a certificate and its key"),
+        ({"drop": "key"}, "does not contain a certificate and its key"),
     ],
 )
 def test_a_certificate_that_cannot_serve_is_refused_at_the_start(certificates, tmp_path, wrong, sentence):
@@ -126,5 +126,5 @@ def test_a_certificate_that_will_soon_expire_is_told(certificates, tmp_path, cap
 
 def test_an_authority_that_is_none_is_refused(certificates):
     given = certificates | {"tls_authority": __file__}
-    with pytest.raises(RefusedInputError, match=r"BORESIGHT_TLS_AUTHORITY=.* holds no certificate"):
+    with pytest.raises(RefusedInputError, match=r"BORESIGHT_TLS_AUTHORITY=.* contains no readable certificate"):
         make_security(settings(scheduler="tls://127.0.0.1:1", **given))

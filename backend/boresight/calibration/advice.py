@@ -67,18 +67,22 @@ def too_few(problem: Problem, minimum_stars: int) -> list[str]:
     ]
     missing = "; ".join(reasons) or "the set is empty"
     sentence = (
-        f"No exposure has {minimum_stars} usable matched stars off one line, so nothing was estimated; "
-        f"match more stars or send other frames ({missing})."
+        f"No exposure has {minimum_stars} usable matched stars that are not on one line, so nothing was estimated; "
+        f"match more stars or use other frames ({missing})."
     )
     return [sentence]
 
 
 def _of_status(estimate: Estimate, observed: Observability, settings: CalibrationSettings) -> Iterator[str]:
     if estimate.status == "diverged":
-        named = "match the stars again, for wrong identities do this first; or " if settings.match == "given" else ""
+        named = (
+            "match the stars again, because wrong identities are the likeliest cause; or "
+            if settings.match == "given"
+            else ""
+        )
         yield f"The fit diverged: do not use these numbers; {named}free fewer parameters, or start closer to the truth."
     if estimate.status == "max_iterations":
-        yield "The fit was still moving at its last iteration: allow more iterations, or free fewer parameters."
+        yield "The fit had not settled at its last iteration: allow more iterations, or free fewer parameters."
     if estimate.status == "rank_deficient":
         lost = [observed.direction(i) for i in range(len(observed.names)) if observed.singular_values[i] == 0]
         names = sorted({name for direction in lost for name, value in direction.items() if abs(value) > 0.1})
@@ -91,7 +95,9 @@ def _of_weak_directions(observed: Observability, estimate: Estimate) -> Iterator
     for i in observed.weak():
         if observed.singular_values[i] > 0:
             alone = len(observed.named(i)) == 1
-            caution = "Hold it fixed" if alone else "Do not read these parameters one by one; hold one of them fixed"
+            caution = (
+                "Hold it fixed" if alone else "Use these parameters together, not one by one; hold one of them fixed"
+            )
             yield f"Weakly determined: {observed.sentence(i)} {caution}, or add frames that cover more of the detector."
 
 
@@ -100,7 +106,7 @@ def _of_curvature(observed: Observability, estimate: Estimate, rise: float | Non
     if rise is None or not is_curved(rise):
         return
     opening = (
-        f"The covariance does not hold along the weakest direction: one sigma along it chi-square rises by {rise:.3g} "
+        f"The covariance is wrong along the weakest direction: one sigma along it chi-square rises by {rise:.3g} "
         "where the covariance says 1"
     )
     if len(observed.names) == 1:
@@ -130,18 +136,18 @@ def _of_consistency(fit: ChiSquare, nis: ChiSquare, settings: CalibrationSetting
     if settings.sequential and is_overconfident(nis.mean, nis.upper, fit.mean):
         yield (
             f"The filter is over-confident (normalised innovations {nis.mean:.3g} per degree of freedom, at most "
-            f"{nis.upper:.3g} expected): do not rely on its sigmas; compare with a batch run."
+            f"{nis.upper:.3g} expected): do not rely on its sigmas; compare it with a batch run."
         )
     claimed = claim(estimate.A, estimate.P, settings.initial_sigma_scale) if settings.sequential else 1.0
     if claimed > OVERCLAIM:
         times = f"{claimed:.2g} times" if np.isfinite(claimed) else "far more than"
         yield (
-            f"The filter claims {times} the information that the data hold along some direction, because it took "
-            "early frames in far from where it ended: its sigmas there are too small; run the batch, or start from its result."
+            f"The filter claims {times} the information that the data contain along some direction, because it used "
+            "early frames far from its final state: its sigmas there are too small; run the batch, or start from its result."
         )
     if settings.sequential and settings.linearisations == 1:
         yield (
-            "One linearisation a frame, as printed, makes the filter over-confident from a distant start: "
+            "One linearisation per frame, as published, makes the filter over-confident from a distant start: "
             "its sigmas are too small."
         )
 
@@ -156,16 +162,16 @@ def _of_shift(problem: Problem, parameters: Parameters, estimate: Estimate, fit:
         return
     if np.abs(shift).max() > ANOTHER_SENSOR and fit.mean > FITS:
         yield (
-            f"This telemetry hardly comes from this sensor (moved in typical sigmas: {far}): diagnose it, or choose the right "
+            f"This telemetry is probably not from this sensor (change in typical sigmas: {far}): diagnose it, or choose the right "
             "sensor."
         )
     else:
-        yield f"Moved far from the start, in typical sigmas: {far}; check the sensor file's start and typical_sigma."
+        yield f"Large change from the start, in typical sigmas: {far}; check the sensor file's start and typical_sigma."
 
 
 def _of_data(problem: Problem) -> Iterator[str]:
     if problem.arcs.n_frames < 20:
-        yield f"Only {problem.arcs.n_frames} frames took part: the result follows these few fields closely."
+        yield f"Only {problem.arcs.n_frames} frames were used: the result depends strongly on these few fields."
 
 
 def _of_gain_form(problem: Problem, settings: CalibrationSettings) -> Iterator[str]:
@@ -265,9 +271,9 @@ def _of_coverage(problem: Problem) -> list[str]:
 def _of_frames(observed: Observability, frames: int) -> list[str]:
     times = float((observed.sigma_of_direction.max() / WEAK) ** 2)
     if not np.isfinite(times):
-        return ["More frames like these would leave the same direction open."]
+        return ["More frames like these would not determine this direction either."]
     if times > MOST_TIMES:
-        return [f"Frames like these alone would not do: it would take {times:,.0f} times as many."]
+        return [f"More frames like these would not help enough: it would take {times:,.0f} times as many."]
     return [
-        f"About {int(np.ceil(times * frames)):,} frames like these, in place of {frames:,}, would leave no weak direction."
+        f"About {int(np.ceil(times * frames)):,} frames like these, instead of {frames:,}, would leave no weak direction."
     ]

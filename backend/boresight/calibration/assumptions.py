@@ -91,9 +91,9 @@ def _readout(
     if readout is None:
         speed, known = _speed_px_s(telemetry, sensor, catalogue, x)
         sentence = (
-            f"Nobody declared how the detector is read, so a global shutter is assumed. At {speed:.3g} px/s"
+            f"The sensor file does not declare how the detector is read, so a global shutter is assumed. At {speed:.3g} px/s"
             f"{'' if known else f', {USUAL_RATE_DEG_S:g} °/s,'} a rolling shutter of {USUAL_READOUT_S * 1e3:.0f} ms would displace "
-            f"stars by up to {speed * USUAL_READOUT_S:.2g} px, which parameters take up with no sign in the residuals: "
+            f"stars by up to {speed * USUAL_READOUT_S:.2g} px, which the parameters would absorb without a sign in the residuals: "
             "declare `readout` in the sensor file."
         )
         return Assumption(name="readout", declared=False, value="global shutter", sentence=sentence)
@@ -102,7 +102,7 @@ def _readout(
         return Assumption(name="readout", declared=True, value=said, sentence=f"Declared: {said}.")
     if not done.moved:
         sentence = (
-            f"Declared: {said}. No rate is known to correct it with, so it stays in the centroids and in the parameters: give "
+            f"Declared: {said}. No rate is known for a correction, so it stays in the centroids and in the parameters: give "
             "time_utc and quaternions, or exposures less than a minute apart with identified stars."
         )
         return Assumption(name="readout", declared=True, value=f"{said}: left in", sentence=sentence, left_in=True)
@@ -110,7 +110,7 @@ def _readout(
     sentence = (
         f"Declared: {said}. Centroids of {done.moved:,} of {done.exposures:,} exposures were moved back to the first line's time, "
         f"by up to {done.largest_px:.3g} px at {done.rate_deg_s:.3g} °/s, with rates from {done.source}"
-        + (f"; {left:,} without a rate stay as they are." if left else ".")
+        + (f"; {left:,} without a rate are unchanged." if left else ".")
     )
     return Assumption(
         name="readout", declared=True, value=f"{said}: corrected here", sentence=sentence, left_in=left > 0
@@ -139,12 +139,12 @@ def _velocity(telemetry: Telemetry, sensor: Sensor, corner_px: float) -> Assumpt
             name=name, declared=True, value="given", sentence="The telemetry gives the satellite's velocity."
         )
     if sensor.site is not None:
-        sentence = "The site's own velocity, up to 0.3 arcsec of diurnal aberration, is computed from where it stands."
+        sentence = "The site's own velocity, up to 0.3 arcsec of diurnal aberration, is computed from its position."
         return Assumption(name=name, declared=True, value="of the site", sentence=sentence)
     if word == "negligible" or (word == "given" and telemetry.ra_rad is not None):
         return Assumption(name=name, declared=True, value=word, sentence=f"Declared. {_words(name, word)}.")
     opening = (
-        "Declared as given, yet this telemetry has none" if word else "The telemetry gives no velocity of the satellite"
+        "Declared as given, but this telemetry has none" if word else "The telemetry gives no velocity of the satellite"
     )
     sentence = (
         f"{opening}, so none is assumed. In a low orbit 5 arcsec of aberration would stretch the field by up to 25 ppm, "
@@ -166,7 +166,7 @@ def _directions(telemetry: Telemetry, sensor: Sensor, corner_px: float) -> Assum
     if word is not None:
         return Assumption(name=name, declared=True, value=word, sentence=f"Declared. {_words(name, word)}.")
     sentence = (
-        "Directions that the telemetry gives are assumed to be apparent. If they are of J2000.0, 20 arcsec of aberration stretch "
+        "Directions in the telemetry are assumed to be apparent. If they are of J2000.0, 20 arcsec of aberration stretch "
         f"the field by up to 100 ppm, {100e-6 * corner_px:.2g} px at the corner, and are fitted as focal length: {WHERE}."
     )
     return Assumption(name=name, declared=False, value="apparent", sentence=sentence)
@@ -201,7 +201,7 @@ def _tilt(sensor: Sensor, x: FloatArray) -> list[Assumption]:
     sentence = (
         f"The camera model has no tilt, so a detector square to the optical axis is assumed. A tilt of "
         f"{USUAL_TILT_RAD * 1e3:g} mrad would be fitted as a principal point {moved_px:.2g} px off, with no sign in the residuals "
-        f"and hardly any in the directions of stars: calibrate with a model that has it, such as inverted_wang, or {WHERE}."
+        f"and almost none in the directions of stars: calibrate with a model that has it, such as inverted_wang, or {WHERE}."
     )
     return [Assumption(name=name, declared=False, value="none", sentence=sentence)]
 
@@ -215,16 +215,16 @@ def _decentring(sensor: Sensor, unseen: Sequence[UnseenDeparture]) -> list[Assum
         return [Assumption(name=name, declared=True, value=word, sentence=f"Declared. {_words(name, word)}.")]
     most = next((one for one in unseen if one.name == TANGENTIAL), None)
     if most is None:
-        how = "and nothing was found out about what tangential distortion would do unnoticed"
+        how = "and it is not known what unnoticed tangential distortion would do"
     elif most.sigmas is None:
-        how = f"and tangential distortion is not told from {most.parameter} at all"
+        how = f"and tangential distortion cannot be separated from {most.parameter}"
     else:
         how = (
             f"tangential distortion of {most.size_px:.2g} px at the corner goes unnoticed once in ten such sets, and moves "
             f"{most.parameter} by {most.sigmas:.2g} claimed sigmas"
         )
         if most.sigmas <= MATTERS:
-            said = f"What matters of tangential distortion would be noticed: {how}."
+            said = f"Tangential distortion that matters would be noticed: {how}."
             return [Assumption(name=name, declared=True, value="would be noticed", sentence=said)]
     sentence = (
         f"The camera model has no tangential terms, so a centred lens is assumed; {how}: calibrate with a model that has "
@@ -236,7 +236,7 @@ def _decentring(sensor: Sensor, unseen: Sequence[UnseenDeparture]) -> list[Assum
 def _refraction_given(sensor: Sensor) -> Assumption:
     """What directions of the telemetry of a sensor on the ground are taken to hold."""
     known = sensor.declared.refraction == "corrected"
-    sentence = "Directions that the telemetry gives are taken to hold refraction already" + (
+    sentence = "Directions in the telemetry are assumed to include refraction already" + (
         ", as declared." if known else f": {WHERE} (`refraction` corrected), or uncorrected to have it added."
     )
     return Assumption(name="refraction", declared=known, value="in the directions given", sentence=sentence)
@@ -258,12 +258,12 @@ def _refraction_above(site: Site, named: Telemetry, catalogue: Catalogue, corner
     sentence = (
         f"Stars are seen through the air at {site.latitude_deg:.4g}°, {site.longitude_deg:.4g}° east, {pressure:.4g} hPa, "
         f"{temperature:.3g} °C, humidity {humidity:.2g}, {wavelength:.2g} µm"
-        + (f" ({', '.join(assumed)}: usual values that nobody gave)" if assumed else "")
+        + (f" ({', '.join(assumed)}: usual values, because none were given)" if assumed else "")
         + f". At {lowest:.0f}° above the horizon, the lowest here, it shrinks the field by {_stretch(site, lowest) * 1e6:.0f} ppm; "
         f"{off.pressure_hpa:g} hPa more change it by {by_pressure * 1e6:.2g} ppm, {by_pressure * corner_px:.2g} px at the corner, "
         f"{off.temperature_c:g} °C by {by_temperature * 1e6:.2g} ppm"
         + (f": {WHERE}, under `site`." if assumed else ".")
-        + (f" Below {FORMULA_DEG:g}° the formula itself errs by arcseconds." if lowest < FORMULA_DEG else "")
+        + (f" Below {FORMULA_DEG:g}° the formula itself is wrong by arcseconds." if lowest < FORMULA_DEG else "")
     )
     value = "computed from the site" + (f", {', '.join(assumed)} assumed" if assumed else "")
     return Assumption(name="refraction", declared=not assumed, value=value, sentence=sentence)
@@ -294,18 +294,18 @@ def _earth_rotation(telemetry: Telemetry) -> Assumption:
     known = None if time_utc is None else time_utc[~np.isnat(time_utc)]
     last = None if known is None or not len(known) else known.max().astype("datetime64[D]")
     value = f"tables of the IERS measured to {tables.measured_to}, predicted to {tables.predicted_to}"
-    leap = f"leap seconds are sure until {tables.leap_seconds_to}"
+    leap = f"leap seconds are known until {tables.leap_seconds_to}"
     if last is None or last <= tables.measured_to:
-        sentence = f"The Earth's rotation and its pole are measured ones: {value}; {leap}."
+        sentence = f"The Earth's rotation and pole are measured: {value}; {leap}."
     elif last <= tables.predicted_to:
         days = int((last - tables.measured_to) / np.timedelta64(1, "D"))
         sentence = (
-            f"The Earth's rotation and its pole are predicted {days} days ahead of what was measured: {value}; {leap}. That moves "
-            "the zenith by 0.1 arcsec or so, which does not matter; a newer astropy-iers-data has them measured."
+            f"The Earth's rotation and pole are predicted {days} days beyond the measurements: {value}; {leap}. That changes "
+            "the zenith by about 0.1 arcsec, which does not matter; a newer astropy-iers-data has the measured values."
         )
     else:
         sentence = (
-            f"The set ends {last}, after the last table of the Earth's rotation: {value}; {leap}. The last values are taken, and "
+            f"The set ends {last}, after the last table of the Earth's rotation: {value}; {leap}. The last values are used, and "
             "the zenith may be off by arcseconds, which does not matter to refraction: install a newer astropy-iers-data."
         )
     return Assumption(name="earth_rotation", declared=True, value=value, sentence=sentence)

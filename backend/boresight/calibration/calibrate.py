@@ -266,7 +266,7 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
         if is_large(validation):
             frames = len(np.unique(judged.frame))
             found = with_advice(
-                found, f"The validation set is large: {frames:,} of its frames, evenly spread, were looked at."
+                found, f"The validation set is large: {frames:,} of its frames, evenly spread, were used."
             )
         clock.lap("validate")
     return found if ended is None else replace(found, timing_s={**clock.laps, "method": ended.method_s})
@@ -295,7 +295,7 @@ def _explained(
 
     def report(message: str, _: float | None) -> None:
         if context.cancelled():
-            raise CancelledError("Stopped as asked, before it was known why so few stars match")
+            raise CancelledError("Stopped on request, before it was known why so few stars match")
         if context.report is not None:
             context.report(Progress(0.0, f"finding out why so few stars match: {message}", None))
 
@@ -437,7 +437,7 @@ def _say_what_was_judged(found: Calibration, judged: Problem) -> Calibration:
     return with_advice(
         replace(found, judged_on=part),
         f"Flight scores, shadow, alignment and trust are judged on {judged.arcs.n_frames:,} of {found.frames:,} frames, "
-        "whole stretches evenly spread over the set; estimate, sigmas, chi-square, RMS and coverage are of all of them.",
+        "in stretches evenly spread over the set; estimate, sigmas, chi-square, RMS and coverage use all frames.",
     )
 
 

@@ -255,7 +255,7 @@ def _given(document: Mapping[str, Any], sensor: Sensor, name: str, target: str) 
     x, P = parse_parameters(document, sensor, name)
     if target == sensor.camera_model:
         others = " or ".join(model for model in CAMERA_MODELS if model != target)
-        raise RefusedInputError(f"{name} is of {target} already: choose {others} to convert it to.")
+        raise RefusedInputError(f"{name} is in {target} already: choose {others} to convert it to.")
     return x, P
 
 
@@ -271,7 +271,7 @@ def _refusal(name: str, source: str, target: str, found: Conversion, allowed_px:
     size = (
         f"differ by up to {found.misfit_px:.2g} px ({found.misfit_rad * ARCSEC_PER_RAD:.2g} arcsec) over the detector"
         if math.isfinite(found.misfit_px)
-        else "do not even meet over the whole detector"
+        else "cannot be compared over the whole detector"
     )
     rule = f" ({100 * ALLOWED_SHARE:g} % of the sensor's centroid_sigma_px)" if by_rule else ""
     return (
@@ -288,7 +288,7 @@ def _reason(source: str, target: str) -> str:
         return f"{target} has no {' and no '.join(sorted(role.value for role in lacking))}"
     if seen.equations.runs != meant.equations.runs:
         return f"the radial polynomial of {source} runs {seen.equations.runs}, that of {target} {meant.equations.runs}"
-    return f"{target} has fewer terms of the radius, or measures it otherwise"
+    return f"{target} has fewer terms of the radius, or measures it differently"
 
 
 def _how(

@@ -192,8 +192,8 @@ def to_observed(telemetry: Telemetry) -> Telemetry:
         return telemetry
     if telemetry.time_utc is None:
         raise RefusedInputError(
-            "The sensor has a site on the ground, and the telemetry has no time to find its zenith for: "
-            "add time_utc (ISO 8601, UTC), or declare refraction corrected where its directions hold it."
+            "The sensor has a site on the ground, but the telemetry has no time, which the zenith needs: "
+            "add time_utc (ISO 8601, UTC), or declare refraction corrected if its directions include it."
         )
     cos_dec = np.cos(telemetry.dec_rad)
     s = np.column_stack(
@@ -212,7 +212,7 @@ def to_apparent(telemetry: Telemetry, catalogue: Catalogue) -> Telemetry:
         return telemetry
     if telemetry.time_utc is None:
         raise RefusedInputError(
-            "The sensor declares directions of J2000.0, and the telemetry has no time to make apparent ones for: "
+            "The sensor declares directions of J2000.0, but the telemetry has no time to compute apparent ones: "
             "add time_utc (ISO 8601, UTC), or give apparent directions and declare them so."
         )
     known = np.zeros(len(telemetry), np.int64) if telemetry.star_id is None else telemetry.star_id

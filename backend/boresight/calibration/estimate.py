@@ -57,13 +57,13 @@ def compared(arcs: Arcs, x: FloatArray, free: NDArray[np.int64], scale: FloatArr
 
 def _remark(sigma: FloatArray, claimed: FloatArray, of_arcs: FloatArray) -> str:
     """Say by how much the fit's own sigmas would mislead, and how much better arclengths do."""
-    opening = "The unweighted cosine error is here for comparison, and sigmas from its own sum of squares are not valid"
+    opening = "The unweighted cosine error is only for comparison, and sigmas from its own sum of squares are not valid"
     if not len(sigma):
         return f"{opening}."
     ratio = sigma / claimed
     cost = np.exp(np.mean(np.log(sigma / of_arcs)))
     return (
-        f"{opening}: the true ones, which stand here, are {ratio.min():.2f} to {ratio.max():.2f} times as large. From the same "
+        f"{opening}: the true ones, which are given here, are {ratio.min():.2f} to {ratio.max():.2f} times as large. From the same "
         f"data arclengths with their covariance give sigmas {cost:.2f} times smaller: decide by those."
     )
 
@@ -119,7 +119,7 @@ def robust_view(found: Robustness, names: Sequence[str], sigma: FloatArray) -> R
 
 def _sentence(found: Robustness, share: float, shift: dict[str, float]) -> str:
     """Say what the loss did, against what it does to noise alone."""
-    did = "Huber's loss held back" if found.by == "arcs" else "The loss by stars left out"
+    did = "Huber's loss down-weighted" if found.by == "arcs" else "The loss by stars left out"
     counted = (
         f"{did} {found.downweighted:,} {found.by}, {share:.2g} of all, where Gaussian noise alone gives {found.expected_share:.2g}"
         if found.by == "stars"
@@ -133,7 +133,7 @@ def _sentence(found: Robustness, share: float, shift: dict[str, float]) -> str:
         return f"{counted}; least squares agrees within {abs(moved[name]):.1f} sigma."
     return (
         f"{counted}; it moved the estimate by up to {abs(moved[name]):.1f} sigma ({name}) from least squares: "
-        "look for wrong matches before trusting either."
+        "check for wrong matches before you trust either."
     )
 
 

@@ -256,7 +256,7 @@ def _why_unmatched(seen: Matched, given: IntArray) -> NDArray[np.object_]:
         phrase = np.array(ROW_REASONS, object)[seen.matches.row_reason]
         return np.where(seen.matches.star_id > 0, NOT_ACCEPTED, phrase)
     return np.where(
-        given > 0, "no direction: its number is not in the catalogue, or it has no time", "the file names no star"
+        given > 0, "no direction: its number is not in the catalogue, or it has no time", "the file gives no star"
     )
 
 
@@ -340,9 +340,7 @@ def frame_view(states: RunStates, read: Read, catalogue: Catalogue, cache_folder
         "temperature_c": None if part.temperature_c is None else _number(part.temperature_c[0]),
         "image": None if (image := find_image(part, 0)) is None else asdict(image),
         "match": states.settings.match,
-        "why_no_new": None
-        if states.new is not None
-        else "The run has no parameters of its own to show this frame under.",
+        "why_no_new": None if states.new is not None else "The run has no parameters to show this frame with.",
     }
     try:
         found = match_frame(states, read, catalogue, cache_folder)

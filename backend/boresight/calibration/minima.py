@@ -205,7 +205,7 @@ def _sentence(described: Minima, searched: Searched, x: FloatArray, sigma: Float
     if len(parts) == 0:
         return (
             f"From {described.starts} other starts no other minimum was found within {TOLD:.0f} of chi-square, and profile "
-            "likelihood gives the intervals that the sigmas give."
+            "likelihood gives the same intervals as the sigmas."
         )
     return " ".join(parts)
 
@@ -215,7 +215,7 @@ def _of_what_was_taken(searched: Searched) -> list[str]:
         return []
     how_much = f", lower by {searched.fall:.3g} in chi-square" if np.isfinite(searched.fall) else ""
     sentence = (
-        f"The fit from the sensor file's start did not end in the lowest minimum: the one taken up was found by "
+        f"The fit from the sensor file's start did not end in the lowest minimum: the lowest was found by "
         f"{searched.taken_from}{how_much}."
     )
     return [sentence]
@@ -225,10 +225,10 @@ def _of_others(described: Minima, x: FloatArray, sigma: FloatArray) -> list[str]
     others = described.found[1:]
     if not others:
         return []
-    count = f"{len(others)} other {'minimum lies' if len(others) == 1 else 'minima lie'}"
+    count = f"{len(others)} other {'minimum is' if len(others) == 1 else 'minima are'}"
     where = "; ".join(f"+{one.chi2_above_best:.2g}, {_farthest(one, x, sigma)}" for one in others[:3])
     caution = (
-        " These data alone do not tell which is the camera's: hold a parameter fixed that is known, or add frames with stars "
+        " These data alone do not show which is the camera's: hold a known parameter fixed, or add frames with stars "
         "elsewhere on the detector."
     )
     close = others[0].chi2_above_best <= CLOSE
@@ -248,10 +248,10 @@ def _of_intervals(described: Minima) -> list[str]:
         return []
     names = ", ".join(one.name for one in described.intervals)
     broken = ", ".join(one.name for one in described.intervals if len(one.pieces) > 1)
-    pieces = f", those of {broken} are in pieces" if broken else ""
+    pieces = f", and those of {broken} have several parts" if broken else ""
     sentence = (
-        f"The {CONFIDENCE:.0%} intervals of {names} by profile likelihood are not symmetric about the estimate{pieces}: read "
-        "them in place of the sigmas."
+        f"The {CONFIDENCE:.0%} intervals of {names} by profile likelihood are not symmetric about the estimate{pieces}: use "
+        "them instead of the sigmas."
     )
     return [sentence]
 

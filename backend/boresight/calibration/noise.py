@@ -74,12 +74,12 @@ LN10 = float(np.log(10.0))
 #: Terms by name, with what their coefficients are in.
 UNITS = {
     "level": "× stated",
-    "magnitude": "decades a magnitude",
+    "magnitude": "decades per magnitude",
     "field_angle": "decades from centre to corner",
-    "rate": "decades a pixel a second",
+    "rate": "decades per pixel per second",
     "phase_row": "px",
     "phase_col": "px",
-    "colour": "px a magnitude of B-V at the corner",
+    "colour": "px per magnitude of B-V at the corner",
 }
 OF_NOISE = ("level", "magnitude", "field_angle", "rate")
 TITLES = {
@@ -92,11 +92,11 @@ TITLES = {
     "colour": "Lateral colour",
 }
 NO_MAGNITUDE = "Neither telemetry nor catalogue gives these stars a magnitude."
-NO_RATE = "There is no rate: give time_utc and quaternions, or exposures less than a minute apart."
+NO_RATE = "The rate is not known: give time_utc and quaternions, or exposures less than a minute apart."
 NO_COLOUR = "The catalogue gives no B-V of these stars: match with star numbers of Hipparcos."
-UNIFORM = "It hardly differs from star to star in this set, so nothing can depend on it: add other scenes."
-MOVED_BEFORE = "These centroids were moved before they were read here, so where they lay on their pixels is not known."
-EVEN_PHASES = "The centroids lie at few places within their pixels, so no curve can be told: give them unrounded."
+UNIFORM = "It is almost the same for all stars in this set, so a dependence cannot be found: add other scenes."
+MOVED_BEFORE = "These centroids were corrected beforehand, so their places within the pixels are not known."
+EVEN_PHASES = "The centroids lie at few places within their pixels, so no curve can be found: give them unrounded."
 
 
 @dataclass(frozen=True)
@@ -419,9 +419,9 @@ def _sentence(name: str, value: Mapping[str, float], sigma: Mapping[str, float |
     """Say the size of a term, and what to do about it."""
     main = "factor" if name == "level" else "slope"
     if name.startswith("phase"):
-        size = f"the bias swings by ± {phase_amplitude(value):.2g} px within a pixel"
+        size = f"the bias varies by ± {phase_amplitude(value):.2g} px within a pixel"
     elif name == "level":
-        size = f"the noise is {value[main]:.3f} ± {sigma[main]:.3f} times the stated"
+        size = f"the noise is {value[main]:.3f} ± {sigma[main]:.3f} times the stated noise"
     elif name == "colour":
         size = f"a star moves {value[main]:+.2g} ± {sigma[main]:.2g} px outward at the corner for each magnitude of B-V"
     else:

@@ -33,7 +33,7 @@ METHODS = {
         MethodChoice(
             "batch",
             "Batch",
-            "All frames at once by least squares: the reference answer, and the first run to make on a new set.",
+            "All frames at once by least squares: the reference result, and the first run for a new set.",
             sequential=False,
         ),
         MethodChoice(
@@ -45,25 +45,25 @@ METHODS = {
         MethodChoice(
             "ekf",
             "Extended Kalman filter",
-            "The same filter with a full covariance: use it to check the square-root filter, not instead of it.",
+            "The same filter with a full covariance: use it only to check the square-root filter.",
         ),
         MethodChoice(
             "ukf",
             "Unscented filter",
-            "Slopes from points spread as wide as the parameters are uncertain, not from derivatives: use it as an independent"
-            " check of the square-root filter; it takes longer and is not more accurate.",
+            "Spreads points as far as the parameters are uncertain, instead of derivatives: use it as an independent"
+            " check of the square-root filter; it is slower and not more accurate.",
         ),
         MethodChoice(
             "svd",
             "Singular values",
             "Singular values of star combinations in place of arcs: use it to reproduce or compare with the method of Wu et al.;"
-            " with honest weights it holds a little less than the arcs do, and costs more.",
+            " with correct weights it uses a little less information than arcs, and costs more.",
         ),
         MethodChoice(
             "angular",
             "All angular distances",
-            "Every pair of stars, the baseline that singular values are usually measured against: use it beside them; it says"
-            " exactly what the arcs of the square-root filter say, at a higher price.",
+            "Every pair of stars, the usual reference for singular values: use it to compare with them; it gives the"
+            " same result as the arcs of the square-root filter, at a higher cost.",
         ),
     )
 }
@@ -146,7 +146,7 @@ class Option:
             return
         if self.kind == "names":
             raise RefusedInputError(
-                f"Setting {self.name!r} is no list of parameter names: give one of at least one name, or leave it out."
+                f"Setting {self.name!r} is not a list of parameter names: give at least one name, or leave it out."
             )
         give = {
             "word": f"choose from {self.range}",
@@ -253,7 +253,7 @@ class CalibrationSettings:
         words={method.name: method.title for method in METHODS.values()},
     )  # fmt: skip
     variant: str = option(
-        "Method", "Process noise", "Of a filter: no-q holds still, q follows drift, no-refit is q on old matches.",
+        "Method", "Process noise", "For filters: no-q keeps parameters constant, q follows drift, no-refit is q on old matches.",
         cell=(1, 1), radios=True, default="no-q", flag="--variant", methods=FILTERS, usual=True,
         words={
             "no-q": "No-Q: parameters are constant",
@@ -262,21 +262,21 @@ class CalibrationSettings:
         },
     )  # fmt: skip
     free: tuple[str, ...] | None = option(
-        "Method", "Free parameters", "Parameters to estimate, as f_m,b2_per_m2; the sensor's own list if left out.",
+        "Method", "Free parameters", "Parameters to estimate, such as f_m,b2_per_m2; the sensor's own list if left out.",
         default=None, kind="names", flag="--free", usual=True,
     )  # fmt: skip
     match: str = option(
-        "Matching", "Star identities", "Star identities: those the file proposes, verified, or made again as parameters improve.",
+        "Matching", "Star identities", "Star identities: those in the file, verified, or matched again as parameters improve.",
         default="rematch", flag="--match", usual=True,
-        words={"given": "As the file proposes, verified", "rematch": "Made again as parameters improve"},
+        words={"given": "From the file, verified", "rematch": "Matched again as parameters improve"},
     )  # fmt: skip
     match_parameters: str = option(
-        "Matching", "Parameters matched with", "Which parameters a filter matches each frame with.",
+        "Matching", "Parameters for matching", "Parameters with which a filter matches each frame.",
         cell=(1, 1), default="latest", flag="--match-parameters", methods=FILTERS,
         words={"latest": "The latest, frame by frame", "baseline": "The baseline it started from"},
     )  # fmt: skip
     match_rule: str = option(
-        "Matching", "Tolerance of a match", "Tolerance of a match: from its own noise, or that of the flight code.",
+        "Matching", "Tolerance of a match", "Tolerance of a match: from its noise, or the fixed one of the flight code.",
         cell=(1, 1), default="statistical", flag="--match-rule",
         words={
             "statistical": "Statistical: from centroid noise and parameter uncertainty",
@@ -287,24 +287,24 @@ class CalibrationSettings:
         "Matching", "Flight tolerance",
         "Largest disagreement of an arc that the flight code accepts; five sigmas of an arc if left out.",
         cell=(1, 2), default=None, kind="number", lowest=0.1, highest=1e5, unit="µrad", flag="--flight-tolerance-urad",
-        hint="Empty is five sigmas of an arc.",
+        hint="Empty: five sigmas of an arc.",
     )  # fmt: skip
     leave_out_doubles: bool = option(
         "Matching", "Leave out doubles and unreliable stars",
         "Leave out double stars and stars with unreliable astrometry.", cell=(2, 2), default=False, flag="--leave-out-doubles",
     )  # fmt: skip
     leave_out_stars: tuple[int, ...] = option(
-        "Matching", "Stars left out", "Stars that take no part, by Hipparcos number, as 71683,71681.",
-        cell=(4, 2), default=(), kind="stars", flag="--leave-out-stars", hint="Hipparcos numbers, as 71683,71681.",
+        "Matching", "Stars left out", "Stars to leave out, by Hipparcos number, such as 71683,71681.",
+        cell=(4, 2), default=(), kind="stars", flag="--leave-out-stars", hint="Hipparcos numbers, such as 71683,71681.",
     )  # fmt: skip
     blends: str = option(
         "Matching", "Blended stars",
-        "Stars whose centroid a neighbour in the catalogue draws by over 0.4 sigma, where psf_sigma_px is known, as of images.",
+        "Stars whose centroid is shifted by more than 0.4 sigma by a catalogue neighbour; needs psf_sigma_px, which images have.",
         cell=(3, 2), default="leave-out", flag="--blends",
-        words={"leave-out": "Leave out, where the width of a star's image is known", "keep": "Keep"},
+        words={"leave-out": "Leave out, if the width of a star's image is known", "keep": "Keep"},
     )  # fmt: skip
     noise_model: str = option(
-        "Method", "Centroid noise", "Noise of centroids: as stated, or with what the data show of it beyond chance.",
+        "Method", "Centroid noise", "Noise of centroids: as stated, or corrected where the data show more than chance.",
         cell=(3, 1), default="stated", flag="--noise-model",
         words={
             "stated": "As stated by telemetry or sensor file",
@@ -312,7 +312,7 @@ class CalibrationSettings:
         },
     )  # fmt: skip
     minimum_stars: int = option(
-        "Method", "Fewest stars of an exposure", "Exposures with fewer stars take no part.",
+        "Method", "Fewest stars of an exposure", "Exposures with fewer stars are not used.",
         cell=(2, 1), default=MINIMUM_STARS, lowest=MINIMUM_STARS, highest=1000, flag="--minimum-stars",
     )  # fmt: skip
     max_iterations: int = option(
@@ -320,45 +320,45 @@ class CalibrationSettings:
         cell=(1, 2), default=50, lowest=1, highest=10_000, flag="--max-iterations",
     )  # fmt: skip
     error: str = option(
-        "Of the batch", "Error minimised", "What is minimised; cosine is worse, for comparison.",
+        "Of the batch", "Error minimised", "Error that is minimised; cosine is worse, for comparison.",
         cell=(1, 1), default="arclength", flag="--error",
         words={
             "arclength": "Arclength, with its full covariance",
             "cosine": "Cosine of the arc, unweighted: worse, for comparison",
         },
-        elsewhere="The cosine error is the batch's: choose method 'batch', or error 'arclength'.",
+        elsewhere="The cosine error is only for the batch: choose method 'batch', or error 'arclength'.",
     )  # fmt: skip
     robust: str = option(
-        "Of the batch", "Loss", "Loss that bounds what a false star may say; huber is weaker, for comparison.",
+        "Of the batch", "Loss", "Loss that limits the effect of false stars; huber is weaker, for comparison.",
         cell=(2, 1), default="none", flag="--robust",
         words={
             "none": "Least squares",
-            "stars": "By stars: one that lies far off says nothing",
-            "huber": "Huber on arcs: bounds what a false star may say, for comparison",
+            "stars": "By stars: stars that are far off are ignored",
+            "huber": "Huber on arcs: limits the effect of false stars, for comparison",
         },
-        elsewhere="Robust loss is the batch's: choose method 'batch', or set 'robust' to 'none'.",
+        elsewhere="Robust loss is only for the batch: choose method 'batch', or set 'robust' to 'none'.",
     )  # fmt: skip
     huber_threshold: float = option(
-        "Of the batch", "Huber threshold", "Of huber, in whitened sigmas.",
+        "Of the batch", "Huber threshold", "For huber, in whitened sigmas.",
         cell=(2, 2), default=1.345, lowest=0.1, highest=10.0, unit="whitened σ", flag="--huber-threshold",
-        hint="1.345 keeps 95 % of the efficiency under Gaussian noise.",
+        hint="1.345 keeps 95 % of the efficiency for Gaussian noise.",
     )  # fmt: skip
     linearisations: int = option(
-        "Of the filters", "Linearisations a frame", "Most a frame; 1 is the filter as printed.",
+        "Of the filters", "Linearisations per frame", "Most per frame; 1 is the published filter.",
         cell=(2, 1), default=6, lowest=1, highest=100, flag="--linearisations", usual=True,
-        hint="1 is the filter as printed; more let the state settle within the frame.",
+        hint="1 is the published filter; more let the state settle within the frame.",
     )  # fmt: skip
     process_noise_sigma: float = option(
-        "Of the filters", "Drift a frame", "Of q and no-refit: drift a frame, in typical sigmas.",
+        "Of the filters", "Drift per frame", "For q and no-refit: drift per frame, in typical sigmas.",
         cell=(1, 2), default=0.02, lowest=0.0, highest=10.0, unit="typical σ", flag="--process-noise", usual=True,
-        hint="Not of No-Q.",
+        hint="Not for No-Q.",
     )  # fmt: skip
     forgetting_factor: float = option(
         "Of the filters", "Forgetting factor", "Share of the information kept from frame to frame.",
         cell=(2, 1), default=1.0, lowest=0.5, highest=1.0, flag="--forgetting-factor",
         hint="Share of the information kept from frame to frame; 1 forgets nothing.",
         elsewhere=(
-            f"A forgetting factor is a filter's: choose from {', '.join(FILTERS)}, or leave 'forgetting_factor' at 1."
+            f"A forgetting factor is only for filters: choose from {', '.join(FILTERS)}, or leave 'forgetting_factor' at 1."
         ),
     )  # fmt: skip
     initial_sigma_scale: float = option(
@@ -366,7 +366,7 @@ class CalibrationSettings:
         cell=(2, 2), default=10.0, lowest=1e-3, highest=1e4, unit="typical σ", flag="--initial-sigma-scale",
     )  # fmt: skip
     star_model: int = option(
-        "Of svd and angular", "Star combinations", "Of svd: star combinations, 1 to 4; 4 is the paper's choice.",
+        "Of svd and angular", "Star combinations", "For svd: star combinations, 1 to 4; 4 is the paper's choice.",
         cell=(1, 1), default=4, lowest=1, highest=4, methods=("svd",), flag="--star-model", usual=True,
         words={
             "1": "1: three neighbours at a time",
@@ -374,17 +374,17 @@ class CalibrationSettings:
             "3": "3: all stars but one at a time",
             "4": "4: the first three, four, five … all stars",
         },
-        elsewhere="Star model and singular values are of method 'svd': choose it, or leave them out.",
+        elsewhere="Star model and singular values are only for method 'svd': choose it, or leave them out.",
     )  # fmt: skip
     singular_values: tuple[int, ...] = option(
         "Of svd and angular", "Singular values",
-        "Of svd: some of 1,2,3; the first adds nothing to the others, for their squares add up to the number of stars.",
+        "For svd: some of 1,2,3; the first adds nothing to the others, because their squares add up to the number of stars.",
         cell=(1, 2), default=(2, 3), kind="wholes", methods=("svd",), flag="--singular-values", usual=True,
         words={
-            "2,3": "σ2 and σ3: all that a combination says",
-            "1,2,3": "σ1, σ2 and σ3: the same, for σ1 follows from the others",
-            "1,2": "σ1 and σ2: the same by another name",
-            "1,3": "σ1 and σ3: the same by another name",
+            "2,3": "σ2 and σ3: all information of a combination",
+            "1,2,3": "σ1, σ2 and σ3: the same, because σ1 follows from the others",
+            "1,2": "σ1 and σ2: the same information",
+            "1,3": "σ1 and σ3: the same information",
             "1": "σ1 alone",
             "2": "σ2 alone",
             "3": "σ3 alone",
@@ -392,18 +392,18 @@ class CalibrationSettings:
         hint=(
             "σ1 adds nothing to the other two: the squares of the three add up to the number of stars, whatever the camera."
         ),
-        elsewhere="Star model and singular values are of method 'svd': choose it, or leave them out.",
+        elsewhere="Star model and singular values are only for method 'svd': choose it, or leave them out.",
     )  # fmt: skip
     gain_form: str = option(
-        "Of svd and angular", "Update", "How the update is computed; gain is as printed, slower, the same result.",
+        "Of svd and angular", "Update", "How the update is computed; gain as published: slower, same result.",
         cell=(1, 1), default="information", flag="--gain-form",
-        words={"information": "Information form", "gain": "Gain form, as printed: slower, the same result"},
-        elsewhere=f"The gain form is of methods {' and '.join(EITHER_FORM)}: choose one, or leave 'gain_form' out.",
+        words={"information": "Information form", "gain": "Gain form, as published: slower, same result"},
+        elsewhere=f"The gain form is only for methods {' and '.join(EITHER_FORM)}: choose one, or leave 'gain_form' out.",
     )  # fmt: skip
     replay_frames_per_s: float = option(
-        "Of the filters", "Replay pace", "Pace at which a filter takes frames in; 0 is as fast as the machine can.",
-        cell=(2, 2), default=0.0, lowest=0.0, highest=1e6, unit="frames a second", usual=True,
-        hint="As a downlink would deliver them; 0 is as fast as possible.",
+        "Of the filters", "Replay pace", "Rate at which a filter processes frames; 0: as fast as possible.",
+        cell=(2, 2), default=0.0, lowest=0.0, highest=1e6, unit="frames per second", usual=True,
+        hint="As a downlink would deliver them; 0: as fast as possible.",
     )  # fmt: skip
 
     @property
@@ -441,7 +441,7 @@ class CalibrationSettings:
             if declared.elsewhere and self.method not in declared.methods and getattr(self, name) != declared.default:
                 raise RefusedInputError(declared.elsewhere)
         if self.error == "cosine" and self.robust != "none":
-            raise RefusedInputError("The cosine error has no weights to be robust by: set 'robust' to 'none'.")
+            raise RefusedInputError("The cosine error has no weights for a robust loss: set 'robust' to 'none'.")
 
     def document(self) -> dict[str, Any]:
         """Return the settings as JSON values, every key present."""
@@ -530,7 +530,7 @@ def said(name: str, value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if value is None:
-        return "the sensor's own" if name == "free" else "as usual"
+        return "the sensor's own" if name == "free" else "default"
     if declared.kind == "stars" and not value:
         return "none"
     text = format_value(value)

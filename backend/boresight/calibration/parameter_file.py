@@ -58,7 +58,7 @@ def parse_parameters(document: Mapping[str, Any], sensor: Sensor, name: str) -> 
     model = document.get("camera_model", sensor.camera_model)
     if model != sensor.camera_model:
         raise RefusedInputError(
-            f"{name} is of the camera model {model}, the sensor of {sensor.camera_model}: choose parameters of this sensor."
+            f"{name} uses the camera model {model}, the sensor {sensor.camera_model}: choose parameters of this sensor."
         )
     if document.get("status") in FAILED:
         raise RefusedInputError(
@@ -66,7 +66,7 @@ def parse_parameters(document: Mapping[str, Any], sensor: Sensor, name: str) -> 
         )
     values = document.get("parameters", document)
     if not isinstance(values, Mapping):
-        raise RefusedInputError(f"{name} has `parameters` that are no object: write names and numbers.")
+        raise RefusedInputError(f"{name} has `parameters` that are not an object: write names and numbers.")
     values = in_metres(values, CAMERA_MODELS[sensor.camera_model].parameter_names, sensor.pixel_pitch_m)
     _check_names(values, sensor, name)
     x = np.array([values[parameter] for parameter in CAMERA_MODELS[sensor.camera_model].parameter_names], np.float64)
@@ -89,7 +89,9 @@ def _check_names(values: Mapping[str, Any], sensor: Sensor, name: str) -> None:
         raise RefusedInputError(f"{name} gives no {', '.join(missing)}: give every parameter of {camera.name}.")
     unknown = [parameter for parameter in values if parameter not in camera.parameter_names]
     if unknown:
-        raise RefusedInputError(f"{name} gives {unknown[0]!r}, which is no parameter of {camera.name}: leave it out.")
+        raise RefusedInputError(
+            f"{name} gives {unknown[0]!r}, which is not a parameter of {camera.name}: leave it out."
+        )
     for parameter, (low, high) in zip(camera.parameter_names, camera.plausible, strict=True):
         value = values[parameter]
         number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -188,7 +188,7 @@ def propose_apart(
     return run_apart(
         work,
         seconds,
-        "Recognising the stars {}: give the field of view too, or use `boresight sensor new` on a machine of your own.",
+        "Recognising the stars {}: give the field of view too, or use `boresight sensor new` on your own machine.",
     )
 
 
@@ -224,7 +224,7 @@ def _detector(
         off, total = off + int(((places < -1) | (places > size)).any(axis=0).sum()), total + places.shape[1]
     if off > FEW_OFF * total:
         raise RefusedInputError(
-            f"{off:,} of {total:,} detections lie off a detector of {given.rows or 'any'} rows and {given.columns or 'any'} "
+            f"{off:,} of {total:,} detections are off a detector of {given.rows or 'any'} rows and {given.columns or 'any'} "
             f"columns, up to row {ends[1, 0]:.0f} and column {ends[1, 1]:.0f}: correct rows and columns, or leave them out."
         )
     found = [
@@ -316,7 +316,7 @@ class _Search:
         """Recognise some exposures under a guess."""
         narrowest, widest = NARROWEST * field_deg, min(WIDEST * field_deg, 170.0)
         self._tell(
-            f"trying fields of {narrowest:.2g}° to {widest:.3g}°; the first time makes a table of star patterns", None
+            f"trying fields of {narrowest:.2g}° to {widest:.3g}°; the first time builds a table of star patterns", None
         )
         found: list[Recognised | None] = []
         for place in self._probes:
@@ -542,22 +542,22 @@ def _conclude(
         "detector": _say_detector(given, measured, of_images=of_images),
         "detector.pixel_pitch_m": pitch,
         "initial": (
-            "The principal point in the middle of the detector; focal length and lowest radial term as a quick fit has them, "
-            "from which a calibration starts."
+            "The principal point in the middle of the detector; focal length and lowest radial term from a quick fit, "
+            "as a start for calibrations."
         ),
         "initial.focal_length": (
             f"{focal_mm:.5g} mm, {uncertain}, as {trial.stars:,} stars of {trial.solved:,} {what} say, which sees {across:.3g}° by "
             f"{down:.3g}°."
         ),
         f"typical_sigma.{camera.parameter_names[place]}": (
-            "Three times what so few stars leave open."
+            "Three times the uncertainty from so few stars."
             if few
             else f"{FOCAL_SHARE:.0%} of it, as of any lens: these stars say {share:.2%}, and would count twice in a calibration."
         ),
         "parity": f"{trial.solved:,} of {looked} were solved as {way}.",
     }
     if given.centroid_sigma_px is None and matched.known.centroid_sigma_px is not None:
-        reasons["centroid_sigma_px"] = f"As measured: how far {trial.stars:,} stars are off the catalogue's places."
+        reasons["centroid_sigma_px"] = f"As measured: how far {trial.stars:,} stars are from their catalogue places."
     if given.magnitude_limit is None and matched.known.magnitude_limit is not None:
         reasons["magnitude_limit"] = (
             f"As seen: {SEEN_SHARE:.0%} of the matched stars are brighter by {BEYOND_MAG:g} at least."
@@ -582,11 +582,11 @@ def _say_pitch(given: LensAndDetector, pitch_um: float, focal_mm: float, sigma_m
         return f"With the pixel pitch given, {pitch_um:.4g} µm, that is {focal_mm:.5g} ± {sigma_mm:.2g} mm."
     if given.focal_length_mm is not None and pitch_um != PITCH_UM:
         return (
-            f"Stars tell focal length over pixel pitch alone, so the focal length given, {focal_mm:.4g} mm, makes a pixel "
+            f"Stars only determine focal length over pixel pitch, so the focal length given, {focal_mm:.4g} mm, makes a pixel "
             f"{pitch_um:.4g} µm."
         )
     return (
-        f"Stars tell focal length over pixel pitch alone, and nobody gave either: a pixel is taken as {pitch_um:g} µm, which "
+        f"Stars only determine focal length over pixel pitch, and neither was given: a pixel is taken as {pitch_um:g} µm, which "
         f"makes the focal length {focal_mm:.4g} mm; another pitch scales every length alike and moves no star."
     )
 
@@ -597,12 +597,12 @@ def _compare(given: LensAndDetector, focal_mm: float, across_deg: float) -> Iter
         off = focal_mm / given.focal_length_mm - 1
         if abs(off) > 3 * FOCAL_SHARE:
             yield (
-                f"The focal length given, {given.focal_length_mm:g} mm, is not what the stars say ({off:+.1%}): check it and the "
+                f"The focal length given, {given.focal_length_mm:g} mm, contradicts the stars ({off:+.1%}): check it and the "
                 "pixel pitch, after binning."
             )
     view = given.field_of_view_deg
     if view is not None and abs(across_deg / view - 1) > 3 * FOCAL_SHARE:
-        yield f"The field of view given, {view:g}°, is not what the stars say, {across_deg:.4g}°."
+        yield f"The field of view given, {view:g}°, contradicts the stars, {across_deg:.4g}°."
 
 
 def _say_detector(given: LensAndDetector, measured: tuple[str, ...], *, of_images: bool) -> str:
@@ -623,15 +623,15 @@ def _say_nothing(search: _Search, of_exposures: int, *, of_images: bool) -> str:
             f"None of the {of} {what} was solved, for {n - rich:,} show fewer than {ENOUGH_STARS} stars (the median is "
             f"{np.median(count):.0f}): expose longer or look for fainter stars"
             + (" (--threshold)" if of_images else "")
-            + ", and see that the lens is in focus and the sky clear."
+            + ", and check that the lens is in focus and the sky clear."
         )
     tried = "; ".join(
         f"{one.narrowest_deg:.2g}° to {one.widest_deg:.3g}° ({one.recognised} of {one.exposures})"
         for one in search.tried
     )
-    late = " The time was over before all fields were tried." if search.cut_short else ""
+    late = " The time limit was reached before all fields were tried." if search.cut_short else ""
     return (
         f"None of the {of} {what} was solved with {np.median(count):.0f} stars in the median one. Tried, upright and mirrored, "
-        f"were fields of view of {tried}, in brackets how many were recognised.{late} Give the field of view if it is another, "
-        "leave out images with clouds, trails or motion, and see that rows and columns are those of the whole detector."
+        f"were fields of view of {tried}, in brackets how many were recognised.{late} Give the field of view if it is different, "
+        "leave out images with clouds, trails or motion, and check that rows and columns are those of the whole detector."
     )

@@ -369,7 +369,9 @@ def _unjudged(estimate: Estimate, dof: int) -> list[str]:
     if estimate.status == "running":
         return []
     if dof <= 0:
-        return ["There are no more arcs than free parameters, so nothing can be checked: add frames or free fewer."]
+        return [
+            "There are not more arcs than free parameters, so nothing can be checked: add frames or free fewer parameters."
+        ]
     diverged = "The fit diverged: do not use these numbers; free fewer parameters, or start closer to the truth."
     return [*estimate.remarks, diverged]
 
@@ -408,8 +410,8 @@ def nothing_estimated(
 
 
 LEFT_OUT_VARIANTS = {
-    "q": "process noise lets it forget: it is an estimate of its last frames",
-    "no-refit": "its matches were held to the parameters that it started from",
+    "q": "process noise makes it forget: it is an estimate from its last frames",
+    "no-refit": "its matches used only the parameters that it started from",
 }
 
 
@@ -473,11 +475,11 @@ def _left_out(result: Calibration) -> str | None:
     if not result.is_usable:
         return f"it ended {result.status.replace('_', ' ')}"
     if result.observability is not None and is_curved(result.observability.chi2_rise):
-        return "the fit is curved along its weakest direction, where its covariance does not hold"
+        return "the fit is curved along its weakest direction, where its covariance is wrong"
     if result.variant in LEFT_OUT_VARIANTS:
         return LEFT_OUT_VARIANTS[result.variant]
     if result.variant is not None and settings.get("linearisations") == 1:
-        return "one linearisation a frame makes it over-confident"
+        return "one linearisation per frame makes it over-confident"
     if (settings.get("forgetting_factor") or 1.0) < 1.0:
-        return "it forgets: it is an estimate of its last frames"
+        return "it forgets: it is an estimate from its last frames"
     return None

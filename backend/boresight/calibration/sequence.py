@@ -87,7 +87,7 @@ def run_sequential(
     pooled, done = _first_frames(frames, problem, parameters, settings, state)
     for first, last in ((0, done), *_chunks(done, n_frames, settings.replay_frames_per_s > 0)):
         if cancelled():
-            raise CancelledError(f"Stopped as asked after {first} of {n_frames} frames")
+            raise CancelledError(f"Stopped on request after {first} of {n_frames} frames")
         arcs = pooled if first == 0 else frames.arcs(first, last, history.last)
         if arcs.n_exposures:
             chunk = whiten_at(arcs, problem.camera, history.last.x)
@@ -142,7 +142,7 @@ def _of_one_update(problem: Problem, history: RecordedHistory) -> Iterator[str]:
     n_frames = problem.arcs.n_frames
     if history.finite and len(history) == 1 and n_frames > 1:
         yield (
-            f"All {n_frames} frames were taken in as one update, because fewer would not settle the parameters: "
+            f"All {n_frames} frames were used in one update, because fewer would not determine the parameters: "
             "add frames to see a history."
         )
 
@@ -241,5 +241,5 @@ def _keep_pace(began: float, frames_done: int, frames_per_s: float, cancelled: A
     due = began + frames_done / frames_per_s
     while (wait := due - time.perf_counter()) > 0:
         if cancelled():
-            raise CancelledError(f"Stopped as asked after {frames_done} updates")
+            raise CancelledError(f"Stopped on request after {frames_done} updates")
         time.sleep(min(wait, 0.2))

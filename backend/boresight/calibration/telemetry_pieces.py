@@ -292,7 +292,7 @@ def _copied_in_turn(
     chunks = file.chunks() if correct is None else map(correct, file.chunks())
     for piece in write_pieces(chunks, sensor, folder / "telemetry"):
         if cancelled():
-            raise CancelledError(f"Stopped as asked after reading {piece.begins} rows")
+            raise CancelledError(f"Stopped on request after reading {piece.begins} rows")
         pieces.append(piece)
         done = piece.begins + piece.rows
         told(READING * min(done / rows, 1.0), f"read {done:,} detections")

@@ -24,7 +24,7 @@ def _complete_role(_: click.Context, __: click.Parameter, incomplete: str) -> li
 
 @click.group()
 def user() -> None:
-    """Manage people who may log in."""
+    """Manage people who can log in."""
 
 
 @user.command()
@@ -64,21 +64,21 @@ def _password(*, from_stdin: bool) -> str:
         return str(click.prompt("Password", hide_input=True, confirmation_prompt=True, err=True))
     password = sys.stdin.readline().rstrip("\r\n")
     if not password:
-        raise RefusedInputError("Standard input holds no password: pipe one line to --password-stdin.")
+        raise RefusedInputError("Standard input contains no password: pipe one line to --password-stdin.")
     return password
 
 
 @click.group()
 def webhook() -> None:
-    """Look after webhooks."""
+    """Manage webhooks."""
 
 
 @webhook.command(name="rotate-key")
-@click.option("--forget-old", is_flag=True, help="Then remove the keys of before; older backups need them.")
+@click.option("--forget-old", is_flag=True, help="Then remove the former keys; older backups need them.")
 def rotate_key(*, forget_old: bool) -> None:
-    """Make a new key and encrypt every webhook's secret with it; servers that share the file go on.
+    """Make a new key and encrypt every webhook's secret with it; servers that share the file keep working.
 
-    Secrets that no key here decrypts stay as they are.
+    Secrets that no key here can decrypt stay as they are.
     """
     from boresight.console.webhooks.secrets import encrypt_all, encrypt_anew
     from boresight.platform.db.sessions import open_store, open_writing
@@ -102,12 +102,12 @@ CLOCKS_DIFFER = timedelta(days=1)
 
 @click.command()
 @click.argument("folder", type=click.Path(file_okay=False, path_type=Path))
-@click.option("--days", type=click.IntRange(1, 36_500), default=3650, show_default=True, help="Valid for so long.")
+@click.option("--days", type=click.IntRange(1, 36_500), default=3650, show_default=True, help="Days that it is valid.")
 def certificates(folder: Path, days: int) -> None:
     """Make a certificate for tls:// links, and the authority that signed it, in FOLDER.
 
-    The authority's key is forgotten, so this is the only certificate it will ever sign: copy both files to every machine of the
-    cluster, and to nobody else, for whoever has boresight.pem can run programs on all of them.
+    The authority's key is not kept, so it can never sign another certificate: copy both files to every machine of the
+    cluster and nowhere else, because whoever has boresight.pem can run programs on all of them.
     """
     from boresight.workers.security import issue
 
@@ -119,7 +119,7 @@ def certificates(folder: Path, days: int) -> None:
         _write(folder / CERTIFICATE, made.certificate + made.key)
     except FileExistsError as error:
         raise RefusedInputError(
-            f"{error.filename} is there already, and links that use it would break: name another folder, or remove it first."
+            f"{error.filename} exists already, and links that use it would break: name another folder, or remove it first."
         ) from error
     except OSError as error:
         raise RefusedInputError(
@@ -142,12 +142,12 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.option("--down", "revision", metavar="REV", help="Go back to this revision; base removes every table.")
-@click.option("--yes", is_flag=True, help="Go back although rows are removed by it; needs --backup.")
-@click.option("--backup", metavar="FILE", help="A backup that was made after the last change.")
+@click.option("--yes", is_flag=True, help="Go back even though this removes rows; needs --backup.")
+@click.option("--backup", metavar="FILE", help="A backup made after the last change.")
 def migrate(revision: str | None, backup: str | None, *, yes: bool) -> None:
     """Bring the database's schema up to date, or back to a revision.
 
-    The way back says what it would remove. Where that is anything, it wants --yes, and a backup of the database as it is now.
+    Going back first lists what it would remove. If that is anything, it needs --yes and a backup of the database as it is now.
     """
     from boresight.console.webhooks.secrets import encrypt_all
     from boresight.platform.db import sessions
@@ -181,7 +181,7 @@ def _refuse_loss(engine: Engine, revision: str, backup: str | None, *, yes: bool
     if not yes or backup is None:
         raise ConflictError(
             f"Nothing was changed: going back to {revision} removes the above. Make a backup with `boresight backup --out FILE`, "
-            "and agree with --yes --backup FILE."
+            "and confirm with --yes --backup FILE."
         )
     if not backups.is_of_now(Path(backup), engine):
         raise ConflictError(

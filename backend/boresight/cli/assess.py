@@ -33,10 +33,10 @@ def assess(
     profile_file: Path | None,
     json_file: str | None,
 ) -> None:
-    """Hold CALIBRATION, a JSON of `boresight calibrate`, against limits and against the incumbent.
+    """Compare CALIBRATION, a JSON of `boresight calibrate`, with limits and with the incumbent.
 
     Every gate answers PASS, MARGINAL, NO-DATA or FAIL, and the worst is the verdict. The exit code is 0 whatever the
-    verdict is: judging is what was asked. Scripts read `verdict` and `blocking` from --json.
+    verdict is. Scripts read `verdict` and `blocking` from --json.
     """
     check_writable(json_file)
     with progress("reading the calibration") as report:

@@ -17,17 +17,17 @@ if TYPE_CHECKING:
 
 @click.group()
 def audit() -> None:
-    """Look after the audit log."""
+    """Manage the audit log."""
 
 
 @audit.command()
 @click.option("--head", metavar="HASH", help="A head from an earlier export, which must still be in the chain.")
-@click.option("--no-blobs", is_flag=True, help="Leave the stored files out; otherwise every one of them is read.")
+@click.option("--no-blobs", is_flag=True, help="Skip the stored files; otherwise every one of them is read.")
 @click.pass_context
 def verify(context: click.Context, head: str | None, *, no_blobs: bool) -> None:
-    """Walk the whole chain, every row that it seals and every stored file; exit code 1 when one is not as it was written.
+    """Check the whole chain, every row that it seals and every stored file; exit code 1 when one is not as it was written.
 
-    The head that the server keeps in BORESIGHT_AUDIT_HEAD_FILE must be there, and in the chain.
+    The head that the server stores in BORESIGHT_AUDIT_HEAD_FILE must exist and be in the chain.
     """
     import boresight.console  # noqa: F401 - the tables of all nouns, whose rows the log seals
     from boresight.platform.audit import log as chain
@@ -78,7 +78,7 @@ def _require_schema(engine: Engine) -> None:
     help="A .zip with the verifier, or the .jsonl alone; - is standard output, .jsonl.",
 )
 def export(file: str) -> None:
-    """Write the whole log to FILE, for others to keep and to verify without Boresight."""
+    """Write the whole log to FILE, so that others can keep it and verify it without Boresight."""
     form = "jsonl" if file == STANDARD_OUTPUT or Path(file).suffix.lower() == ".jsonl" else "zip"
     check_writable(file, "JSON Lines" if form == "jsonl" else "ZIP")
     import boresight.console  # noqa: F401 - the tables of all nouns, whose rows the log seals
@@ -103,22 +103,24 @@ MB = 1e6
 
 
 @click.command()
-@click.option("--out", "file", metavar="FILE", required=True, help="The ZIP to write; an existing one is kept.")
+@click.option(
+    "--out", "file", metavar="FILE", required=True, help="The ZIP to write; an existing file is never overwritten."
+)
 @click.option(
     "--keep-going",
     is_flag=True,
-    help="Leave corrupt and missing files out and name them; the exit code is 1 all the same.",
+    help="Leave corrupt and missing files out and name them; the exit code is then 1.",
 )
 def backup(file: str, *, keep_going: bool) -> None:
-    """Write database and blobs to FILE, while servers and workers go on; refuse where a stored file is corrupt or missing.
+    """Write database and blobs to FILE, while servers and workers keep running; refuse where a stored file is corrupt or missing.
 
-    The file holds password hashes: keep it as the data folder is kept. The secrets of webhooks are in it encrypted; keep
+    The file contains password hashes: protect it like the data folder. It contains the secrets of webhooks in encrypted form; keep
     their key, webhooks.key in the data folder, in another place.
     """
     refuse_standard_output(file, "A backup")
     check_writable(file, "ZIP")
     if Path(file).exists():
-        raise RefusedInputError(f"{file} exists already; name another file, a backup is never written over.")
+        raise RefusedInputError(f"{file} exists already; name another file, a backup is never overwritten.")
     from boresight.console.webhooks.secrets import encrypt_all
     from boresight.platform.audit import log as audit
     from boresight.platform.blobs.opening import open_blobs
@@ -135,10 +137,10 @@ def backup(file: str, *, keep_going: bool) -> None:
     click.echo(f"{file}: the database and {taken.blobs} files, {taken.size_bytes / MB:.1f} MB\naudit head {head}")
     if taken.blobs_at is not None:
         click.echo(
-            f"The stored files are not in it: they stay in {taken.blobs_at}, which was asked for each and its size. Let the store "
+            f"The stored files are not in it: they stay in {taken.blobs_at}, where each was found with its size. Let the store "
             "keep versions or a copy of that bucket; `boresight audit verify` reads them all."
         )
-    _refuse_absent(taken, "were left out of the backup", "were not there to be backed up")
+    _refuse_absent(taken, "were left out of the backup", "were missing and not backed up")
 
 
 def _refuse_absent(taken: BackupSummary, left_out: str, missing: str) -> None:
@@ -151,15 +153,15 @@ def _refuse_absent(taken: BackupSummary, left_out: str, missing: str) -> None:
         if ones
     ]
     if parts:
-        raise CorruptFileError(f"{'; '.join(parts)}: bring them back from an older backup.")
+        raise CorruptFileError(f"{'; '.join(parts)}: restore them from an older backup.")
 
 
 @click.command()
 @click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 def restore(file: Path) -> None:
-    """Lay the backup FILE down in an empty data folder or PostgreSQL database, and verify its audit log and stored files.
+    """Restore the backup FILE into an empty data folder or PostgreSQL database, and verify its audit log and stored files.
 
-    The settings may name the other engine than that of the backup: so an installation moves from one to the other.
+    The settings may name another database engine than that of the backup, to move an installation from one to the other.
     """
     from boresight.console.webhooks.secrets import encrypt_all
     from boresight.platform.audit import log as audit
@@ -178,7 +180,7 @@ def restore(file: Path) -> None:
             }  # otherwise they are not where this installation expects them
             found = audit.verify(session, taken.head, blobs if known else None, again=False)
         kept = encrypt_all(engine, settings.secret_box)  # secrets are plain in a backup of an older version
-    click.echo(f"{engine.url.render_as_string()}: restored, with {taken.blobs} files. Everybody logs in anew.")
+    click.echo(f"{engine.url.render_as_string()}: restored, with {taken.blobs} files. Everybody must log in again.")
     if not known:
         click.echo(
             f"Its stored files are in {taken.blobs_at}: set BORESIGHT_BLOBS to that, or copy them from there, and run "
@@ -193,6 +195,6 @@ def restore(file: Path) -> None:
     _refuse_absent(taken, "were left out when the backup was taken", "were missing when the backup was taken")
     if not found.ok:
         raise ConflictError(
-            f"All that is in the backup was restored, but not all is as it was written: {found.sentence} Use another backup."
+            f"The whole backup was restored, but not everything is as it was written: {found.sentence} Use another backup."
         )
     click.echo(found.sentence)

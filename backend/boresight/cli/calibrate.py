@@ -99,7 +99,7 @@ FAILED = ("diverged", "too_few_stars")
 @click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Sensor file, JSON.")
 @site_option
 @calibration_options
-@click.option("--validate", type=INPUT_FILE, help="Telemetry that takes no part, to check the result by.")
+@click.option("--validate", type=INPUT_FILE, help="Telemetry that is not fitted, to check the result with.")
 @extraction_options
 @profile_option
 @server_option
@@ -116,7 +116,7 @@ def calibrate(
 ) -> None:
     """Calibrate a sensor from TELEMETRY (CSV, JSON Lines or Parquet), or from images (FITS, PNG, TIFF or raw numbers).
 
-    Prints the parameters with their sigmas, what the fit is worth, and advice. A set from which nothing could be
+    Prints the parameters with their sigmas, the quality of the fit, and advice. A set from which nothing could be
     estimated, or a fit that diverged, writes its JSON and ends with exit code 1.
 
     With --server the files are uploaded, the calibration is a run there, and its JSON comes back; --sensor may be the name
@@ -128,7 +128,7 @@ def calibrate(
     settings = chosen(choices)
     parse_settings(settings)
     if profile is not None and server_url is not None:
-        raise RefusedInputError("A profile is read here, and the calibration made elsewhere: import the file first.")
+        raise RefusedInputError("--server does not read mapping profiles: import the file first.")
     with (
         progress(first_message(server_url)) as report,
         telemetry_of(telemetry, profile, sensor_file, extraction, report) as source,

@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 @click.option(
     "--validate",
     type=INPUT_FILE,
-    help="Telemetry that candidates are held out against; left out, frames of TELEMETRY are.",
+    help="Telemetry to compare the candidates on; if left out, held-out frames of TELEMETRY.",
 )
 @setting_option("match")
 @setting_option("minimum_stars")
 @click.option(
-    "--out", "out_file", metavar="FILE", help="Write the sensor file with the chosen camera and what it found."
+    "--out", "out_file", metavar="FILE", help="Write the sensor file with the chosen camera and its parameters."
 )
 @server_option
 @json_option
@@ -48,9 +48,9 @@ def choose(
     json_file: str | None,
     **choices: Any,
 ) -> None:
-    """Choose the least camera model that suffices for TELEMETRY: every model and its terms, tested on the same stars.
+    """Choose the simplest camera model that suffices for TELEMETRY: every model and its terms are tested on the same stars.
 
-    Prints the choice in a sentence, each camera's least sufficient candidate, and the test of every term.
+    Prints the choice in a sentence, each camera's simplest sufficient candidate, and the test of every term.
 
     With --server the files are uploaded and calibrated there, the choice is made for that run, and its JSON comes back; --sensor
     may be the name of a sensor of that server.
@@ -59,7 +59,9 @@ def choose(
     for place in (out_file, json_file):
         check_writable(place)
     if out_file is not None and sensor_file.exists() and Path(out_file).exists() and sensor_file.samefile(out_file):
-        raise RefusedInputError(f"{out_file} is the sensor file that is read, and is kept: choose another name.")
+        raise RefusedInputError(
+            f"{out_file} is the sensor file that is read and is not overwritten: choose another name."
+        )
     refuse_site_on_server(site, server_url)
     settings = chosen(choices)
     parse_settings(settings)

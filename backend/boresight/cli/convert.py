@@ -45,11 +45,11 @@ def _complete_target(_: click.Context, __: click.Parameter, incomplete: str) -> 
     "giant-owen, fits-sip, fits-tpv.",
 )
 @click.option("--out", "out_file", required=True, metavar="FILE", help="File to write; - is standard output.")
-@click.option("--sensor-out", "sensor_out", metavar="FILE", help="Write a sensor file of the other model too.")
+@click.option("--sensor-out", "sensor_out", metavar="FILE", help="Also write a sensor file with the other model.")
 @click.option(
     "--telemetry",
     type=INPUT_FILE,
-    help="Telemetry whose exposures FITS headers are written for: its stars are matched for their attitudes.",
+    help="Telemetry with the exposures for FITS headers; its stars are matched to get their attitudes.",
 )
 @click.option(
     "--allow-px",
@@ -60,7 +60,7 @@ def _complete_target(_: click.Context, __: click.Parameter, incomplete: str) -> 
 @click.option(
     "--residual",
     is_flag=True,
-    help="Follow the camera with what its calibration found it to leave over: its residual spline.",
+    help="Follow the camera with the residual spline of its calibration.",
 )
 @json_option
 def convert(  # noqa: PLR0913 - an option each
@@ -75,11 +75,11 @@ def convert(  # noqa: PLR0913 - an option each
     *,
     residual: bool,
 ) -> None:
-    """Write PARAMETERS in another camera model or in another program's format, and what is left of the fit.
+    """Write PARAMETERS in another camera model or in another program's format, and print the misfit.
 
-    Refused where the other cannot follow within the misfit allowed. In a camera model it is a parameter file with covariance,
-    which `evaluate` and `match` take with the sensor file of --sensor-out. A format is written by the ending of FILE; its
-    comments say the misfit, the frame, and what it was made of.
+    Refused if the misfit would be larger than allowed. For a camera model it is a parameter file with covariance,
+    which `evaluate` and `match` take with the sensor file of --sensor-out. A format is chosen by the ending of FILE; its
+    comments give the misfit, the frame and the source.
     """
     from boresight.calibration.exports import EXPORT_FORMATS
 
@@ -115,7 +115,7 @@ def _check_places(
     else:
         if sensor_out is not None:
             raise RefusedInputError(
-                f"{form.name} is no camera model, so there is no sensor file of it: leave out --sensor-out."
+                f"{form.name} is not a camera model, so it has no sensor file: leave out --sensor-out."
             )
         check_writable(out_file, forms=form.suffixes, title=form.name)
     for place in (sensor_out, json_file):
@@ -141,7 +141,7 @@ def _export(
 
     if form.needs_attitudes and telemetry is None:
         raise RefusedInputError(
-            f"{form.name} has a header for each exposure, whose attitude its stars tell: give the telemetry with --telemetry."
+            f"{form.name} has a header for each exposure, with the attitude from its stars: give the telemetry with --telemetry."
         )
     suffix = Path(out_file).suffix.lower() if out_file != STANDARD_OUTPUT else None
     with progress("fitting") as report:
@@ -168,7 +168,7 @@ def _export_lines(document: dict[str, Any], out_file: str) -> Iterator[str]:
             yield "\nparity +1: this is the camera of the image mirrored left to right"
         if any(document["turn_rad"]):
             turn = ", ".join(f"{1e6 * angle:.3f}" for angle in document["turn_rad"])
-            yield f"\nits frame is turned by the rotation vector ({turn}) microradians: turn attitudes with it"
+            yield f"\nits frame is turned by the rotation vector ({turn}) microradians: rotate attitudes by it"
     else:
         yield f"{document['exposures']:,} exposures, polynomials of order {document['order']}"
     px = document["misfit_px"]
@@ -185,7 +185,9 @@ def _check_kept(place: str | None, *inputs: Path) -> None:
             and Path(str(place)).exists()
             and path.samefile(str(place))
         ):
-            raise RefusedInputError(f"{place} is what is converted, and is kept: choose another name.")
+            raise RefusedInputError(
+                f"{place} is the file that is converted and is not overwritten: choose another name."
+            )
 
 
 def _converted(
@@ -231,6 +233,6 @@ def _lines(written: dict[str, Any]) -> Iterator[str]:
         yield f"\nuncertainty that {written['camera_model']} cannot express: at most {how['lost_sigma_px']:.2g} px (1 sigma)"
     if how["assumed"]:
         yield (
-            f"not estimated: {', '.join(how['assumed'])}; before the conversion ten typical sigmas stand for each, "
-            "so a sigma above may be theirs"
+            f"not estimated: {', '.join(how['assumed'])}; each was given ten typical sigmas before the conversion, "
+            "so a sigma above may come from them"
         )

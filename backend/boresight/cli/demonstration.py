@@ -63,7 +63,7 @@ def create_demonstration(
     """Fill a store with the demonstration, or with the missing parts of it."""
     started_s = time.perf_counter()
     fleet = _Fleet(engine, blobs, catalogue, _make_people(engine))
-    report(f"{len(LOG_INS)} people may log in.")
+    report(f"{len(LOG_INS)} people can log in.")
     trackers = {number: fleet.sensor_id(number) for number in SENSOR_NUMBERS}
     report(f"{len(trackers)} simulated star trackers are registered.")
     for number, sensor_id in trackers.items():

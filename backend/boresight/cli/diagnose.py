@@ -23,13 +23,13 @@ from boresight.library.progress import progress
 @click.command()
 @click.argument("telemetry", type=click.Path(path_type=Path))
 @click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file, JSON.")
-@click.option("--out", "out_file", metavar="FILE", help="Write the mended sensor file.")
+@click.option("--out", "out_file", metavar="FILE", help="Write the corrected sensor file.")
 @click.option(
     "--out-telemetry",
     "telemetry_out",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Write the telemetry as it is to be read: .csv or .parquet.",
+    help="Write the corrected telemetry: .csv or .parquet.",
 )
 @server_option
 @json_option
@@ -45,7 +45,7 @@ def diagnose(
 
     Tries parity, exchanged and flipped axes, pixel origin, focal length, kind of directions, order and sense of quaternions, time,
     epoch and magnitude limit, and verifies what it finds by matching with it. Prints the cause in a sentence and what was tried.
-    The exit code is 0 whatever the cause is; with --out or --out-telemetry it is 1 where nothing can be mended.
+    The exit code is 0 whatever the cause is; with --out or --out-telemetry it is 1 where nothing can be corrected.
 
     With --server the telemetry is uploaded and diagnosed there; --sensor may be the name of a sensor of that server.
     """
@@ -54,9 +54,9 @@ def diagnose(
         check_writable(place)
     _check_kept(out_file, sensor_file, "the sensor file that is read")
     if telemetry_out is not None:
-        refuse_standard_output(telemetry_out, "The mended telemetry")
+        refuse_standard_output(telemetry_out, "The corrected telemetry")
         if telemetry_out.suffix.lower() not in {".csv", ".parquet"}:
-            raise RefusedInputError(f"{telemetry_out.name} says no format: end the name with .csv or .parquet.")
+            raise RefusedInputError(f"{telemetry_out.name} has no known format: end the name with .csv or .parquet.")
         check_writable(telemetry_out, "CSV" if telemetry_out.suffix.lower() == ".csv" else "Parquet")
         _check_kept(telemetry_out, telemetry, "the telemetry itself")
     with progress(first_message(server_url)) as report:
@@ -82,4 +82,4 @@ def _check_kept(place: str | Path | None, read: Path, what: str) -> None:
     if place is None or str(place) == STANDARD_OUTPUT:
         return
     if read.exists() and Path(place).exists() and read.samefile(place):
-        raise RefusedInputError(f"{place} is {what}, and is kept: choose another name.")
+        raise RefusedInputError(f"{place} is {what} and is not overwritten: choose another name.")

@@ -98,7 +98,9 @@ def _draw(
 ) -> None:
     """Draw the images with their stars, matches and residuals; refuses a telemetry file, which has none."""
     if not is_image(images[0]):
-        raise RefusedInputError(f"{images[0].name} is telemetry, of which no image can be drawn: leave --pictures out.")
+        raise RefusedInputError(
+            f"{images[0].name} is telemetry, which cannot be drawn as an image: leave --pictures out."
+        )
     library.draw_images(images, sensor, found, folder, parameters=parameters, raw=raw)
 
 
@@ -108,7 +110,7 @@ def _check_out(telemetry: Path, out: Path) -> None:
         return
     check_writable(out, FORMATS.get(out.suffix.lower(), ""))
     if out.suffix.lower() not in {".csv", ".jsonl", ".ndjson", ".parquet"}:
-        raise RefusedInputError(f"{out.name} says no format: end the name with .csv, .jsonl or .parquet.")
+        raise RefusedInputError(f"{out.name} has no known format: end the name with .csv, .jsonl or .parquet.")
     if out.exists() and telemetry.exists() and out.samefile(telemetry):
         raise RefusedInputError(f"{out} is the telemetry itself, which is never overwritten: choose another name.")
 
@@ -140,7 +142,7 @@ def _match_lines(document: dict[str, Any]) -> Iterator[str]:
         ("frames not valid", "frame_reasons"),
         ("given stars removed", "removed_reasons"),
         ("detections without a star", "unmatched_reasons"),
-        ("exposures by where their attitude came from", "starts"),
+        ("exposures by source of their attitude", "starts"),
     ):
         if document[key]:
             yield f"\n{title}:"

@@ -36,25 +36,25 @@ FILE = click.Path(path_type=Path)
 _CHOICES: Sequence[Callable[..., Any]] = (
     click.option(
         "--threshold", type=click.FloatRange(3.0, 1000.0), default=8.0, show_default=True,
-        help="Of images: signal-to-noise ratio of the faintest star.",
+        help="For images: signal-to-noise ratio of the faintest star.",
     ),
     click.option(
         "--most-stars", type=click.IntRange(4, 5000), default=200, show_default=True,
-        help="Of images: the brightest stars of each that are kept.",
+        help="For images: number of brightest stars kept from each.",
     ),
-    click.option("--times", type=FILE, help="Of images: CSV with image and time_utc, mid-exposure."),
+    click.option("--times", type=FILE, help="For images: CSV with image and time_utc, mid-exposure."),
     click.option(
         "--gain", "gain_e_per_dn", type=click.FloatRange(1e-3, 1e4),
-        help="Of images: electrons a DN; from EGAIN, the sensor file or the images if left out.",
+        help="For images: electrons per DN; from EGAIN, the sensor file or the images if left out.",
     ),
     click.option(
-        "--saturation", "saturation_dn", type=click.FloatRange(1.0, 1e9), help="Of images: DN from which a pixel is full.",
+        "--saturation", "saturation_dn", type=click.FloatRange(1.0, 1e9), help="For images: DN from which a pixel is saturated.",
     ),
-    click.option("--raw-bits", type=click.IntRange(8, 16), help="Of raw images: bits of a number."),
-    click.option("--raw-order", type=click.Choice(["little", "big"]), help="Of raw images: order of two bytes."),
-    click.option("--raw-header", type=click.IntRange(0, 1 << 20), help="Of raw images: bytes before the first number."),
+    click.option("--raw-bits", type=click.IntRange(8, 16), help="For raw images: bits per number."),
+    click.option("--raw-order", type=click.Choice(["little", "big"]), help="For raw images: byte order."),
+    click.option("--raw-header", type=click.IntRange(0, 1 << 20), help="For raw images: bytes before the first number."),
     click.option(
-        "--processes", type=click.IntRange(1, 64), help="Of images: processes that extract; one a core if left out."
+        "--processes", type=click.IntRange(1, 64), help="For images: processes that extract; one per core if left out."
     ),
 )  # fmt: skip
 
@@ -67,7 +67,7 @@ def extraction_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 pictures_option = click.option(
-    "--pictures", type=FILE, help="Of images: folder for each image with its stars and residuals over it, SVG."
+    "--pictures", type=FILE, help="For images: folder for SVG drawings of each image with its stars and residuals."
 )
 
 
@@ -92,12 +92,14 @@ def telemetry_of(
     if not any(is_image(path) for path in paths):
         if len(paths) > 1:
             raise RefusedInputError(
-                f"{len(paths)} files were named, and only images can be several: name one telemetry file, as {paths[0].name}."
+                f"{len(paths)} files were named, but only images can be several: name one telemetry file, such as {paths[0].name}."
             )
         yield paths[0]
         return
     if others := [path for path in paths if not is_image(path)]:
-        raise RefusedInputError(f"{others[0].name} is no image, and others are: name images, or one telemetry file.")
+        raise RefusedInputError(
+            f"{others[0].name} is not an image, but others are: name images, or one telemetry file."
+        )
     with tempfile.TemporaryDirectory() as folder:
         found = library.extract(paths, sensor, progress=report, **choices)
         place = Path(folder) / "images.parquet"
@@ -122,7 +124,7 @@ def extract(
     """Extract the stars of IMAGES (FITS, PNG, TIFF or raw numbers) into telemetry.
 
     Each image is a frame. Its rows carry centroid, sigma_px, magnitude of the instrument, flux, peak, background, covariance,
-    whether the star is saturated, and the image's name and SHA-256. Hot and dead pixels are told from the set itself; trails,
+    whether the star is saturated, and the image's name and SHA-256. Hot and dead pixels are found from the set itself; trails,
     blended and misshapen objects are left out and counted.
     """
     check_writable(json_file)
@@ -130,7 +132,7 @@ def extract(
     if str(out) != STANDARD_OUTPUT:
         check_writable(out, FORMATS.get(out.suffix.lower(), ""))
         if out.suffix.lower() not in SUFFIXES:
-            raise RefusedInputError(f"{out.name} says no format: end the name with .csv, .jsonl or .parquet.")
+            raise RefusedInputError(f"{out.name} has no known format: end the name with .csv, .jsonl or .parquet.")
     from boresight.telemetry.read.readers import contract_table, write_table
 
     with progress("reading the images") as report:

@@ -75,11 +75,11 @@ def read_by_profile(telemetry: Path, profile: str | None, sensor: Path | None = 
     type=INPUT_FILE,
     help="Sensor file, for its detector's size and pixel pitch.",
 )
-@click.option("--orbit", type=INPUT_FILE, help="Two-line elements or OEM to take velocities from.")
-@click.option("--attitude", type=INPUT_FILE, help="AEM, or table of quaternions, to take attitudes from.")
-@click.option("--time", metavar="UTC", help="When the files were taken, where they do not say it (ISO 8601).")
+@click.option("--orbit", type=INPUT_FILE, help="Two-line elements or OEM for velocities.")
+@click.option("--attitude", type=INPUT_FILE, help="AEM, or table of quaternions, for attitudes.")
+@click.option("--time", metavar="UTC", help="When the files were taken, if they do not contain it (ISO 8601).")
 @click.option("--preview", is_flag=True, help="Show ten rows and what they mean, and write nothing.")
-@click.option("--print-profile", is_flag=True, help="Print the profile as JSON, to be copied and changed.")
+@click.option("--print-profile", is_flag=True, help="Print the profile as JSON, to copy and change it.")
 @click.option("--list-profiles", is_flag=True, help="List the built-in profiles.")
 @json_option
 def import_telemetry(
@@ -93,16 +93,16 @@ def import_telemetry(
     list_profiles: bool,
     **given: Any,
 ) -> None:
-    """Make telemetry of FILE, which another program wrote, by a mapping profile.
+    """Convert FILE, which another program wrote, to telemetry by a mapping profile.
 
     FILE is CSV, JSON Lines, Parquet, FITS, a VOTable, a text table or JSON; several files are one set, in this order. With --json
-    the record of the import is written: hashes of files and profile, what each column means, notes; with --preview the rows too.
+    the record of the import is written: hashes of files and profile, what each column means, notes; with --preview also the rows.
     """
     if list_profiles:
         click.echo(aligned(list(_profile_rows()), left=(0, 1)))
         return
     if profile is None:
-        raise click.UsageError("Missing option '--profile': --list-profiles shows those there are.")
+        raise click.UsageError("Missing option '--profile': --list-profiles shows them.")
     if print_profile:
         from boresight.library.inputs import read_any_profile
 
@@ -138,12 +138,12 @@ def _check_out(out: Path | None, json_file: str | None, inputs: tuple[Path, ...]
         if place is not None and str(place) != STANDARD_OUTPUT and Path(place).exists():
             for path in inputs:
                 if path.exists() and path.samefile(place):
-                    raise RefusedInputError(f"{place} is read, and is kept: choose another name.")
+                    raise RefusedInputError(f"{place} is read and is not overwritten: choose another name.")
     if out is None or str(out) == STANDARD_OUTPUT:
         return
     check_writable(out, FORMATS.get(out.suffix.lower(), ""))
     if out.suffix.lower() not in SUFFIXES:
-        raise RefusedInputError(f"{out.name} says no format: end the name with .csv, .jsonl or .parquet.")
+        raise RefusedInputError(f"{out.name} has no known format: end the name with .csv, .jsonl or .parquet.")
 
 
 def _profile_rows() -> Iterator[tuple[str, str]]:
@@ -168,7 +168,7 @@ def _lines(made: Imported) -> Iterator[str]:
         left=(0, 1, 2),
     )
     if made.unused:
-        yield f"\nnot taken: {', '.join(made.unused)}"
+        yield f"\nnot used: {', '.join(made.unused)}"
     for note in made.notes:
         yield f"\n- {note}"
 

@@ -49,5 +49,5 @@ def keep_standard_input(ctx: click.Context | None) -> Path:
     with path.open("wb") as file:
         shutil.copyfileobj(sys.stdin.buffer, file)
     if not path.stat().st_size:
-        raise RefusedInputError("Standard input is empty: see whether the program before the pipe wrote anything.")
+        raise RefusedInputError("Standard input is empty: check whether the program before the pipe wrote anything.")
     return path

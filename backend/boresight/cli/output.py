@@ -87,9 +87,7 @@ def check_writable(
 def refuse_standard_output(place: str | Path, what: str) -> None:
     """Refuse `-` where the result cannot go to a stream; `what` describes the result."""
     if str(place) == STANDARD_OUTPUT:
-        raise RefusedInputError(
-            f"{what} cannot go to standard output: name a place for it (./- where it is to be called so)."
-        )
+        raise RefusedInputError(f"{what} cannot go to standard output: name a file for it (./- for a file named -).")
 
 
 def check_one_stream(*places: str | Path | None) -> None:

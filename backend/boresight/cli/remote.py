@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 API_KEY = "BORESIGHT_API_KEY"
 
 server_option = click.option(
-    "--server", "server_url", metavar="URL", help=f"Do it on this server, as the API key in {API_KEY} may."
+    "--server", "server_url", metavar="URL", help=f"Do it on this server, with the API key in {API_KEY}."
 )
 
 
@@ -32,6 +32,6 @@ def open_client(url: str) -> Client:
     key = os.environ.get(API_KEY)
     if not key:
         raise UnauthenticatedError(
-            f"A server wants an API key: make one on its page of people and keys, and set {API_KEY} to it."
+            f"A server needs an API key: create one on its page Users and keys, and set {API_KEY} to it."
         )
     return Client(url, key)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 def report(source: str, out_file: str, server_url: str | None) -> None:
     """Write the report of a stored run, by its number, or of a calibration JSON file.
 
-    A number is a file only where there is one of that name. Of a stored run the report says when one person may sign alone here.
+    A number is a file only if one of that name exists. The report of a stored run says if one person can sign alone here.
     """
     from boresight.figures.report import render_report
 
@@ -52,7 +52,7 @@ def _write(text: str, out_file: str) -> None:
 def _fetch(server_url: str, source: str) -> str:
     """Read the report of a run from a server."""
     if not source.isdecimal():
-        raise RefusedInputError(f"A server has runs and no files: give the number of a run instead of {source}.")
+        raise RefusedInputError(f"A server has runs, not files: give the number of a run instead of {source}.")
     with open_client(server_url) as server:
         return server.report(int(source))
 
@@ -63,7 +63,7 @@ def _check_out(out_file: str) -> None:
     if ending == ".pdf":
         raise RefusedInputError(
             f"{Path(out_file).name}: a report is written as HTML; end the name with .html, open it in a browser and "
-            "print it to PDF there, it is laid out for paper."
+            "print it to PDF."
         )
     if ending not in {"", ".html", ".htm"}:
         raise RefusedInputError(f"{Path(out_file).name}: a report is HTML; end the name with .html.")
@@ -79,11 +79,11 @@ def _read(source: str) -> Calibration:
         raise RefusedInputError(f"{source} does not exist: give a run's number or a calibration JSON.") from error
     except orjson.JSONDecodeError as error:
         raise RefusedInputError(
-            f"{source} is no JSON ({error}): give the file that `calibrate --json` wrote."
+            f"{source} is not JSON ({error}): give the file that `calibrate --json` wrote."
         ) from error
     except OSError as error:
         raise RefusedInputError(
-            f"{source} cannot be read ({error.strerror}): check the name and its rights."
+            f"{source} cannot be read ({error.strerror}): check the name and its permissions."
         ) from error
     return parse_calibration(document, Path(source).name)
 

@@ -24,7 +24,7 @@ from boresight.settings import read_settings, use_kernel_folder
     "--frames", type=click.IntRange(1, 200_000), help="Frames of the calibration set, instead of the scenario's."
 )
 @click.option("--seed", type=click.IntRange(0), help="Seed of the noise, instead of the scenario's.")
-@click.option("--images", type=click.IntRange(1, 1000), help="FITS images of so many frames beside it, in images/.")
+@click.option("--images", type=click.IntRange(1, 1000), help="Also write FITS images of this many frames, in images/.")
 @click.option("--format", "suffix", type=click.Choice(["csv", "parquet"]), default="csv", show_default=True)
 def simulate(
     scenario: str, folder: Path, frames: int | None, seed: int | None, images: int | None, suffix: str
@@ -63,14 +63,14 @@ QUICK = {"enright": (100, 40, 2), "wu": (1200, 100, 4)}
 @click.argument("paper", type=click.Choice(PAPERS))
 @click.option("--quick", is_flag=True, help="Fewer frames and sets: under two minutes.")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for report, JSON and CSV.")
-@click.option("--sensors", metavar="LIST", help="Of enright: sensors to run, as 3,4; all when left out.")
+@click.option("--sensors", metavar="LIST", help="For enright: sensors to run, such as 3,4; all when left out.")
 @click.option("--frames", type=click.IntRange(10, 10_000), help="Frames of a calibration set.")
-@click.option("--sets", type=click.IntRange(1, 1000), help="Simulated sets, of enright a sensor, for the statistics.")
+@click.option("--sets", type=click.IntRange(1, 1000), help="Simulated sets for the statistics; for enright per sensor.")
 @click.option("--processes", type=click.IntRange(1, 64), default=2, show_default=True, help="Sets run at a time.")
 def reproduce(
     paper: str, quick: bool, out: Path, sensors: str | None, frames: int | None, sets: int | None, processes: int
 ) -> None:
-    """Make the tables and figures of PAPER again: report, JSON and CSV, each row judged with its reason."""
+    """Reproduce the tables and figures of PAPER: report, JSON and CSV, each row judged with its reason."""
     refuse_standard_output(out, "A folder of files")
     settings = read_settings()
     use_kernel_folder(settings)
@@ -113,7 +113,7 @@ def _numbers(text: str) -> tuple[int, ...]:
     try:
         return tuple(sorted({int(word) for word in text.split(",")}))
     except ValueError as error:
-        raise RefusedInputError(f"--sensors {text!r} is no list of numbers: write it as 3,4.") from error
+        raise RefusedInputError(f"--sensors {text!r} is not a list of numbers: write it like 3,4.") from error
 
 
 def _verdicts(document: dict[str, Any]) -> list[tuple[str, str, str, str]]:

@@ -13,7 +13,7 @@ from boresight.cli.output import check_writable, json_option, write_json
 def schema(document: str, json_file: str | None) -> None:
     """Print the JSON Schema (2020-12) of the JSON that `boresight calibrate --json` writes, or of a mapping profile.
 
-    Code generators and validators take it; they are `docs/calibration.schema.json` and `docs/import-profile.schema.json` too.
+    For code generators and validators; also in `docs/calibration.schema.json` and `docs/import-profile.schema.json`.
     """
     check_writable(json_file)
     if document == "calibration":

@@ -34,7 +34,7 @@ site_option = click.option(
     "--site",
     "site",
     metavar="NUMBERS",
-    help="Where on the ground it stands, as latitude_deg=52.2,longitude_deg=4.4; of " + ", ".join(SITE_FIELDS) + ".",
+    help="Position on the ground, such as latitude_deg=52.2,longitude_deg=4.4; from " + ", ".join(SITE_FIELDS) + ".",
 )
 
 
@@ -58,7 +58,7 @@ def read_site(text: str) -> Site | None:
     for part in text.split(","):
         name, equals, value = part.partition("=")
         if not equals:
-            faults.add(f"{part!r} is no name=number: write latitude_deg=52.2,longitude_deg=4.4")
+            faults.add(f"{part!r} is not name=number: write latitude_deg=52.2,longitude_deg=4.4")
             continue
         try:
             given[name.strip()] = float(value)
@@ -97,29 +97,34 @@ FILE = click.Path(path_type=Path)
 
 @sensor.command()
 @click.option(
-    "--images", multiple=True, type=FILE, metavar="IMAGE...", help="Images of the night sky: the stars say the rest."
+    "--images",
+    multiple=True,
+    type=FILE,
+    metavar="IMAGE...",
+    help="Images of the night sky; the rest is found from their stars.",
 )
 @click.argument("further_images", nargs=-1, type=FILE, metavar="")
 @click.option(
     "--telemetry",
     type=INPUT_FILE,
     metavar="FILE",
-    help="Centroids without names instead of images: CSV, JSON Lines, Parquet.",
+    help="Centroids without star numbers instead of images: CSV, JSON Lines, Parquet.",
 )
 @asked_options
 @click.option(
     "--sheet",
     metavar="NAME",
     shell_complete=_complete_sheet,
-    help="A data sheet that tells the rest: " + ", ".join(DATA_SHEETS) + ".",
+    help="A data sheet that gives the rest: " + ", ".join(DATA_SHEETS) + ".",
 )
 @click.option(
-    "--model", "camera_model", metavar="NAME", help="Camera model; OpenCV's, or a fisheye's where the field is wide."
+    "--model",
+    "camera_model",
+    metavar="NAME",
+    help="Camera model; if left out, OpenCV's, or a fisheye for a wide field.",
 )
-@click.option(
-    "--parity", type=int, help="-1 for an upright image, as on a screen, which is usual; 1 for a mirrored one."
-)
-@click.option("--name", default="New sensor", help="What it is called.")
+@click.option("--parity", type=int, help="-1 for an upright image, as on a screen (usual); 1 for a mirrored one.")
+@click.option("--name", default="New sensor", help="Name of the sensor.")
 @site_option
 @click.option("--out", "out_file", required=True, metavar="FILE", help="Sensor file to write; - is standard output.")
 @extraction_options
@@ -131,27 +136,27 @@ def new(
     site: str | None,
     **choices: Any,
 ) -> None:
-    """Write a whole sensor file from detector, pixel and lens, from a data sheet's name, or from stars alone.
+    """Write a complete sensor file from detector, pixel and lens, from a data sheet's name, or from stars alone.
 
-    Every other number is derived, and printed with its reason. What is missing or makes no sense is told at once. With --images
+    Every other number is derived, and printed with its reason. Missing or impossible values are reported together. With --images
     night/*.fits, or --telemetry, neither a focal length nor a field of view is needed: the star fields are recognised,
     upright or mirrored, from 2.8 to 108 degrees across, and parity, focal length, centroid noise and faintest magnitude are
-    proposed as measured. A pixel pitch is only the scale of lengths; without one a pixel is taken as 5 micrometres.
+    proposed as measured. A pixel pitch is only the scale of lengths; without one a pixel is assumed to be 5 micrometres.
     """
     check_writable(out_file)
     if out_file != STANDARD_OUTPUT and Path(out_file).suffix.lower() != ".json":
-        raise RefusedInputError(f"{Path(out_file).name} is no name of a sensor file: end it with .json.")
+        raise RefusedInputError(f"{Path(out_file).name} is not a name for a sensor file: end it with .json.")
     extraction = take_extraction_choices(choices)
     known = {name: value for name, value in choices.items() if value is not None}
     if site is not None:
         where = read_site(site)
         known["site"] = None if where is None else where.document()
     if out_file != STANDARD_OUTPUT and Path(out_file).exists():
-        raise RefusedInputError(f"{out_file} exists and is kept: choose another name, or remove it first.")
+        raise RefusedInputError(f"{out_file} exists and is not overwritten: choose another name, or remove it first.")
     pictures = [*images, *further_images]
     if others := [path.name for path in pictures if not is_image(path)]:
         raise RefusedInputError(
-            f"{others[0]} is no image: name FITS, PNG, TIFF or raw files, or --telemetry of a table."
+            f"{others[0]} is not an image: name FITS, PNG, TIFF or raw files, or --telemetry of a table."
         )
     made = library.new_sensor(pictures or None, telemetry, extraction=extraction, **known)
     write_json(made.to_dict(), out_file)

@@ -42,7 +42,7 @@ def serve(host: str | None, port: int | None, data: Path | None) -> None:
 @port_option
 @data_option
 def demo(host: str | None, port: int | None, data: Path | None) -> None:
-    """Serve the console with a simulated fleet, made and calibrated before your eyes.
+    """Serve the console with a simulated fleet, which is created and calibrated while you watch.
 
     The data folder is .demo unless --data or BORESIGHT_DATA_FOLDER names another.
     """
@@ -75,7 +75,7 @@ def _claim_port(settings: Settings) -> None:
             probe.bind((settings.host, settings.port))
     except OSError as error:
         raise RefusedInputError(
-            f"{settings.host}:{settings.port} cannot be listened on ({error.strerror}): stop the program that uses it, "
+            f"{settings.host}:{settings.port} is in use or not available ({error.strerror}): stop the program that uses it, "
             "or choose another with --port."
         ) from error
 
@@ -113,7 +113,7 @@ def _populate(settings: Settings) -> None:
     click.echo(f"\n  Boresight demonstration: {_address(settings)}\n\n  Log in as")
     for person in LOG_INS:
         click.echo(f"    {person.name:<14} {person.password:<28} {person.printed_name}")
-    click.echo("\n  The fleet is being made and calibrated now. Stop with Ctrl-C.\n")
+    click.echo("\n  The fleet is being created and calibrated now. Stop with Ctrl-C.\n")
     engine = open_engine(settings.database_url)
     try:
         catalogue = load_catalogue(settings.catalogue_folder)

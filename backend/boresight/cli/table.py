@@ -18,16 +18,16 @@ from boresight.settings import read_settings
 @click.command()
 @click.argument("parameter_set")
 @click.option("--out", "file", metavar="FILE", required=True, help="The ZIP to write; - is standard output.")
-@click.option("--flight-software", help="Version that the spacecraft has; the table is refused for another.")
-@click.option("--table-id", help="Table that the spacecraft has; refused for another.")
+@click.option("--flight-software", help="Flight software version on board; a table for another version is refused.")
+@click.option("--table-id", help="Table on board; another is refused.")
 @server_option
 def export(
     parameter_set: str, file: str, flight_software: str | None, table_id: str | None, server_url: str | None
 ) -> None:
     """Write the uplink package of PARAMETER_SET, an approved set or the baseline: PS-<sensor>-<n>, or its number.
 
-    The package holds the parameters, the table as the mission defined it, sheets for people, and the way back. Built
-    again of the same set it is the same file.
+    The package contains the parameters, the table as the mission defined it, verification sheets, and the back-out. Built
+    again from the same set it is the same file.
     """
     check_writable(file, "ZIP")
     if server_url is not None:
@@ -69,7 +69,7 @@ DEFINITION = click.option(
 
 @click.group()
 def table() -> None:
-    """Turn camera parameters into the bytes of a table on board, and back."""
+    """Convert camera parameters to the bytes of a table on board, and back."""
 
 
 @table.command()
@@ -78,7 +78,7 @@ def table() -> None:
 @DEFINITION
 @click.option("--out", "file", metavar="FILE", required=True, help="The image to write; - is standard output.")
 def encode(parameters: Path, sensor_file: Path, definition_file: Path, file: str) -> None:
-    """Lay PARAMETERS, a calibration JSON or names and values, into the table."""
+    """Write PARAMETERS, a calibration JSON or names and values, into the table."""
     check_writable(file, "")
     from boresight.calibration.parameter_file import read_parameters
     from boresight.cameras import CAMERA_MODELS
@@ -103,7 +103,7 @@ def encode(parameters: Path, sensor_file: Path, definition_file: Path, file: str
 @DEFINITION
 @click.pass_context
 def decode(context: click.Context, image: Path, sensor_file: Path, definition_file: Path) -> None:
-    """Read IMAGE as the flight software does; exit code 1 when its CRC is not that of its bytes."""
+    """Read IMAGE as the flight software does; exit code 1 when its CRC does not match its bytes."""
     from boresight.telemetry.read.formats import read_bytes
     from boresight.telemetry.sensors import read_sensor
     from boresight.uplink import cfe, table_definition
@@ -112,7 +112,7 @@ def decode(context: click.Context, image: Path, sensor_file: Path, definition_fi
     content = cfe.table_image(definition.cfe, definition.length_bytes, read_bytes(image, image.name))
     click.echo(_shown(definition, content))
     if table_definition.decode(definition, content).crc_ok is False:
-        click.echo(f"boresight: the stored CRC of {image.name} is not that of its bytes.", err=True)
+        click.echo(f"boresight: the stored CRC of {image.name} does not match its bytes.", err=True)
         context.exit(REFUSED)
 
 

@@ -19,18 +19,20 @@ GB = 1_000_000_000
 @click.option(
     "--scheduler", help="Address of the scheduler, instead of the setting: tls://host:port or tcp://host:port."
 )
-@click.option("--processes", type=click.IntRange(1), default=1, show_default=True, help="Worker processes, one a core.")
+@click.option(
+    "--processes", type=click.IntRange(1), default=1, show_default=True, help="Worker processes, one per core."
+)
 @click.option(
     "--memory-gb",
     type=click.FloatRange(min=0, min_open=True),
-    help="A process that needs more is ended and replaced.  [default: its core's share of four fifths of the machine]",
+    help="A process that needs more is stopped and replaced.  [default: its core's share of four fifths of the machine]",
 )
 @data_option
 def worker(scheduler: str | None, processes: int, memory_gb: float | None, data: Path | None) -> None:
     """Compute for a server on another machine, until Ctrl-C or SIGTERM.
 
-    The server's data folder must be seen here under the same path. A worker that loses its scheduler waits until one
-    answers at that address, and joins again.
+    The server's data folder must be mounted here under the same path. A worker that loses its scheduler waits until one
+    answers at that address, then joins again.
     """
     settings = _settings(scheduler, data)
     use_kernel_folder(settings)
@@ -44,11 +46,11 @@ def worker(scheduler: str | None, processes: int, memory_gb: float | None, data:
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on: one of a private network.")
 @click.option("--port", type=click.IntRange(1, 65535), default=8786, show_default=True, help="Port to listen on.")
 def scheduler(host: str, port: int) -> None:
-    """Bring a server and its workers together, until Ctrl-C or SIGTERM.
+    """Connect a server with its workers, until Ctrl-C or SIGTERM.
 
     With certificates (BORESIGHT_TLS_AUTHORITY and BORESIGHT_TLS_CERTIFICATE) its address begins with tls://. Without them whoever
     reaches the port can run programs on the workers and the server, so it listens on this machine only, unless
-    BORESIGHT_CLUSTER_NETWORK_CLOSED=1. Where BORESIGHT_SCHEDULER is set here too, it must fit that.
+    BORESIGHT_CLUSTER_NETWORK_CLOSED=1. If BORESIGHT_SCHEDULER is set here too, it must match.
     """
     settings = read_settings()
     from boresight.workers.service import run_scheduler
@@ -57,7 +59,7 @@ def scheduler(host: str, port: int) -> None:
         run_scheduler(settings, host, port, _say)
     except OSError as error:
         raise RefusedInputError(
-            f"{host}:{port} cannot be listened on ({error.strerror or error}): stop the program that uses it, "
+            f"{host}:{port} is in use or not available ({error.strerror or error}): stop the program that uses it, "
             "or choose another with --port."
         ) from error
 
@@ -83,10 +85,10 @@ def _say(line: str) -> None:
     " [default: those of the registered sensors]",
 )  # fmt: skip
 def warm(data: Path | None, cameras: tuple[str, ...]) -> None:
-    """Compile the kernels and trim the star catalogue, once an installation.
+    """Compile the kernels and trim the star catalogue, once per installation.
 
-    Without it the first run does so, in some ten seconds on two cores. Kernels go where NUMBA_CACHE_DIR says, else
-    where `make` compiles them in its virtual environment, else into the data folder; they hold for this version of
+    Otherwise the first run does so, in about ten seconds on two cores. Kernels go where NUMBA_CACHE_DIR says, else
+    where `make` compiles them in its virtual environment, else into the data folder; they are valid for this version of
     Boresight on this kind of processor.
     """
     settings = read_serve_settings(data)

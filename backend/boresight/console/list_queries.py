@@ -381,7 +381,7 @@ def _asked(name: str, where: Mapping[str, Any], sort: str, before_id: int | None
     """Check the names of filters and sort key, and return the query."""
     known = LISTS[name]
     if sort.removeprefix("-") not in known.keys:
-        raise RefusedInputError(f"The list is not sorted by {sort!r}; choose from {', '.join(known.keys)}.")
+        raise RefusedInputError(f"The list cannot be sorted by {sort!r}; choose from {', '.join(known.keys)}.")
     return ListQuery(_checked(name, where), sort, before_id)
 
 

@@ -145,7 +145,7 @@ IdempotencyKey = Annotated[
     Header(
         min_length=1,
         max_length=LONGEST_KEY,
-        description="Send the same key again to get the same answer without a second effect.",
+        description="Send the same key again to get the same answer without repeating the effect.",
     ),
 ]
 

@@ -272,7 +272,7 @@ def fit(  # noqa: PLR0913 - what is fitted, and six choices by name
             status = "converged"
             break
         if cancelled is not None and cancelled():
-            raise CancelledError(f"Stopped as asked after {iteration} iterations")
+            raise CancelledError(f"Stopped on request after {iteration} iterations")
         if damping > LARGEST_DAMPING:
             status = "diverged"
             break

@@ -49,7 +49,7 @@ class LocalExecutor:
         results: list[Any] = []
         for piece in arguments:
             if self._cancelled is not None and self._cancelled():
-                raise CancelledError(f"Stopped as asked after {len(results)} of {len(arguments)} pieces")
+                raise CancelledError(f"Stopped on request after {len(results)} of {len(arguments)} pieces")
             results.append(function(*piece))
             if done is not None:
                 done(len(results), len(arguments))

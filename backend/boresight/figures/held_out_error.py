@@ -11,9 +11,10 @@ from boresight.figures.style import theme
 NAME = "held-out"
 TITLE = "Error on held-out frames"
 GUIDE = (
-    "Each mark is a candidate's RMS arc error on frames that it was not fitted to, with its 95 % interval, by how many parameters "
-    "it frees; the ring is the chosen one. A term that the lens has brings its camera down; beyond the last, marks are level. "
-    "Candidates share their frames, so a step is surer than the intervals look; it is shown, and does not decide."
+    "Each mark is a candidate's RMS arc error on frames that it was not fitted to, with its 95 % interval, by its number of "
+    "free parameters; the ring is the chosen one. A term that the lens has lowers its camera's error, and further terms "
+    "leave it level; candidates share their frames, so a step is more certain than the intervals suggest, but this error "
+    "does not decide the choice."
 )
 
 
@@ -21,7 +22,7 @@ def draw(choice: Choice) -> go.Figure:
     """Draw the held-out error of every candidate, a colour a camera."""
     title = f"RMS arc error on held-out frames; {choice.chosen.camera_model} is chosen"
     if not any(one.held_out_rms_arc_rad for one in choice.models):
-        return theme.missing(TITLE, "One frame alone leaves nothing to hold out: give a validation set.")
+        return theme.missing(TITLE, "With one frame alone nothing can be held out: give a validation set.")
     figure = go.Figure()
     names = list(dict.fromkeys(one.camera_model for one in (*choice.list_cameras(), *choice.models)))
     for style in theme.label_styles(names):

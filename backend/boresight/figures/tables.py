@@ -403,9 +403,9 @@ def reason_tables(matching: Matching) -> list[Reasons]:
     """List starts and reasons, the commonest first; those that never occurred are left out."""
     tables = []
     for title, unit, counts in (
-        ("Where attitudes came from", "exposures", matching.starts),
+        ("Source of attitudes", "exposures", matching.starts),
         ("Stars that were not matched", "stars", matching.row_reasons),
-        ("Given matches that were taken back", "stars", matching.removed_reasons),
+        ("Given matches that were rejected", "stars", matching.removed_reasons),
         ("Exposures that were not valid", "exposures", matching.exposure_reasons),
     ):
         found = [(phrase, times) for phrase, times in counts.items() if times and phrase != VALID]

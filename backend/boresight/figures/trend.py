@@ -22,9 +22,9 @@ Points = Sequence[Mapping[str, Any]]
 NAME = "trend"
 TITLE = "Parameters over the mission"
 GUIDE = (
-    "Each mark is a calibration at the time of its data with a ±3σ bar, as a difference from the baseline of now, which is "
-    "the line at zero; open marks take no part in the drift test, and the table says why. A sensor that holds scatters "
-    "about zero within its bars; a run of marks to one side, or a slope, is drift, unless the temperature below goes with it."
+    "Each mark is a calibration at the time of its data with a ±3σ bar, as a difference from the current baseline, which is "
+    "the line at zero; open marks are not used in the drift test, and the table says why. A stable sensor scatters about "
+    "zero within its bars; a run of marks to one side, or a slope, is drift, unless the temperature below changes with it."
 )
 ROW_PX, LOW_ROW_PX = 120, 84
 COUNTED, LEFT_OUT = theme.RUN_COLOURS[0], theme.RUN_COLOURS[7]
@@ -37,7 +37,7 @@ def draw(trend: Document, model: str | None = None) -> go.Figure:
     names = _names(trend, points)
     if not names:
         return theme.missing(
-            "Parameters over the mission", "No calibration has succeeded yet: launch a run, and its result stands here."
+            "Parameters over the mission", "No calibration has succeeded yet: launch a run to see its result here."
         )
     own = model in {None, trend["camera_model"]}
     warm = any(point["temperature_c"] is not None for point in points)
@@ -102,7 +102,7 @@ def _span(trend: Document, points: Points) -> tuple[str, str]:
 
 def _marks(figure: go.Figure, points: Points, name: str, zero: float, row: int) -> None:
     factor = quantity(name).change_factor
-    for counted, label in ((True, "Calibration ±3σ"), (False, "Not counted")):
+    for counted, label in ((True, "Calibration ±3σ"), (False, "Not used")):
         shown = [point for point in points if point["counted"] is counted and name in point["parameters"]]
         colour = COUNTED if counted else LEFT_OUT
         figure.add_scatter(
@@ -133,7 +133,7 @@ def _baselines(figure: go.Figure, trend: Document, name: str, zero: float, row: 
     for period in trend["baselines"][:-1]:
         value = (period["parameters"][name] - zero) * factor
         ends = (period["from_utc"], period["to_utc"])
-        _level(figure, ends, value, "Baselines before", theme.REFERENCE_COLOUR, "dot", row)
+        _level(figure, ends, value, "Earlier baselines", theme.REFERENCE_COLOUR, "dot", row)
     truth = (trend["truth"] or {}).get(name)
     if truth is not None:
         _level(figure, span, (truth - zero) * factor, "Truth", theme.TRUTH_COLOUR, "longdash", row)

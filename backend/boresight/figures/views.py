@@ -29,13 +29,13 @@ from boresight.figures.style import theme
 from boresight.figures.style.axes import ALIGNMENTS
 from boresight.figures.style.thinning import keep_extremes
 
-NO_TIMES = "A batch run keeps no times of its frames: align by frame to see its innovations."
+NO_TIMES = "A batch run stores no frame times: align by frame to see its innovations."
 
 
 def aligned(traces: Sequence[Trace], along: str) -> list[Trace]:
     """Give every run the axis that is asked for in place of its frame numbers."""
     if along not in ALIGNMENTS:
-        raise RefusedInputError(f"{along!r} is no alignment; choose from {', '.join(ALIGNMENTS)}.")
+        raise RefusedInputError(f"{along!r} is not an alignment; choose from {', '.join(ALIGNMENTS)}.")
     if along == "frame":
         return list(traces)
     move = {"time": _by_time, "update": _by_update}[along]

@@ -60,7 +60,7 @@ def unpack(path: Path, name: str, folder: Path, limits: ImageLimits) -> list[Ima
         zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, NotImplementedError, RuntimeError, OSError
     ) as error:  # fmt: skip
         raise RefusedInputError(
-            f"{name} is a damaged ZIP, has a password, or packs in a way that is not read ({error}): pack the images again."
+            f"{name} is a damaged ZIP, has a password, or uses a compression that cannot be read ({error}): pack the images again."
         ) from error
     return sources
 
@@ -72,7 +72,7 @@ def _refuse_count(path: Path, name: str) -> None:
         while place >= 0:
             count += 1
             if count > MOST_MEMBERS:
-                raise RefusedInputError(f"{name} holds over {MOST_MEMBERS:,} files: pack the images alone.")
+                raise RefusedInputError(f"{name} contains over {MOST_MEMBERS:,} files: pack only the images.")
             place = data.find(_MEMBER, place + 1)
 
 
@@ -87,10 +87,10 @@ def _base(name: str) -> str:
 def _refuse_members(members: list[zipfile.ZipInfo], name: str, limits: ImageLimits) -> None:
     """Refuse by what an archive says of its members, before any is unpacked; none can be larger than it says."""
     if not members:
-        raise RefusedInputError(f"{name} holds no image: pack FITS, PNG, TIFF or raw files.")
+        raise RefusedInputError(f"{name} contains no image: pack FITS, PNG, TIFF or raw files.")
     if len(members) > limits.images:
         raise RefusedInputError(
-            f"{name} holds {len(members):,} images, at most {limits.images:,} are taken at once: split the set."
+            f"{name} contains {len(members):,} images, at most {limits.images:,} are accepted at once: split the set."
         )
     whole = sum(one.file_size for one in members)
     packed = max(1, sum(one.compress_size for one in members))
@@ -157,7 +157,7 @@ def draw_image(
 def _find_packed(archive: zipfile.ZipFile, frame: int, folder: Path) -> FrameImage:
     """Return which image a frame is by the telemetry in an archive."""
     if TELEMETRY not in archive.namelist():
-        raise NotFoundError("This set holds no images of its frames; choose one that was extracted from images.")
+        raise NotFoundError("This set contains no images of its frames; choose one that was extracted from images.")
     table = folder / TELEMETRY
     table.write_bytes(archive.read(TELEMETRY))
     telemetry = read_telemetry(table)

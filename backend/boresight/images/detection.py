@@ -67,7 +67,7 @@ FEWEST_GAIN_PIXELS = 300
 SEP_PIXELS = 3_000_000
 
 #: Why an object is not among the stars, in the order of the tests.
-REASONS: Final = ("edge", "bad pixel", "trail or large object", "shape", "blended", "beyond the number asked for")
+REASONS: Final = ("edge", "bad pixel", "trail or large object", "shape", "blended", "beyond the requested number")
 
 
 @dataclass(frozen=True)
@@ -280,7 +280,7 @@ def _find_width(samples: Sequence[_Sample]) -> float:
     if not len(radii):
         raise RefusedInputError(
             "No image shows a star that could be measured: they are too faint, all saturated, or clouded out; expose longer or "
-            "shorter, or look at an image."
+            "shorter, or check an image."
         )
     width = float(np.median(radii)) / HALF_FLUX
     if not NARROWEST_PX <= width <= WIDEST_PX:

@@ -159,7 +159,7 @@ def sensor_of_images(
     if whole.rows is None or whole.columns is None:
         size = read_size(sources[0].path, sources[0].name, limits)
         if size is None:
-            raise RefusedInputError(f"{sources[0].name} is raw numbers, which have no shape: give rows and columns.")
+            raise RefusedInputError(f"{sources[0].name} contains raw numbers without a shape: give rows and columns.")
         whole = replace(whole, rows=size[0], columns=size[1])
     lens = replace(
         whole,
@@ -192,7 +192,7 @@ def run_apart(work: Callable[[], T], seconds: float, refusal: str) -> T:
             for process in list(pool._processes.values()):  # noqa: SLF001 - a pool has no way to end what computes
                 process.kill()
             late = isinstance(error, TimeoutError)
-            said = f"took longer than {seconds:g} s" if late else "needed more memory than there is"
+            said = f"took longer than {seconds:g} s" if late else "needed more memory than is available"
             raise RefusedInputError(refusal.format(said)) from error
 
 
@@ -202,12 +202,12 @@ def _refuse_set(sources: Sequence[ImageSource], times: Mapping[str, np.datetime6
         raise RefusedInputError("No image was given: name FITS, PNG, TIFF or raw files.")
     if len(sources) > limits.images:
         raise RefusedInputError(
-            f"{len(sources):,} images were given, at most {limits.images:,} are taken at once: split the set."
+            f"{len(sources):,} images were given, at most {limits.images:,} are accepted at once: split the set."
         )
     names = [source.name for source in sources]
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
-        raise RefusedInputError(f"Two images are called {twice}: name each once, or give them names of their own.")
+        raise RefusedInputError(f"Two images are called {twice}: name each once, or give them different names.")
     if times is not None and (absent := [name for name in names if name not in times]):
         raise RefusedInputError(
             f"The list of times has no {absent[0]}, and {len(absent) - 1} others: add a row for each image."
@@ -297,7 +297,7 @@ def assemble(found: list[FoundStars], sensor: Sensor, common: Common) -> Extract
     images = [_describe(frame, one) for frame, one in enumerate(found)]
     if not any(image.stars for image in images):
         raise RefusedInputError(
-            "No image shows a star above the threshold: lower --threshold, or look at an image (--picture) for clouds and focus."
+            "No image shows a star above the threshold: lower --threshold, or check an image (--picture) for clouds and focus."
         )
     telemetry = _make_telemetry(found, sensor, common)
     return Extraction(telemetry, images, common, _sentences(found, images, common, timed))
@@ -372,12 +372,12 @@ def _sentences(found: list[FoundStars], images: list[ExtractedImage], common: Co
         )
     if common.bad.any():
         said.append(
-            f"{np.count_nonzero(common.hot):,} hot and {np.count_nonzero(common.dead):,} dead pixels were told from "
-            f"{common.looked_at} images and take no part."
+            f"{np.count_nonzero(common.hot):,} hot and {np.count_nonzero(common.dead):,} dead pixels were found in "
+            f"{common.looked_at} images and are not used."
         )
     if not common.stars_move:
         said.append(
-            "The stars stay at one place in these images, so a hot pixel is told by its sharpness alone: let the "
+            "The stars stay at one place in these images, so hot pixels are found only by their sharpness: let the "
             "field move between "
             "images."
         )
@@ -391,18 +391,18 @@ def _sentences(found: list[FoundStars], images: list[ExtractedImage], common: Co
 
 def _say_gain(common: Common) -> str:
     if common.gain_e_per_dn is None:
-        return "The stars show no photon noise, so sigma_px is that of the sky's noise alone: give --gain where it is known."
+        return "The stars show no photon noise, so sigma_px includes only the sky's noise: give --gain if it is known."
     if not common.gain_estimated:
-        return f"The gain is {common.gain_e_per_dn:.4g} electrons a DN, as given."
+        return f"The gain is {common.gain_e_per_dn:.4g} electrons per DN, as given."
     narrow = (
         " These stars are so narrow that it is too low, and sigma_px too large."
         if common.window.sigma_px < 0.95
         else ""
     )
     return (
-        f"The gain was estimated from the images, {common.gain_e_per_dn:.3g} electrons a DN (good to some tens of "
+        f"The gain was estimated from the images, {common.gain_e_per_dn:.3g} electrons per DN (accurate to some tens of "
         "percent): give --gain "
-        f"where it is known.{narrow}"
+        f"if it is known.{narrow}"
     )
 
 
@@ -413,7 +413,7 @@ def _say_times(found: list[FoundStars], timed: bool) -> list[str]:
         return said
     without = sum(bool(np.isnat(one.time_utc)) for one in found)
     untimed = (
-        f"{without:,} images have no time: their frames keep the order in which they were given, and their stars the catalogue's "
+        f"{without:,} images have no time: their frames keep the given order, and their stars the catalogue's "
         "places without aberration and proper motion; give --times."
     )
     return [*said, untimed]
@@ -429,7 +429,7 @@ def read_times(path: Path) -> dict[str, np.datetime64]:
     """
     try:
         if path.stat().st_size > MOST_TIMES_BYTES:
-            raise RefusedInputError(f"{path.name} is too large for a list of times: give one row an image.")
+            raise RefusedInputError(f"{path.name} is too large for a list of times: give one row per image.")
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise RefusedInputError(
@@ -445,7 +445,7 @@ def read_times(path: Path) -> dict[str, np.datetime64]:
             time = np.datetime64(str(row["time_utc"]).strip().removesuffix("Z"), "us")
         if np.isnat(time):
             raise RefusedInputError(
-                f"{path.name}: row {number}, column time_utc: {str(row['time_utc'])[:40]!r} is no time: write "
+                f"{path.name}: row {number}, column time_utc: {str(row['time_utc'])[:40]!r} is not a time: write "
                 "2026-11-24T22:01:05.25Z."
             )
         times[str(row["image"]).strip()] = time

@@ -83,7 +83,7 @@ def _words(stars: StarsOfImage, scale: int) -> str:
     said = f"{len(stars.row_px)} stars, {int(stars.saturated.sum())} saturated"
     if stars.star_id is None:
         return said
-    return f"{said}, {int((stars.star_id > 0).sum())} matched; residuals {scale} times longer than life"
+    return f"{said}, {int((stars.star_id > 0).sum())} matched; residuals enlarged {scale} times"
 
 
 def _mark(stars: StarsOfImage, k: int, ring: float, scale: int) -> str:

@@ -139,7 +139,9 @@ def _read_bytes(path: Path, name: str, limits: ImageLimits) -> bytes:
             )
         content = path.read_bytes()
     except OSError as error:
-        raise RefusedInputError(f"{name} cannot be read: {error.strerror}; check the name and its rights.") from error
+        raise RefusedInputError(
+            f"{name} cannot be read: {error.strerror}; check the name and its permissions."
+        ) from error
     if not content:
         raise RefusedInputError(f"{name} is empty: copy it again.")
     return content
@@ -157,7 +159,7 @@ def _find_form(content: bytes, name: str) -> str:
     if SUFFIXES.get(Path(name).suffix.lower()) == "raw":
         return "raw"
     raise RefusedInputError(
-        f"{name} is neither FITS, PNG nor TIFF: check that it was copied whole; raw numbers end in .raw, .bin or .dat."
+        f"{name} is neither FITS, PNG nor TIFF: check that it was copied completely; raw numbers end in .raw, .bin or .dat."
     )
 
 
@@ -168,7 +170,7 @@ def _check_size(image: Image, sensor: Sensor) -> None:
         return
     turned = (rows, columns) == (sensor.columns, sensor.rows)
     remedy = (
-        "turn rows and columns of the sensor file"
+        "exchange rows and columns of the sensor file"
         if turned
         else "give the sensor file that belongs to it, or images of one camera"
     )
@@ -201,7 +203,7 @@ def _read_fits(
                 part = next((one for one in file if one.is_image and len(one.shape) >= 2), None)
                 if part is None:
                     raise RefusedInputError(  # noqa: TRY301 - it passes as it is
-                        f"{name} holds no image, only headers or tables: give the file of the image itself."
+                        f"{name} contains no image, only headers or tables: give the file of the image itself."
                     )
                 _refuse_pixels(name, int(np.prod(part.shape, dtype=np.int64)), limits)
                 planes = [length for length in part.shape[:-2] if length > 1]
@@ -240,7 +242,7 @@ def _filled(dn: FloatArray, name: str) -> tuple[FloatArray, list[str]]:
     known = np.isfinite(dn)
     if known.all():
         return dn, []
-    note = f"{name}: {np.count_nonzero(~known):,} pixels have no number and are taken as the sky"
+    note = f"{name}: {np.count_nonzero(~known):,} pixels have no value and are treated as sky"
     return np.where(known, dn, np.median(dn[known]) if known.any() else 0.0), [note]
 
 
@@ -258,7 +260,7 @@ def _refuse_tiles(content: bytes, name: str, pixels: int) -> None:
             for packed in (packed for column in columns for packed in table.data[column] if left >= 0):
                 left -= len(zlib.decompressobj(31).decompress(bytes(packed), left + 1))
     if left < 0:
-        raise RefusedInputError(f"{name} holds more in its tiles than its pixels: write the image again.")
+        raise RefusedInputError(f"{name} contains more in its tiles than its pixels: write the image again.")
 
 
 def _expand(content: bytes, name: str, limits: ImageLimits) -> bytes:
@@ -300,7 +302,7 @@ def _utc(text: str, scale: str, name: str, key: str) -> np.datetime64:
             raise ValueError(text)  # noqa: TRY301 - it is told as the others are
     except Exception as error:
         raise RefusedInputError(
-            f"{name}: {key} is {text[:40]!r} in {scale[:12]!r}, which is no time: correct the header, or give --times."
+            f"{name}: {key} is {text[:40]!r} in {scale[:12]!r}, which is not a time: correct the header, or give --times."
         ) from error
     return time
 
@@ -339,7 +341,7 @@ def _read_picture(
                 _refuse_pixels(name, picture.width * picture.height, limits)
                 if getattr(picture, "n_frames", 1) > 1:
                     raise RefusedInputError(  # noqa: TRY301 - it passes as it is
-                        f"{name} holds several images: write each into a file of its own."
+                        f"{name} contains several images: write each to a separate file."
                     )
                 if _is_cut_to_8_bits(content, picture.mode):
                     raise RefusedInputError(  # noqa: TRY301 - it passes as it is
@@ -347,7 +349,7 @@ def _read_picture(
                     )
                 mode, (time, source, exposure) = picture.mode, _exif_time(picture.getexif(), name)
                 if mode in _COLOUR:
-                    notes.append(f"{name}: its colours are taken together")
+                    notes.append(f"{name}: its colours are averaged")
                     dn = np.asarray(picture.convert("RGB")).mean(axis=2, dtype=np.float64)
                 elif mode in _GREY:
                     dn = np.asarray(picture, dtype=np.float64)
@@ -384,7 +386,7 @@ def _exif_time(exif: Any, name: str) -> tuple[np.datetime64, str, float | None]:
     offset = re.fullmatch(r"([+-])(\d\d):(\d\d)", str(block.get(_EXIF_OFFSET, "")).strip("\0 "))
     source = "EXIF"
     if offset is None:
-        source = "EXIF, without an offset: taken as UTC"
+        source = "EXIF, without an offset: assumed to be UTC"
     else:
         minutes = int(offset[2]) * 60 + int(offset[3])
         start -= np.timedelta64(minutes if offset[1] == "+" else -minutes, "m")
@@ -395,7 +397,7 @@ def _read_raw(content: bytes, name: str, sensor: Sensor, raw: ImageFormat, limit
     """Read numbers without a header."""
     if raw.bits is None:
         raise RefusedInputError(
-            f"{name} is raw numbers, and nothing says how many bits they have: give --raw-bits, or `image.bits` in the sensor file."
+            f"{name} contains raw numbers of unknown bit depth: give --raw-bits, or `image.bits` in the sensor file."
         )
     pixels = sensor.rows * sensor.columns
     _refuse_pixels(name, pixels, limits)
@@ -412,7 +414,7 @@ def _read_raw(content: bytes, name: str, sensor: Sensor, raw: ImageFormat, limit
     if dn.max() > white:
         other = "big" if raw.byte_order == "little" else "little"
         raise RefusedInputError(
-            f"{name} holds {dn.max():,.0f}, more than {raw.bits} bits can: check the order of the bytes "
+            f"{name} contains {dn.max():,.0f}, more than {raw.bits} bits allow: check the byte order "
             f"(--raw-order {other})."
         )
     return Image(name, dn, hashlib.sha256(content).hexdigest(), np.datetime64("NaT", "us"), "", white_dn=white)
@@ -428,7 +430,7 @@ def _timed(image: Image, times: Mapping[str, np.datetime64] | None) -> Image:
         return replace(image, time_utc=listed, time_source="the list of times")
     if np.isnat(image.time_utc) and (named := time_in_name(image.name)) is not None:
         middle = _middle(named, image.exposure_s, image.name)
-        return replace(image, time_utc=middle, time_source="the file's name, taken as UTC")
+        return replace(image, time_utc=middle, time_source="the file's name, assumed to be UTC")
     return image
 
 

@@ -111,8 +111,8 @@ class _Connection:
     def _refuse_silence(self, error: Silence) -> UnavailableError:
         if certificate := _refused_certificate(error):
             return UnavailableError(
-                f"{self.url} is not who it says, as far as this machine knows ({certificate.verify_message}): check the address; "
-                "if a certificate authority of your own signed for it, name its file in SSL_CERT_FILE."
+                f"{self.url} has a certificate that cannot be verified ({certificate.verify_message}): check the address; "
+                "if your own certificate authority signed it, name its file in SSL_CERT_FILE."
             )
         return UnavailableError(
             f"{self.url} does not answer ({error or type(error).__name__}): check the address, or try again."
@@ -127,9 +127,9 @@ def _checked_address(url: str) -> str:
     except (httpx.InvalidURL, UnicodeError):
         parts = httpx.URL()
     if parts.scheme not in {"http", "https"} or not parts.host or parts.query or parts.fragment:
-        raise RefusedInputError(f"{url!r} is no address of a server: give one such as https://boresight.example.")
+        raise RefusedInputError(f"{url!r} is not the address of a server: give one such as https://boresight.example.")
     if parts.userinfo:
-        raise RefusedInputError("The address of a server holds no password: give an API key.")
+        raise RefusedInputError("The address of a server must not contain a password: give an API key.")
     return url.rstrip("/")
 
 
@@ -137,7 +137,7 @@ def _checked_key(key: str | None) -> str | None:
     """Return a key without the blanks about it; what can be none is refused, and never shown."""
     key = key.strip() if key else None
     if key and not (key.isascii() and key.isprintable()):
-        raise RefusedInputError("The API key has characters that no key has: copy it again as the server showed it.")
+        raise RefusedInputError("The API key contains characters that no key has: copy it again from the server.")
     return key
 
 

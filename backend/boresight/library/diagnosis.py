@@ -32,7 +32,7 @@ class Diagnosis(Summarised, result.Diagnosis):
     def mended_sensor(self) -> Mapping[str, Any]:
         """Return the mended sensor file; raises RefusedInputError where the cause is unknown."""
         if self.sensor_document is None:
-            raise RefusedInputError(f"There is nothing to mend the sensor file with. {self.sentence}")
+            raise RefusedInputError(f"There is nothing to correct in the sensor file. {self.sentence}")
         return self.sensor_document
 
     def save_sensor(self, path: str | Path) -> None:

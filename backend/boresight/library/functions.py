@@ -782,9 +782,11 @@ def _read_scenario(path: Path) -> Any:
             f"{path} is neither a file nor a built-in scenario: choose from {', '.join(BUILT_IN)}."
         ) from error
     except orjson.JSONDecodeError as error:
-        raise RefusedInputError(f"{path} is no JSON ({error}): give a scenario as one JSON object.") from error
+        raise RefusedInputError(f"{path} is not JSON ({error}): give a scenario as one JSON object.") from error
     except OSError as error:
-        raise RefusedInputError(f"{path} cannot be read ({error.strerror}): check the name and its rights.") from error
+        raise RefusedInputError(
+            f"{path} cannot be read ({error.strerror}): check the name and its permissions."
+        ) from error
 
 
 @_on_kernels

@@ -148,7 +148,7 @@ def _join_arrays(arrays: Mapping[str, Any]) -> pa.Table:
         rows = array.size if rows is None else rows
         if array.shape != (rows,):
             raise RefusedInputError(
-                f"The telemetry: column {name} has the shape {array.shape}, expected ({rows},): give one number a star."
+                f"The telemetry: column {name} has the shape {array.shape}, expected ({rows},): give one number per star."
             )
         if array.dtype.kind == "M":
             array = array.astype("datetime64[us]")
@@ -156,7 +156,7 @@ def _join_arrays(arrays: Mapping[str, Any]) -> pa.Table:
             columns[str(name)] = _make_plain(pa.chunked_array([pa.array(array, from_pandas=True)]))
         except (pa.ArrowInvalid, pa.ArrowTypeError, pa.ArrowNotImplementedError) as error:
             raise RefusedInputError(
-                f"The telemetry: column {name} holds {array.dtype}: give numbers or texts."
+                f"The telemetry: column {name} contains {array.dtype}: give numbers or texts."
             ) from error
     if not columns:
         raise RefusedInputError(f"The telemetry has no columns: give at least {', '.join(REQUIRED_COLUMNS)}.")

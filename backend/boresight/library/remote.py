@@ -58,7 +58,7 @@ ENDED = ("SUCCEEDED", "FAILED", "CANCELLED", "LOST")
 FIRST_PAUSE_S, LONGEST_PAUSE_S, SLOWER = 0.1, 1.0, 1.3
 FIRST_REDIRECT, FIRST_ERROR = 300, 400
 NAMES_SHOWN = 20
-FOREIGN = "it is of another version of Boresight, or a proxy's or log-in page stands before it; check the address"
+FOREIGN = "the server has another version of Boresight, or a proxy or log-in page answered; check the address"
 
 T = TypeVar("T")
 V = TypeVar("V")
@@ -249,14 +249,14 @@ def raise_problem(answer: ServerAnswer, address: str) -> None:
     if answer.status < FIRST_ERROR:
         where = one_line(answer.headers.get("location", "nowhere"))
         raise UnavailableError(
-            f"{address} sends on to {where}, where the key was not sent: give that address if it is your server's."
+            f"{address} redirects to {where}, where the key was not sent: give that address if it is your server's."
         )
     try:
         problem = answer.document()
         sentence, kind = one_line(member(problem, "detail", str)), member(problem, "type", str).removeprefix(PROBLEM)
     except UnavailableError:
         raise UnavailableError(
-            f"{address} answered {answer.status}, and not as Boresight does: check the address."
+            f"{address} answered {answer.status}, but not like Boresight: check the address."
         ) from None
     error = PROBLEMS.get(kind, errors.UnavailableError)
     if issubclass(error, RefusedInputError):
@@ -301,7 +301,7 @@ def _list(path: str) -> Operation[list[dict[str, Any]]]:
         found += member(page, "items", list)
         before, cursor = cursor, None if page.get("next") is None else member(page, "next", str)
         if cursor == before:
-            raise UnavailableError(f"The server's list of {path} begins anew after a page: {FOREIGN}.")
+            raise UnavailableError(f"The server's list of {path} starts again after a page: {FOREIGN}.")
     return found
 
 
@@ -332,7 +332,7 @@ def find_sensor(sensor: SensorSource | ServerSensor | int, *, register: bool = T
         if one.name == described.name:
             if sensor_document(parse_sensor(one.document)) != document:
                 raise errors.ConflictError(
-                    f"The server's sensor {one.name} has another description than this file: give its name to use the server's, "
+                    f"The server's sensor {one.name} differs from this file: give its name to use the server's, "
                     "or edit it there."
                 )
             return one
@@ -371,7 +371,7 @@ def _file_of(telemetry: TelemetrySource) -> tuple[str, Path | bytes]:
     if isinstance(telemetry, str | os.PathLike):
         path = Path(telemetry)
         if not _is_file(path):
-            raise RefusedInputError(f"{path} is no file: check the name.")
+            raise RefusedInputError(f"{path} is not a file: check the name.")
         return path.name.encode("utf-8", "replace").decode(), path  # a name may hold bytes that are no text
     import pyarrow.parquet as pq
 
@@ -417,7 +417,7 @@ def wait(run: Run | int, report: Report, timeout_s: float | None) -> Operation[R
     try:
         found = yield from _ended(run, report, timeout_s)
     except (UnavailableError, KeyboardInterrupt) as error:
-        error.add_note(f"Run {_id(run)} goes on at the server: its page there shows how it ends, and stops it.")
+        error.add_note(f"Run {_id(run)} continues on the server: see or cancel it on its page there.")
         raise
     if found.state == "CANCELLED":
         raise errors.CancelledError(f"Run {found.id} was cancelled{_because(found)}")
@@ -647,5 +647,5 @@ def export(
     package = answer.document()
     answer = yield _get(f"/packages/{member(package, 'id', int)}/content")
     if hashlib.sha256(answer.content).hexdigest() != member(package, "sha256", str):
-        raise UnavailableError("The package that arrived is not the one that the server built: export it again.")
+        raise UnavailableError("The package was damaged on the way: export it again.")
     return answer.content

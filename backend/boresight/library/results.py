@@ -44,7 +44,7 @@ def make_frame(columns: Mapping[str, Any] | pa.Table, kind: FrameKind | None) ->
     if kind is None:
         kind = next(one for one in kinds if find_spec(one) is not None)
     elif kind not in kinds:
-        raise RefusedInputError(f"There is no frame {kind!r}: choose from {', '.join(kinds)}.")
+        raise RefusedInputError(f"There is no kind of frame {kind!r}: choose from {', '.join(kinds)}.")
     table = pa.table(columns)
     if kind == "pyarrow":
         return table
@@ -52,7 +52,7 @@ def make_frame(columns: Mapping[str, Any] | pa.Table, kind: FrameKind | None) ->
         library = import_module(str(kind))
     except ImportError as error:
         raise RefusedInputError(
-            f"{kind} is not installed here: pip install {kind}, or ask for to_frame('pyarrow'), which is."
+            f"{kind} is not installed here: pip install {kind}, or use to_frame('pyarrow'), which is."
         ) from error
     return table.to_pandas() if kind == "pandas" else library.DataFrame(table)
 
@@ -394,6 +394,6 @@ def save_telemetry(telemetry: Telemetry, path: Path) -> None:
     from boresight.telemetry.read.readers import contract_table, write_table
 
     if path.suffix.lower() not in {".csv", ".jsonl", ".ndjson", ".parquet"}:
-        raise RefusedInputError(f"{path.name} says no format: end the name with .csv, .jsonl or .parquet.")
+        raise RefusedInputError(f"{path.name} has no known format: end the name with .csv, .jsonl or .parquet.")
     with path.open("wb") as stream:
         write_table(contract_table(telemetry), stream, path.suffix.lower())

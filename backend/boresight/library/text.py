@@ -147,7 +147,7 @@ def _assumed(found: Calibration) -> Iterator[tuple[str, str]]:
         f"{one.name.replace('_', ' ')}: {one.value}" for one in found.assumptions if not one.declared
     )
     if undeclared:
-        yield "assumed, not declared", f"{undeclared}; declare in the sensor file what holds (readout, declared)"
+        yield "assumed, not declared", f"{undeclared}; declare the true ones in the sensor file (readout, declared)"
     for one in found.assumptions:
         if one.declared and one.left_in:
             yield "left in", one.sentence

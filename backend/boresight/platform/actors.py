@@ -99,7 +99,7 @@ def refuse_key(actor: Actor, what: str) -> None:
 def require_user(actor: Actor, what: str) -> int:
     """Return the user id of the person, or of the owner of the key."""
     if actor.user_id is None:
-        raise ForbiddenError(f"Somebody must answer for this: log in or use an API key to {what}.")
+        raise ForbiddenError(f"This needs a person or an API key: log in or use an API key to {what}.")
     return actor.user_id
 
 

@@ -129,13 +129,13 @@ ROW_REASONS = (
     "matched",
     "no catalogue star within the tolerance",
     "two stars or two detections fit about equally well",
-    "the tolerance is too wide to tell a star from a chance one",
+    "the tolerance is too wide to exclude a chance match",
     "its arcs to the other stars disagree with the catalogue",
     "no attitude to start from",
     "too few other stars of its exposure were matched",
     "left out as a double or for its unreliable astrometry",
     "its centroid is off the detector",
-    "left out because a neighbour within the width of its image draws its centroid",
+    "left out because a close neighbour shifts its centroid",
 )
 STARTS = (
     "none",
@@ -147,13 +147,13 @@ STARTS = (
 )
 EXPOSURE_REASONS = (
     "valid",
-    "nothing to start from: too few given matches, and no quaternion, neighbour or lost-in-space answer that fits",
+    "no attitude to start from: too few given matches, and no matching quaternion, neighbour or lost-in-space solution",
     "too few stars agree with the catalogue",
-    "no time, so that no catalogue star has a direction",
+    "no time, so catalogue stars have no direction",
 )
-NO_TIME = EXPOSURE_REASONS.index("no time, so that no catalogue star has a direction")
+NO_TIME = EXPOSURE_REASONS.index("no time, so catalogue stars have no direction")
 LEFT_OUT = ROW_REASONS.index("left out as a double or for its unreliable astrometry")
-BLENDED = ROW_REASONS.index("left out because a neighbour within the width of its image draws its centroid")
+BLENDED = ROW_REASONS.index("left out because a close neighbour shifts its centroid")
 OFF_DETECTOR = ROW_REASONS.index("its centroid is off the detector")
 OTHER_EXPOSURE, QUATERNION, NEIGHBOUR, LOST = (
     STARTS.index(name) for name in ("other exposure", "quaternion", "neighbouring frame", "lost in space")

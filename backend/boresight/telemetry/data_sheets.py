@@ -96,24 +96,22 @@ class LensAndDetector:
     )
     focal_length_mm: float | None = field(
         default=None,
-        metadata=Asked("Focal length", "mm", 0.1, 100_000.0, "As the lens says, or the field of view.").metadata,
+        metadata=Asked("Focal length", "mm", 0.1, 100_000.0, "From the lens, or give the field of view.").metadata,
     )
     field_of_view_deg: float | None = field(
         default=None,
         metadata=Asked(
-            "Field of view", "°", 0.1, 170.0, "Across the longer side, in place of the focal length."
+            "Field of view", "°", 0.1, 170.0, "Across the longer side, instead of the focal length."
         ).metadata,
     )
     centroid_sigma_px: float | None = field(
         default=None,
-        metadata=Asked(
-            "Centroid noise", "px", 1e-4, 100.0, "One axis, one sigma; 0.2 px where it is left out."
-        ).metadata,
+        metadata=Asked("Centroid noise", "px", 1e-4, 100.0, "One axis, one sigma; 0.2 px when left out.").metadata,
     )
     magnitude_limit: float | None = field(
         default=None,
         metadata=Asked(
-            "Faintest magnitude", "mag", -2.0, 20.0, "Of the stars that it sees; else found from each set."
+            "Faintest magnitude", "mag", -2.0, 20.0, "Of the stars that it sees; found from each set when left out."
         ).metadata,
     )
     site: Site | None = None

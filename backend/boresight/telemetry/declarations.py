@@ -54,7 +54,7 @@ DECLARATIONS = {
             "satellite_velocity",
             "Satellite velocity",
             {
-                "given": "the telemetry gives it, or its directions hold its aberration already",
+                "given": "the telemetry gives it, or its directions include its aberration already",
                 "negligible": "too small to matter, as on the ground",
             },
         ),
@@ -62,7 +62,7 @@ DECLARATIONS = {
             "directions",
             "Directions of the telemetry",
             {
-                "apparent": "ra_deg and dec_deg hold aberration",
+                "apparent": "ra_deg and dec_deg include aberration",
                 "j2000": "ra_deg and dec_deg are of epoch J2000.0, without motion, parallax and aberration",
             },
         ),
@@ -72,7 +72,7 @@ DECLARATIONS = {
             {
                 "none": "images from space",
                 "corrected": "images from the ground, with refraction in their directions",
-                "uncorrected": "images from the ground, as they came, and directions without refraction",
+                "uncorrected": "images from the ground, uncorrected, and directions without refraction",
             },
         ),
         Declaration(
@@ -238,9 +238,7 @@ def parse_readout(value: Any, faults: Faults) -> Readout | None:
     _refuse_unknown("readout", value, tuple(item.name for item in fields(Readout)), faults)
     if value["mode"] == GLOBAL:
         if set(value) - {"mode"}:
-            faults.add(
-                "readout.mode is global, where nothing else has a meaning: leave the others out, or write rolling"
-            )
+            faults.add("readout.mode is global, which allows no other fields: leave the others out, or write rolling")
         return Readout(GLOBAL)
     axis, corrected = value.get("axis", AXES[0]), value.get("corrected", False)
     if axis not in AXES:

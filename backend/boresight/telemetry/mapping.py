@@ -89,7 +89,7 @@ def parse_mapping(document: Mapping[str, Any]) -> TelemetryMapping:
     known = {item.name: item.default for item in fields(TelemetryMapping)}
     for name, value in document.items():
         if name not in known:
-            raise RefusedInputError(f"{name!r} is no member of a mapping: choose from {', '.join(known)}.")
+            raise RefusedInputError(f"{name!r} is not a member of a mapping: choose from {', '.join(known)}.")
         default = known[name]
         fits = isinstance(value, type(default)) or (isinstance(default, float) and type(value) is int)
         if not fits or (isinstance(value, float | int) and not np.isfinite(value)):

@@ -253,11 +253,11 @@ def _describe(
     free = _free(camera, x, int(rows), int(columns), pitch_um * 1e-6)
     noise = at_hand["centroid_sigma_px"]
     reasons = {
-        "detector": f"As the data sheet says: {sheet.name} ({sheet.source})." if sheet else "As given.",
+        "detector": f"From the data sheet: {sheet.name} ({sheet.source})." if sheet else "As given.",
         "initial.focal_length": _why_focal(known, focal_mm, focal_px, rows, columns),
         "initial": "Without distortion, the principal point in the middle of the detector: a calibration starts from there.",
         **why,
-        "free": f"{', '.join(free)}: what every lens needs; the others are held until `boresight choose` finds them asked for.",
+        "free": f"{', '.join(free)}: what every lens needs; the others are held until `boresight choose` finds them needed.",
         "camera_model": (
             "As given."
             if model
@@ -267,7 +267,7 @@ def _describe(
         "centroid_sigma_px": (
             "As given."
             if noise is not None
-            else f"{CENTROID_SIGMA_PX:g} px is usual for stars of a few pixels; each calibration says what its set has."
+            else f"{CENTROID_SIGMA_PX:g} px is usual for stars of a few pixels; each calibration measures that of its set."
         ),
         "parity": (
             "As given."
@@ -291,9 +291,9 @@ def _describe(
         if sheet.shutter == GLOBAL:
             document["readout"] = Readout(GLOBAL).document()
         reasons["readout"] = (
-            "A global shutter, as the data sheet says."
+            "A global shutter, from the data sheet."
             if sheet.shutter == GLOBAL
-            else "A rolling shutter: declare `readout` with its line_time_s, which the data sheet does not tell."
+            else "A rolling shutter: declare `readout` with its line_time_s, which the data sheet does not give."
         )
     if known.site is not None:
         document["site"] = known.site.document()

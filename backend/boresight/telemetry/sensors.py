@@ -194,8 +194,8 @@ def _check_readout(sensor: Sensor, faults: Faults) -> None:
     seconds = abs(readout.line_time_s) * lines
     if seconds > _READOUT_S:
         faults.add(
-            f"readout.line_time_s is {readout.line_time_s:g}: {lines:,} lines would take {seconds:.3g} s, and none takes more "
-            f"than {_READOUT_S:g} s: give seconds from one line to the next, not of a frame"
+            f"readout.line_time_s is {readout.line_time_s:g}: {lines:,} lines would take {seconds:.3g} s, but at most "
+            f"{_READOUT_S:g} s are possible: give seconds from one line to the next, not of a frame"
         )
 
 
@@ -206,7 +206,7 @@ def _check_keys(document: Mapping[str, Any], faults: Faults) -> None:
             faults.add(f"{key} is missing: add it")
     if len(document) > _MOST_FIELDS:
         faults.add(
-            f"there are {len(document):,} fields, at most {_MOST_FIELDS} are read: keep those that are named in the README"
+            f"there are {len(document):,} fields, at most {_MOST_FIELDS} are read: keep those that the README lists"
         )
         return
     known = (*_REQUIRED, *_OPTIONAL)
@@ -288,7 +288,9 @@ def _parameters(
     values = in_metres(_mapping(document, key, faults), model.parameter_names, pitch)
     for name in values:
         if name not in model.parameter_names:
-            faults.add(f"{key}.{name} is no parameter of {model.name}: choose from {', '.join(model.parameter_names)}")
+            faults.add(
+                f"{key}.{name} is not a parameter of {model.name}: choose from {', '.join(model.parameter_names)}"
+            )
     pairs = zip(model.parameter_names, limits, strict=True)
     return np.array([_number(values.get(name), f"{key}.{name}", limit, faults) for name, limit in pairs])
 

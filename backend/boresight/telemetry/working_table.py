@@ -138,7 +138,7 @@ class WorkingTable:
     def _mapped(self) -> tuple[mmap.mmap, pa.ipc.RecordBatchFileReader]:
         if self.sha256 is not None and not integrity.is_intact(self.path, self.sha256):
             raise CorruptFileError(
-                f"The stored file {self.sha256[:12]} was altered on the disk, so nothing is made of it; restore it from a backup.",
+                f"The stored file {self.sha256[:12]} was altered on the disk, so it is not used; restore it from a backup.",
                 self.sha256,
             )
         try:

@@ -36,7 +36,7 @@ def why_not(sensor: Sensor) -> str | None:
     if CAMERA_MODELS[sensor.camera_model].opencv is None:
         return (
             f"{sensor.camera_model} distorts from the detector to the sky; OpenCV and ROS distort from the sky to the detector. "
-            "No coefficients of theirs make this camera, and an approximation is another camera."
+            "No coefficients of theirs describe this camera, and an approximation would be another camera."
         )
     if sensor.parity != -1:
         return (
@@ -83,6 +83,6 @@ def conventions(sensor: Sensor) -> dict[str, Any]:
         "angles": "radians",
         "quaternions": "x, y, z, w; scalar last",
         "sigma": "one standard deviation from noise alone; null where it was not estimated",
-        "sigma_with_misfit": "the same widened by what the camera model does not hold: decide by this one",
+        "sigma_with_misfit": "the same, including what the camera model does not describe: decide by this one",
         "numbers": "IEEE 754 double precision, written in the fewest digits that read back as the same number",
     }

@@ -102,7 +102,7 @@ def table_image(headers: CfeHeaders | None, length_bytes: int, content: bytes) -
         raise RefusedInputError(f"The cFE file is of the table {name!r}, not of {headers.table_name}: give its dump.")
     if start != 0 or size != length_bytes or len(image) != length_bytes:
         raise RefusedInputError(
-            f"The cFE file holds {len(image)} bytes and says {size} from byte {start}, expected all {length_bytes} "
+            f"The cFE file contains {len(image)} bytes and says {size} from byte {start}, expected all {length_bytes} "
             f"of {name}: dump the whole table."
         )
     return image

@@ -109,8 +109,8 @@ class DumpComparison:
         if self.crc_ok is None:
             return ""
         if self.crc_ok:
-            return " The dump's own CRC holds: other values were loaded."
-        return " The dump's own CRC does not hold: the table was altered in memory or on the way down."
+            return " The dump's own CRC matches: other values were loaded."
+        return " The dump's own CRC does not match: the table was altered in memory or during downlink."
 
     def document(self) -> dict[str, Any]:
         """Write it as JSON."""

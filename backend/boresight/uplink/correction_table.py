@@ -20,8 +20,8 @@ NAMES = ("correction_table.json", "correction_table.csv")
 COLUMNS = ("row_px", "col_px", "d_row_px", "sigma_row_px", "d_col_px", "sigma_col_px")
 USE = (
     "A star is measured at the place where the camera with these parameters puts it, plus the displacement at that place. Before "
-    "a centroid (row_px, col_px) goes into the camera's equations, subtract d_row_px and d_col_px. Turning all directions by one "
-    "rotation is C_SD's and not in it. It belongs to these parameters alone: with others it is wrong."
+    "a centroid (row_px, col_px) goes into the camera's equations, subtract d_row_px and d_col_px. A rotation of all directions "
+    "belongs to C_SD and is not included. The table is valid only with these parameters."
 )
 INTERPOLATION = (
     "Between the places bilinear interpolation of the grid, or exactly the spline: d = sum over i, j of c_ij B_i(row) B_j(col), B "
@@ -37,7 +37,7 @@ def correction_files(subject: Mapping[str, Any]) -> dict[str, bytes]:
     spline = read_residual_spline(found)
     table = {
         "schema": SCHEMA,
-        "what": "displacement that the camera model leaves over after its calibration, estimated from the same stars",
+        "what": "displacement left by the calibrated camera model, estimated from the same stars",
         "use": USE,
         "parameter_set": {"name": subject["name"], "sha256": subject["sha256"]},
         "camera_model": spline.camera_model,

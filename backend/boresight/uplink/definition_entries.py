@@ -26,12 +26,12 @@ class Entries:
         self.faults = faults
         self.document: Mapping[str, Any] = document if isinstance(document, Mapping) else {}
         if not isinstance(document, Mapping):
-            faults.add(f"{place} is no object: write names and values in braces")
+            faults.add(f"{place} is not an object: write names and values in braces")
         for key in self.document:
             if key not in known:
                 meant = difflib.get_close_matches(str(key), known, 1, 0.6)
                 hint = f"write {meant[0]}" if meant else f"choose from {', '.join(known)}"
-                faults.add(f"{self._at(str(key))} is no entry of a table definition: {hint}")
+                faults.add(f"{self._at(str(key))} is not an entry of a table definition: {hint}")
 
     def _at(self, key: str) -> str:
         return f"{self.place}.{key}" if self.place else key
@@ -121,7 +121,7 @@ class Entries:
         value = self.document.get(key)
         if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST:
             return value
-        self._wrong(key, "give the number that the field always holds, or name a parameter")
+        self._wrong(key, "give the constant number of the field, or name a parameter")
         return 0
 
     def bits_word(self, key: str, width: int) -> int:
@@ -170,7 +170,9 @@ def parse_checksum(document: Any, faults: Faults) -> tuple[Checksum, Entries]:
     if known is not None and not given:
         crc = known
     elif not given:
-        faults.add(f"crc.name is no known CRC: choose {', '.join(CHECKSUMS)}, or give {', '.join(PARAMETERS)} as well")
+        faults.add(
+            f"crc.name is not a known CRC: choose {', '.join(CHECKSUMS)}, or give {', '.join(PARAMETERS)} as well"
+        )
         crc = next(iter(CHECKSUMS.values()))
     else:
         crc = _parsed(entries, faults)

@@ -40,7 +40,7 @@ from boresight.uplink.table_definition import TableDefinition, parse_definition,
 from boresight.uplink.table_files import held_by, table_facts, table_files
 
 SCHEMA = "boresight.uplink-package/1"
-SIMULATED = "SIMULATED: this sensor's telemetry is made here; do not load this package into a spacecraft."
+SIMULATED = "SIMULATED: this sensor's telemetry is simulated; do not load this package into a spacecraft."
 Inputs = Mapping[str, Any]
 
 
@@ -135,7 +135,7 @@ def _said(inputs: Inputs, folder: str) -> dict[str, Any]:
     subject, sensor = inputs["subject"], inputs["sensor"]
     of = {
         "": "uplink package",
-        "backout/": "way back inside the uplink package",
+        "backout/": "back-out inside the uplink package",
         "on_board/": "active set inside the uplink package",
     }
     return {

@@ -148,7 +148,7 @@ def alignment_json(subject: Set, before: Set | None) -> bytes:
         answer["sentence"] = "No attitude was compared for this set: check C_SD after loading it."
     elif started != replaced:
         answer["sentence"] = (
-            f"The turn was found against the parameters that the run started from, which are not those of "
+            f"The rotation was found against the parameters that the run started from, which are not those of "
             f"{answer['replaces']}: calibrate from the set that is replaced, or check C_SD after loading."
         )
     else:

@@ -65,7 +65,7 @@ def parse_pus(document: Any, fields: tuple[Field, ...], faults: Faults) -> Param
     count_bits = ID_BITS[entries.word("count_type", tuple(ID_BITS), "uint8")]
     listed = entries.document.get("parameter_ids")
     if not isinstance(listed, Mapping):
-        faults.add("pus.parameter_ids is no object: write each camera parameter and its identifier")
+        faults.add("pus.parameter_ids is not an object: write each camera parameter and its identifier")
         return ParameterService(id_bits, count_bits, {})
     ids = {}
     for field in fields:

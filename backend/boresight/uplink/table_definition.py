@@ -84,7 +84,7 @@ def quantisation_effect(
     shift = np.hypot(moved_rows - rows, moved_cols - cols)
     if not (np.isfinite(angle).all() and np.isfinite(shift).all()):
         raise RefusedInputError(
-            "The numbers that the table can hold make a camera without directions for a part of the detector: "
+            "With the numbers that the table can hold, a part of the detector has no directions: "
             "give its fields more digits."
         )
     return {"max_px": float(shift.max()), "max_arcsec": float(angle.max() * ARCSEC_PER_RAD)}
@@ -140,7 +140,7 @@ def read_definition(path: Path, sensor: Sensor) -> TableDefinition:
 def parse_definition(document: Mapping[str, Any], sensor: Sensor) -> TableDefinition:
     """Read a sensor's table definition."""
     if not isinstance(document, Mapping):
-        raise RefusedInputError("This is no table definition: write one JSON object with a table_id and fields.")
+        raise RefusedInputError("This is not a table definition: write one JSON object with a table_id and fields.")
     faults = Faults("The table definition")
     entries = Entries(document, "", KEYS, faults)
     if document.get("schema", SCHEMA) != SCHEMA:
@@ -170,7 +170,7 @@ def parse_definition(document: Mapping[str, Any], sensor: Sensor) -> TableDefini
 
 def _fields(listed: Any, little: bool, sensor: Sensor, faults: Faults) -> tuple[Field, ...]:
     if not isinstance(listed, list) or not 0 < len(listed) <= MOST_FIELDS:
-        faults.add(f"fields is no list of 1 to {MOST_FIELDS} objects: list what lies in the table")
+        faults.add(f"fields is not a list of 1 to {MOST_FIELDS} objects: list what the table contains")
         return ()
     fields = [_field(entry, f"fields[{place}]", little, sensor, faults) for place, entry in enumerate(listed)]
     return tuple(sorted(fields, key=lambda one: one.bit))
@@ -230,7 +230,7 @@ def _crc(
     if offset is None:
         return crc, None, (over[0], over[1])
     if over[0] < offset + crc.width // 8 and offset < over[1]:
-        faults.add(f"crc is stored at byte {offset}, inside what it is taken of: give `over` without it")
+        faults.add(f"crc is stored at byte {offset}, inside the bytes that it covers: give `over` without it")
     return crc, Field("CRC", None, 8 * offset, f"uint{crc.width}", order == "little"), (over[0], over[1])
 
 
@@ -254,7 +254,7 @@ def _check_layout(definition: TableDefinition, sensor: Sensor, faults: Faults) -
     for parameter in CAMERA_MODELS[sensor.camera_model].parameter_names:
         if held.count(parameter) != 1:
             faults.add(
-                f"the parameter {parameter} lies in {held.count(parameter)} fields: "
+                f"the parameter {parameter} is in {held.count(parameter)} fields: "
                 f"give each parameter of {sensor.camera_model} one field"
             )
 
@@ -308,7 +308,7 @@ def decode(definition: TableDefinition, content: bytes) -> Decoded:
     if len(content) != definition.length_bytes:
         raise RefusedInputError(
             f"The image has {len(content)} bytes and the table {definition.table_id} has {definition.length_bytes}: "
-            "give the whole table, without anything before or after it."
+            "give the whole table and nothing else."
         )
     fields = tuple(_decoded(definition, content, field) for field in definition.fields)
     crc = table_crc(definition, content)

@@ -62,7 +62,7 @@ def make_headline(result: Calibration) -> Headline:
         told.append(f"validation {urad(unseen.initial, 3)} → {urad(unseen.final, 3)}{reach}")
     seen = result.observability
     if seen and seen.singular_values:
-        told.append("every direction is seen" if not count_weak(seen) else describe_weak(seen))
+        told.append("no weak direction" if not count_weak(seen) else describe_weak(seen))
     return Headline(judged.level, judged.word, "; ".join(told), tuple(dict.fromkeys([*reasons, *result.advice])))
 
 
@@ -76,8 +76,8 @@ def describe_weak(seen: Observability) -> str:
     """Say how many of the directions are not seen, such as `3 of 8 directions are not seen`."""
     weak, whole = count_weak(seen), len(seen.singular_values)
     if not weak:
-        return f"{count(whole)} of {count(whole)} directions are seen"
-    return f"{count(weak)} of {count(whole)} directions {'is' if weak == 1 else 'are'} not seen"
+        return f"{count(whole)} of {count(whole)} directions are determined"
+    return f"{count(weak)} of {count(whole)} directions {'is' if weak == 1 else 'are'} weak"
 
 
 def answer_observability(result: Calibration) -> Answer:
@@ -102,12 +102,12 @@ def answer_convergence(result: Calibration) -> Answer:
     """Say where the estimate settled, and whether it ended inside the bands that it drew on its way."""
     history = read_history(result)
     if history is None:
-        return _nothing(result, "No history was kept.")
+        return _nothing(result, "No history was stored.")
     if result.status == "running":
-        return Answer("standby", f"On its way: {history.axis} {count(history.x[-1])}.")
+        return Answer("standby", f"Running: {history.axis} {count(history.x[-1])}.")
     first, free = settled_step(result), len(history.free)
     if first is None:
-        return Answer("caution", f"Not settled: the end of {history.axis} {count(history.x[-1])} has not settled.")
+        return Answer("caution", f"Not settled by the end, {history.axis} {count(history.x[-1])}.")
     whole = "The parameter" if free == 1 else f"All {count(free)} parameters"
     settled = f"{whole} settled by {history.axis} {count(history.x[first])}"
     if history.axis == "iteration":
@@ -135,7 +135,7 @@ def answer_rms(result: Calibration) -> Answer:
         if result.status == "running":
             return Answer("standby", f"So far {both}{old}.")
         meet = abs(tail.tail_rad - tail.aggregate_rad) <= 3 * (tail.sigma_rad or 0.0)
-        words = "Tail and aggregate meet" if meet else "Tail and aggregate differ"
+        words = "Tail and aggregate agree" if meet else "Tail and aggregate differ"
         return Answer("normal" if meet else "caution", f"{words}: {both}{old}.")
     if rms.initial is None or rms.final is None:
         return _nothing(result, "No RMS arc error was computed.")

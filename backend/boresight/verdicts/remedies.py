@@ -103,4 +103,4 @@ def _of_weak_directions(result: Calibration) -> Iterator[Remedy]:
     names = [result.free[place] for place in held]
     symbols = [quantity(name, result).symbol for name in names]
     free = tuple(name for name in result.free if name not in names)
-    yield Remedy(f"Clone with {', '.join(symbols)} held", free=free)
+    yield Remedy(f"Clone with {', '.join(symbols)} held fixed", free=free)

@@ -39,16 +39,16 @@ WORD_OF_LEVEL = {
     "caution": "converged, with reservations",
 }  # of a fit that converged
 WHY = {
-    "running": "The run is not over: everything below is provisional.",
-    "max_iterations": "The fit stopped before it came to rest: raise the number of iterations, or start closer.",
+    "running": "The run has not ended: everything below is provisional.",
+    "max_iterations": "The fit stopped before it settled: allow more iterations, or start closer.",
     "rank_deficient": "The data do not determine every free parameter: free fewer, or add frames with other stars.",
     "diverged": "The fit diverged: do not use these numbers.",
-    "too_few_stars": "No exposure has enough stars: nothing was estimated.",
+    "too_few_stars": "No exposure has enough stars, so nothing was estimated.",
 }
 AT_THE_BOUND = (TOO_SMALL, 1.15)  # claimed sigma over bound: below it is too good to be true, above it data are wasted
-NOT_YET = "Trust is examined when the run ends; it is not there yet."
-NEVER = "This result was made without an examination of trust: clone its run and start it again to have one."
-NO_REASON = "This part of the examination could not be made for this run."
+NOT_YET = "Not yet: trust is examined when the run ends."
+NEVER = "This result has no examination of trust: clone its run and run it again to get one."
+NO_REASON = "This part of the examination was not possible for this run."
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def _chi_square(result: Calibration) -> VerdictMark:
     if not is_doubted(result, "chi_square", chi2.consistent):
         return VerdictMark(name, question, "normal", "consistent", number(per_dof), detail)
     word = "noise above model" if per_dof > 1 else "noise below model"
-    reason = f"{question} is {number(per_dof, 3)}: the noise is not what was assumed."
+    reason = f"{question} is {number(per_dof, 3)}: the noise is not as assumed."
     return VerdictMark(name, question, "caution", word, number(per_dof), detail, reason)
 
 
@@ -138,11 +138,11 @@ def _nis(result: Calibration) -> VerdictMark:
         return VerdictMark(name, question, "off", "not applicable", "", "A batch has no innovations; a filter has.")
     if nis is None:
         return _unknown(name, question, "No innovations yet.")
-    value, detail = number(nis.mean), f"95 % bounds {_bounds(nis)}, a degree of freedom"
+    value, detail = number(nis.mean), f"95 % bounds {_bounds(nis)}, per degree of freedom"
     if nis.consistent:
         return VerdictMark(name, question, "normal", "consistent", value, detail)
     word = "over-confident" if (nis.mean or 0.0) > (nis.upper or 0.0) else "pessimistic"
-    reason = "The innovations are outside their 95 % bounds: the sigmas of this filter are not honest."
+    reason = "The innovations are outside their 95 % bounds: the sigmas of this filter are wrong."
     return VerdictMark(name, question, "caution", word, value, detail, reason)
 
 
@@ -151,20 +151,20 @@ def _weakest(result: Calibration) -> VerdictMark:
     if seen is None or not seen.singular_values:
         return _unknown(name, question, _not_yet(result, "Observability was not computed."))
     spread = [sigma for sigma in seen.sigma_of_direction if sigma is not None]
-    sentence = seen.weakest.sentence or "One direction was not seen at all."
+    sentence = seen.weakest.sentence or "One direction was not determined at all."
     worst = max(spread, default=0.0)
     if len(spread) < len(seen.singular_values):
         value = f"condition {number(seen.condition_number, 3)}"
-        return VerdictMark(name, question, "caution", "not seen", value, sentence, sentence)
+        return VerdictMark(name, question, "caution", "weak", value, sentence, sentence)
     if seen.chi2_rise is not None and is_curved(seen.chi2_rise):
         curved = (
             f"One sigma along the weakest direction chi-square rises by {number(seen.chi2_rise, 3)} where the covariance says 1: "
-            "the fit is curved there, and its sigmas do not hold."
+            "the fit is curved there, and its sigmas are wrong."
         )
         return VerdictMark(name, question, "caution", "curved", f"{number(worst, 2)} typical σ", sentence, curved)
     if worst > WEAK:
-        return VerdictMark(name, question, "caution", "not seen", f"{number(worst, 2)} typical σ", sentence, sentence)
-    return VerdictMark(name, question, "normal", "seen", f"{number(worst, 2)} typical σ", sentence)
+        return VerdictMark(name, question, "caution", "weak", f"{number(worst, 2)} typical σ", sentence, sentence)
+    return VerdictMark(name, question, "normal", "determined", f"{number(worst, 2)} typical σ", sentence)
 
 
 def count_weak(seen: Observability) -> int:
@@ -179,7 +179,7 @@ def _validation(result: Calibration) -> VerdictMark:
         return _unknown(name, question, _not_yet(result, "Nothing outside the fitted frames was checked."))
     detail = f"{count(validation.frames)} held-out frames, {percent(validation.availability.final)} available"
     sigma = sigma_of_rms(after, validation.common_pairs)
-    detail += "; σ not kept" if sigma is None else f"; the new RMS is known to ± {urad(3 * sigma, 2)} µrad (3σ)"
+    detail += "; σ not stored" if sigma is None else f"; the new RMS is known to ± {urad(3 * sigma, 2)} µrad (3σ)"
     value = f"{urad(before)} → {urad(after)} µrad"
     if after < before:
         return VerdictMark(name, question, "normal", "better", value, detail)
@@ -297,7 +297,7 @@ def _tests(result: Calibration) -> list[VerdictMark]:
     noticed = [test for test in result.tests if test.noticed]
     value = f"{count(len(noticed))} of {count(len(result.tests))} noticed"
     sentence = " ".join(f"{cause.sentence} {cause.remedy}" for cause in result.causes[:1])
-    sound = "No test of the model notices anything (1 % over all of them)."
+    sound = "No test of the model noticed anything (1 % over all of them)."
     return [
         _examined("tests", "Tests of the model", ("nothing noticed", "departs"), not noticed, value, sentence or sound)
     ]
@@ -363,7 +363,7 @@ def _needed(trust: Trust) -> VerdictMark:
     needed = sum(row.needed for row in part)
     sentence = trust.drop_one_sentence or ""
     return _examined(
-        name, question, ("all needed", "some spare"), needed == len(part), f"{needed} of {len(part)}", sentence
+        name, question, ("all needed", "some not needed"), needed == len(part), f"{needed} of {len(part)}", sentence
     )
 
 
@@ -372,7 +372,7 @@ def _stars(trust: Trust) -> VerdictMark:
     if not part:
         return _not_made(trust, name, question)
     value = f"{count(len(trust.suspects))} of {count(trust.stars_in_all or len(part))}"
-    sentence = trust.stars_sentence or "Look at the suspects before the next run."
+    sentence = trust.stars_sentence or "Check the suspects before the next run."
     return _examined(name, question, ("none suspect", "suspects"), not trust.suspects, value, sentence)
 
 

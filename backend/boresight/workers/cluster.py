@@ -179,7 +179,7 @@ class Cluster:
             lent = time.monotonic() < self._lent_until_s.get(worker, 0.0)
             return None if lent else LostTaskError(DIED)
         except Exception as error:  # noqa: BLE001 - whatever kept the worker from even beginning
-            return LostTaskError(f"its worker could not begin it, {type(error).__name__}: {error}")
+            return LostTaskError(f"its worker could not start it, {type(error).__name__}: {error}")
         return ends
 
     def _note_loan(self, event: dict[str, Any]) -> None:

@@ -149,7 +149,7 @@ def _recordable(end: RunEnd) -> RunEnd:
     try:
         canonical([end.summary, [line.numbers for line in end.log]])
     except (TypeError, ValueError) as error:
-        log.exception("Run %d: the end of attempt %d is no JSON", end.run_id, end.attempt)
+        log.exception("Run %d: the end of attempt %d is not JSON", end.run_id, end.attempt)
         reason = f"The result could not be recorded, {type(error).__name__}: {error}"
         return RunEnd(end.run_id, end.attempt, "FAILED", reason)
     return end
@@ -301,7 +301,7 @@ class AlarmCheck:
                 with open_writing(self._database) as session:
                     update_alarms(session, sensor_ids)
         except Exception:
-            log.exception("The alarm check failed after a run; the server's maintenance looks again")
+            log.exception("The alarm check failed after a run; the server's maintenance checks again")
 
     def _changed(self, run_ids: Collection[int]) -> list[int]:
         """Return the sensors of these runs whose alarms have to change."""
@@ -313,7 +313,7 @@ TURN_S = 0.25  # pause without events; an end, a launch or a cancellation on thi
 LOOK_EVERY_S = 0.5  # pause between checks of the workers
 PAUSE_AFTER_ERROR_S = 1.0
 CANCEL_GRACE_S, GONE_S = 5.0, 1.0
-GONE = "its worker was gone before the task reached it, or before its result was fetched"
+GONE = "its worker was lost before the task reached it, or before its result was fetched"
 KILL_AGAIN_S, OVERDUE_S = 20.0, 30.0
 LOOK_AHEAD = 64  # runs per thread
 JOIN_S = 30.0
@@ -377,7 +377,7 @@ class RunDispatcher:
             try:
                 self._turn()
             except CommClosedError:  # the next turn notices and connects to another
-                log.warning("The scheduler was lost while it was asked something")
+                log.warning("The scheduler was lost during a request")
                 self._stopping.wait(TURN_S)
             except Exception:
                 log.exception("The dispatcher's turn failed and is tried again")
@@ -551,7 +551,7 @@ class RunDispatcher:
         """Queue tasks again that wait behind one slower than predicted; another thread may be free sooner."""
         for task in self._tasks.overdue(OVERDUE_S):
             task.future.cancel()
-            self._rows.put_back(task.members, "the runs before it took longer than foreseen")
+            self._rows.put_back(task.members, "the runs before it took longer than predicted")
             self._tasks.remove(task)
             self._tell_moved(task.members)
 

@@ -117,7 +117,7 @@ PROTOCOL = "tls://"
 PROTOCOLS = ("tcp://", PROTOCOL)
 ANYBODY_READS = 0o004
 WARN_BEFORE = timedelta(days=30)
-MAKE_NEW = "make new ones with `boresight certificates`, and start server, scheduler and workers again"
+MAKE_NEW = "make new ones with `boresight certificates`, and restart server, scheduler and workers"
 
 
 def refuse_unless_address(text: str) -> None:
@@ -130,7 +130,7 @@ def refuse_unless_address(text: str) -> None:
         is_address = False
     if not is_address:
         raise RefusedInputError(
-            f"BORESIGHT_SCHEDULER={text!r} is no address of a scheduler: write tcp://host:port, or tls://host:port."
+            f"BORESIGHT_SCHEDULER={text!r} is not the address of a scheduler: write tcp://host:port, or tls://host:port."
         )
 
 
@@ -152,7 +152,7 @@ def refuse_open_link(settings: Settings, host: str, given: str) -> None:
     if settings.cluster_network_closed or _is_loopback(host):
         return
     raise RefusedInputError(
-        f"{given} is a plain link beyond this machine, and whoever reaches it can run programs on the server and on every worker: "
+        f"{given} is a plain link to another machine, and whoever reaches it can run programs on the server and on every worker: "
         f"make certificates and use {PROTOCOL} (BORESIGHT_TLS_AUTHORITY and BORESIGHT_TLS_CERTIFICATE), or, where nobody else is "
         "on that network, set BORESIGHT_CLUSTER_NETWORK_CLOSED=1."
     )
@@ -174,7 +174,7 @@ def make_security(settings: Settings) -> Security | None:
     if not any(files.values()):
         if settings.scheduler.startswith(PROTOCOL):
             raise RefusedInputError(
-                f"{settings.scheduler} wants certificates: name them by BORESIGHT_TLS_AUTHORITY and BORESIGHT_TLS_CERTIFICATE."
+                f"{settings.scheduler} needs certificates: name them by BORESIGHT_TLS_AUTHORITY and BORESIGHT_TLS_CERTIFICATE."
             )
         if settings.scheduler:
             host = urlsplit(settings.scheduler).hostname or ""
@@ -183,7 +183,7 @@ def make_security(settings: Settings) -> Security | None:
     for variable, path in files.items():
         if not path or not Path(path).is_file():
             raise RefusedInputError(
-                f"{variable}={path!r} is no file: make authority and certificate with `boresight certificates`."
+                f"{variable}={path!r} is not a file: make authority and certificate with `boresight certificates`."
             )
     if settings.scheduler and not settings.scheduler.startswith(PROTOCOL):
         raise RefusedInputError(
@@ -201,7 +201,7 @@ def _refuse_unusable(settings: Settings) -> None:
         load_pem_x509_certificates(Path(settings.tls_authority).read_bytes())
     except (OSError, ValueError) as error:
         raise RefusedInputError(
-            f"BORESIGHT_TLS_AUTHORITY={settings.tls_authority!r} holds no certificate (PEM) that can be read: {MAKE_NEW}."
+            f"BORESIGHT_TLS_AUTHORITY={settings.tls_authority!r} contains no readable certificate (PEM): {MAKE_NEW}."
         ) from error
     path = Path(settings.tls_certificate)
     try:
@@ -210,7 +210,7 @@ def _refuse_unusable(settings: Settings) -> None:
         load_pem_private_key(pem, password=None)
     except (OSError, TypeError, ValueError) as error:
         raise RefusedInputError(
-            f"{given} does not hold a certificate and its key (PEM, no pass phrase): {MAKE_NEW}."
+            f"{given} does not contain a certificate and its key (PEM, no pass phrase): {MAKE_NEW}."
         ) from error
     if path.stat().st_mode & ANYBODY_READS:
         raise RefusedInputError(

@@ -83,9 +83,7 @@ class WorkerService:
             joined_s = time.monotonic()
             await self._be_worker(security)
             pause_s = FIRST_PAUSE_S if time.monotonic() - joined_s > LASTED_S else min(2 * pause_s, LONGEST_PAUSE_S)
-            self.say(
-                f"A worker has left {self.settings.scheduler}; in {pause_s:.0f} s it looks whether it can join again."
-            )
+            self.say(f"A worker has left {self.settings.scheduler}; in {pause_s:.0f} s it tries to join again.")
             await asyncio.sleep(pause_s)
 
     async def _until_answered(self, security: Security | None) -> None:

@@ -184,7 +184,7 @@ def execute(
         of_disk = storage_error(error) if isinstance(error, OSError) else None
         if of_disk is not None:
             return RunEnd(run_id, attempt, "FAILED", str(of_disk)), None
-        reason = f"The computation broke down, {type(error).__name__}: {error}"
+        reason = f"The computation failed, {type(error).__name__}: {error}"
         return RunEnd(run_id, attempt, "FAILED", reason, log=[_traceback()]), None
 
 
@@ -195,9 +195,9 @@ def _kept(end: RunEnd, sha256: Future[str] | None) -> RunEnd:
     try:
         return replace(end, result_sha256=sha256.result())
     except BoresightError as error:  # for example a full disk; the run has no result then
-        return RunEnd(end.run_id, end.attempt, "FAILED", f"The result could not be kept. {error}")
+        return RunEnd(end.run_id, end.attempt, "FAILED", f"The result could not be stored. {error}")
     except Exception as error:  # noqa: BLE001 - a defect ends the run, not the worker
-        reason = f"The result could not be kept, {type(error).__name__}: {error}"
+        reason = f"The result could not be stored, {type(error).__name__}: {error}"
         return RunEnd(end.run_id, end.attempt, "FAILED", reason, log=[_traceback()])
 
 

@@ -174,7 +174,7 @@ class LaunchForm {
     } catch (error) {
       if (signal.aborted) return;
       this.isUnchecked = true;
-      place.textContent = `The check could not be made: ${describeError(error)}`;
+      place.textContent = `The check failed: ${describeError(error)}`;
     }
     place.removeAttribute("aria-busy");
   }

@@ -204,7 +204,7 @@ class LiveRun extends HTMLElement {
     const isSilent = this.#state === "RUNNING" && silent > SILENT_MS;
     const state = (place.dataset.state = link && link !== "live" ? link : isSilent ? "stale" : "live");
     const word = state === "live" ? "" : `${state.toUpperCase()} · `;
-    place.textContent = `${word}last event ${Number.isNaN(silent) ? "not heard yet" : `${roughSpan(silent / 1000)} ago`}`;
+    place.textContent = `${word}last event ${Number.isNaN(silent) ? "not received yet" : `${roughSpan(silent / 1000)} ago`}`;
   }
 
   /** Renew the parts of the page that depend on the state. */

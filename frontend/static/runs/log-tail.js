@@ -60,7 +60,7 @@ class LogTail extends HTMLElement {
   #press(pause) {
     this.#isPaused = !this.#isPaused;
     pause.setAttribute("aria-pressed", String(this.#isPaused));
-    this.#say(this.#isPaused ? "Paused: newer lines wait." : "Follows the run.");
+    this.#say(this.#isPaused ? "Paused: newer lines wait." : "New lines appear here.");
     if (!this.#isPaused) this.#read();
   }
 

@@ -40,7 +40,7 @@ function shown(value) {
 function table(text, caption) {
   const [head = [], ...rows] = text.split(/\r?\n/).filter(Boolean).map(cells);
   const element = make("table", {});
-  const note = rows.length > ROWS ? ` ${ROWS} of ${rows.length} rows, evenly taken; the CSV has all.` : "";
+  const note = rows.length > ROWS ? ` ${ROWS} of ${rows.length} rows, evenly spaced; the CSV has all.` : "";
   element.createCaption().textContent = `${caption}.${note}`;
   element.createTHead().append(row("th", head));
   element.createTBody().append(...thinned(rows).map((values) => row("td", values)));

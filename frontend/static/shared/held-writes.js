@@ -46,7 +46,7 @@ function hold(link) {
   if (!isHeld) sinceMs = link.sinceMs;
   isHeld = true;
   const isOut = link.state === "logged-out";
-  reason = isOut ? "You are logged out: log in again, then press it." : "Disconnected: the server does not answer. Wait for the link, then press it.";
+  reason = isOut ? "You are logged out: log in again, then try again." : "Disconnected: the server does not answer. Wait until the link is back, then try again.";
   find(".link-banner", HTMLElement)?.remove();
   if (!isOut) {
     const banner = make("div", { className: "notice link-banner", role: "alert" });
@@ -54,7 +54,7 @@ function hold(link) {
     const [at, age] = [make("time", { dateTime: new Date(sinceMs).toISOString() }), make("span", { id: "link-age" })];
     at.textContent = `${at.dateTime.slice(11, 19)}Z`;
     age.setAttribute("aria-hidden", "true");
-    words.append(make("b", { textContent: "DISCONNECTED" }), " since ", at, " (", age, "). All states are as of then. Buttons that write are held; what you typed stays.");
+    words.append(make("b", { textContent: "DISCONNECTED" }), " since ", at, " (", age, "). All states shown are from that time. Buttons that change anything are disabled; what you typed is kept.");
     banner.append(words);
     need("#content", HTMLElement).prepend(banner);
   }

@@ -105,7 +105,7 @@ function sayEnded(sentence) {
   const notice = make("div", { className: "notice notice-serious", id: "log-in-ended", role: "alert" });
   const words = make("p", {});
   const way = make("a", { textContent: "Log in again", href: `/login?next=${encodeURIComponent(location.pathname + location.search)}` });
-  words.append(`${sentence} What is shown is the last that arrived. `, way, ".");
+  words.append(`${sentence} The page shows the last data that arrived. `, way, ".");
   notice.append(words);
   need("#content", HTMLElement).prepend(notice);
   notice.scrollIntoView({ block: "nearest" });

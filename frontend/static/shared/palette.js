@@ -65,7 +65,7 @@ class Palette {
     this.#at = 0;
     this.list.replaceChildren(...found.map((one, place) => this.#option(one, place)));
     const status = find("#palette-said", HTMLElement, this.dialog);
-    if (status) status.textContent = said || (found.length ? `${found.length} found` : "Nothing is called so.");
+    if (status) status.textContent = said || (found.length ? `${found.length} found` : "Nothing found with this name.");
     this.#mark();
   }
 

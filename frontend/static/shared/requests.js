@@ -36,7 +36,7 @@ export async function send(url, options = {}) {
     response = await fetch(url, { credentials: "same-origin", ...options });
   } catch (error) {
     if (error instanceof DOMException && error.name === "AbortError") throw error;
-    throw new Problem("The server cannot be reached. What is shown is the last that arrived.", 0);
+    throw new Problem("The server cannot be reached. The page shows the last data that arrived.", 0);
   }
   if (!response.ok) throw await readProblem(response);
   return response;

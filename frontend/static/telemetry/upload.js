@@ -72,7 +72,7 @@ function upload(form, submitter) {
   sent.onload = () => finish(sent);
   sent.onerror = () => {
     rest();
-    refuse("The upload broke off. The file is still chosen: check the link and send it again.");
+    refuse("The upload was interrupted. The file is still chosen: check the connection and upload it again.");
   };
   sent.onabort = () => {
     rest();

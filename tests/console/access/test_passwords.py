@@ -102,15 +102,15 @@ def _told(engine: Engine, root: Actor, monkeypatch: pytest.MonkeyPatch, *events:
     ("events", "told"),
     [
         ((), f"{AT}, not changed since"),
-        ((("new", "2026-11-20T12:00:40"),), f"{AT}, set anew 40 s later"),
-        ((("new", "2026-11-20T12:03:00"),), f"{AT}, set anew 3 min later"),
-        ((("new", "2026-11-21T11:59:59"),), f"{AT}, set anew 24 h later"),
+        ((("new", "2026-11-20T12:00:40"),), f"{AT}, changed 40 s later"),
+        ((("new", "2026-11-20T12:03:00"),), f"{AT}, changed 3 min later"),
+        ((("new", "2026-11-21T11:59:59"),), f"{AT}, changed 24 h later"),
         ((("new", "2026-11-21T12:00:00"),), None),
         ((("root", "2026-11-20T18:00:00"),), f"{RESET}, not changed since"),
-        ((("root", "2026-11-20T18:00:00"), ("new", "2026-11-20T18:03:00")), f"{RESET}, set anew 3 min later"),
+        ((("root", "2026-11-20T18:00:00"), ("new", "2026-11-20T18:03:00")), f"{RESET}, changed 3 min later"),
         (
             (("root", "2026-11-20T18:00:00"), ("new", "2026-11-20T18:03:00"), ("new", "2026-11-20T20:00:00")),
-            f"{RESET}, set anew 2 h later",
+            f"{RESET}, changed 2 h later",
         ),
         ((("new", "2026-11-22T12:00:00"), ("new", "2026-11-22T12:01:00")), None),
     ],
@@ -130,7 +130,7 @@ def test_a_signature_through_a_puppet_says_so_in_its_row_and_on_record(engine, s
         approval = lists.list_newest(session, Approval, set=row.id)[0]
         signature = approve(session, puppet, approval, password=OWN)
         record = audit.find_last_change(session, f"approvals/{approval.id}")
-    assert re.fullmatch(r"reset by Root at \S+ \S+ UTC, set anew \d+ s later", str(signature.password_by))
+    assert re.fullmatch(r"reset by Root at \S+ \S+ UTC, changed \d+ s later", str(signature.password_by))
     assert record.after["password_by"] == signature.password_by
     with open_reading(engine) as session:
         assert approval_queries.list_signatures(session, approval.id)[0].password_by == signature.password_by
@@ -173,7 +173,7 @@ def test_the_10000_commonest_are_refused_padded_to_the_length_rule():
     ],
 )
 def test_what_is_guessed_early_is_refused(password):
-    assert "guessed early" in str(describe_weakness(password, NAMES))
+    assert "easy to guess" in str(describe_weakness(password, NAMES))
 
 
 @pytest.mark.parametrize("password", ["xq ruhige wolken blech", "ruhige-XQ-wolken blech", "ruhige wolken blech.xq"])

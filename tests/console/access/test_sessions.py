@@ -422,7 +422,7 @@ def test_a_person_sees_their_log_ins_and_ends_one_and_all_others(site, read):
     assert here.post("/sessions/end-others").status_code == 303
     assert "1 other log-in is ended." in read(here.get("/sessions"))
     assert there.send("GET", "/audit", headers={"accept": "text/html"}).status_code == 303
-    assert "ended by the person" in read(here.get("/sessions"))
+    assert "ended by the user" in read(here.get("/sessions"))
 
 
 def test_an_administrator_sees_and_ends_anothers_and_nobody_else_does(site, read):

@@ -35,7 +35,7 @@ def test_the_page_says_who_must_set_a_password_and_how_to_back_up(site, read):
     with open_writing(site.engine) as session:
         users.change_password(session, site.actor("adele"), 5, new_password("a given password"))
     page = read(site.visitor("adele").get("/administration"))
-    assert "Must set a password of their own: Victor Viewer." in page
+    assert "Must still set their own password: Victor Viewer." in page
     assert "boresight backup --out FILE.zip" in page
     assert "FOUR-EYES ON" in page
 
@@ -45,7 +45,7 @@ def test_a_single_user_install_says_so_on_every_page(site, read):
     assert "Four-eyes is OFF" not in read(visitor.get("/sensors"))
     site.app.state.policy = dataclasses.replace(site.app.state.policy, four_eyes=False)
     for path in ("/", "/sensors", "/audit", "/administration"):
-        assert "Four-eyes is OFF: in this installation one person may submit and sign alone." in read(visitor.get(path))
+        assert "Four-eyes is OFF: on this installation one person can submit and sign alone." in read(visitor.get(path))
 
 
 def test_where_one_person_works_alone_every_download_says_so(site):
@@ -65,9 +65,9 @@ def test_where_one_person_works_alone_every_download_says_so(site):
 def test_what_would_hold_up_work_is_said():
     people = [_person("analyst", "approver"), _person("operator"), _person("administrator", disabled_utc=NOW)]
     said = warnings(people, four_eyes=True)
-    assert "Only one approver: no deputy." in said
+    assert "Only one approver, so there is no deputy." in said
     assert "There is no administrator." in said
-    assert "Every approver is an analyst too: whoever submits needs another to sign." in said
+    assert "Every approver is also an analyst: whoever submits a set needs another approver to sign it." in said
     assert (
         warnings([_person(role) for role in ("analyst", "operator", "approver", "administrator") * 2], four_eyes=True)
         == []

@@ -64,7 +64,7 @@ def test_an_alarm_is_acknowledged_assigned_and_shelved_by_its_forms(drifting, re
         answer = visitor.post(f"/alarms/1/{step}", version=str(alarm(drifting).version), **form)
         if step == "shelve":
             assert answer.status_code == 422
-            assert "to come" in read(answer.text)
+            assert "a future time" in read(answer.text)
             assert 'value="x"' in answer.text
         else:
             assert answer.status_code == 303
@@ -140,5 +140,5 @@ def test_the_alarms_of_a_view_can_be_had_as_csv_and_their_table_sorted(drifting)
     assert row["sentence"] == alarm(drifting).sentence
     assert row["sentence"] in page
     for query in ("?state=closed", "?kind=AGE&sensor=1"):
-        assert "No alarm fits" in visitor.get(f"/alarms{query}")
+        assert "No alarm matches" in visitor.get(f"/alarms{query}")
     assert list(csv.DictReader(io.StringIO(visitor.get("/alarms.csv?state=shelved")))) == []

@@ -75,7 +75,7 @@ def test_a_report_of_what_moved_meanwhile_is_refused(candidate, set_profile, eng
     with open_reading(engine) as session:
         assessment = gates.measure(session, blobs, None, row.id)
     set_profile()
-    with open_writing(engine) as session, pytest.raises(StaleError, match="The profile moved while PS-ST16-1-1"):
+    with open_writing(engine) as session, pytest.raises(StaleError, match="The profile changed while PS-ST16-1-1"):
         gates.record_report(session, people["ana"], assessment)
 
 
@@ -97,7 +97,7 @@ def test_the_baseline_has_nothing_to_be_compared_with(assess):
     answers = {answer["name"]: answer for answer in report["gates"]}
     assert answers["covariance"]["status"] == "PASS"
     assert answers["parameter-shift"]["status"] == "NO-DATA"
-    assert "this one is the baseline" in answers["validation-rms-incumbent"]["sentence"]
+    assert "this set is the baseline" in answers["validation-rms-incumbent"]["sentence"]
     assert report["blocking"] == []
 
 
@@ -169,7 +169,7 @@ def test_who_is_no_administrator_sets_no_limits_nor_a_key_beyond_its_scope(set_p
         ({"document": {"gates": []}}, RefusedInputError, "in force already"),
         ({"document": {"gates": [{"name": "beauty"}]}}, RefusedInputError, "no gate 'beauty'"),
         ({"seen": None}, PreconditionRequiredError, "If-Match"),
-        ({"seen": 3}, StaleError, "you saw v3, it is v0"),
+        ({"seen": 3}, StaleError, "you saw v3, it is now v0"),
     ],
 )
 def test_what_is_no_profile_is_refused(set_profile, given, error, words):
@@ -286,11 +286,11 @@ def test_neither_another_role_nor_a_key_nor_the_command_line_waives(waive, peopl
         ({"gate": "finite"}, ConflictError, "does not block"),
         ({"expires_utc": "2020-01-01T00:00:00Z"}, RefusedInputError, "cannot expire at"),
         ({"expires_utc": "9999-12-31"}, RefusedInputError, "cannot expire at"),
-        ({"expires_utc": "soon"}, RefusedInputError, "'soon' is no time"),
+        ({"expires_utc": "soon"}, RefusedInputError, "'soon' is not a time"),
         ({"parameter_set_id": 99}, NotFoundError, "no parameter set 99"),
         ({"expires_utc": utc_after(30 * DAY_S + 7200)}, RefusedInputError, "within 30 days"),
         ({"seen": None}, PreconditionRequiredError, "If-Match"),
-        ({"seen": 77}, StaleError, "changed since you looked"),
+        ({"seen": 77}, StaleError, "changed since you read it"),
     ],
 )
 def test_what_is_no_waiver_is_refused_and_leaves_nothing(waive, engine, blocked, given, error, words):
@@ -303,13 +303,13 @@ def test_a_gate_that_the_profile_does_not_let_be_waived_stays(waive, set_profile
     set_profile(seen=1, document={"gates": [{**SHIFT["gates"][0], "waivable": False}]})
     with open_writing(engine) as session:
         gates.choose_report_for_submission(session, people["ana"], blobs, blocked.id)
-    with pytest.raises(ForbiddenError, match="the gate profile does not let it be waived"):
+    with pytest.raises(ForbiddenError, match="the gate profile does not allow it to be waived"):
         waive()
 
 
 def test_what_was_assessed_under_other_limits_is_assessed_again_before_it_is_waived(waive, set_profile):
     set_profile(seen=1, document={"gates": []})
-    with pytest.raises(ConflictError, match="no gate report that holds now: assess it"):
+    with pytest.raises(ConflictError, match="no up-to-date gate report: assess it"):
         waive()
 
 

@@ -178,7 +178,7 @@ def test_a_request_is_asked_of_one_who_may_sign_and_the_inbox_says_whom(site, re
     assert "Olga Operator" not in asked
     number = asked.split(">Alan Approver")[0].rsplit('value="', 1)[1].split('"')[0]
     assert site.visitor("ada").post(f"{request_page}/assign", person=number, version="1").status_code == 303
-    assert "Asked of Alan Approver." in read(site.visitor("ada").get(request_page))
+    assert "Assigned to Alan Approver." in read(site.visitor("ada").get(request_page))
     stale = site.visitor("ada").post(f"{request_page}/assign", person="", version="1")
     assert stale.status_code == 412
     assert "Alan Approver" in read(site.visitor("both").get("/approvals"))
@@ -253,7 +253,7 @@ def test_limits_are_tried_on_past_runs_and_stay_in_the_form_and_who_is_no_admini
     typed = fields(visitor.get(EDITOR)) | {"parameter-shift.limit": "0.5", "parameter-shift.marginal": "0.5"}
     page = visitor.post(EDITOR, **typed, action="try").text
     words = read(page)
-    assert "These limits would have blocked 2 of the newest 2 runs. Blocked that are not now: #2, #1." in words
+    assert "These limits would have blocked 2 of the newest 2 runs. Newly blocked: #2, #1." in words
     assert fields(page)["parameter-shift.limit"] == "0.5"
     viewer = site.visitor("victor")
     form = fields(viewer.get(EDITOR)) | {"coverage.limit": "0.3", "reason": "I wish."}
@@ -266,7 +266,7 @@ def test_limits_are_tried_on_past_runs_and_stay_in_the_form_and_who_is_no_admini
 @pytest.mark.parametrize(
     ("field", "value", "words"),
     [
-        ("coverage.limit", "many", "Detector coverage: the limit 'many' is no number"),
+        ("coverage.limit", "many", "Detector coverage: the limit 'many' is not a number"),
         ("coverage.limit", "2", "coverage: limit is 2.0; give a number from 0 to 1"),
         ("availability.marginal", "0.1", "give a marginal of at least the limit"),
     ],

@@ -160,7 +160,7 @@ def test_no_key_signs_whatever_its_owner_may(engine, people, submit_request):
 
 def test_a_wrong_password_signs_nothing(engine, people, submit_request):
     approval = submit_request()
-    with pytest.raises(UnauthenticatedError, match="do not fit"):
+    with pytest.raises(UnauthenticatedError, match="Wrong name or password"):
         _sign(engine, people["cy"], approval, password="wrong horse battery")
     assert _states(engine, approval) == ("OPEN", "SUBMITTED")
     with open_reading(engine) as session:
@@ -174,7 +174,7 @@ def test_a_wrong_password_signs_nothing(engine, people, submit_request):
         ("APPROVE", {"meaning": " "}, RefusedInputError, "what your signature means"),
         ("REFUSE", {"comment": " "}, RefusedInputError, "why you refuse"),
         ("APPROVE", {"seen_version": None}, PreconditionRequiredError, "If-Match"),
-        ("APPROVE", {"seen_version": 7}, StaleError, "you saw v7, it is v1"),
+        ("APPROVE", {"seen_version": 7}, StaleError, "you saw v7, it is now v1"),
     ],
 )
 def test_a_signature_that_lacks_something_is_refused(engine, people, submit_request, decision, changes, error, says):
@@ -199,7 +199,7 @@ def test_hashes_that_moved_make_the_request_stale_and_its_set_free(engine, peopl
         )
         session.add(definition)
         audit.append(session, people["root"], "defined", "table-definitions/1")
-    with pytest.raises(StaleError, match=r"The table definition moved .* Submit it again"):
+    with pytest.raises(StaleError, match=r"The table definition changed .* Submit it again"):
         _sign(engine, people["cy"], approval)
     assert _states(engine, approval) == ("STALE", "CANDIDATE")
     with pytest.raises(StaleError, match="is STALE"):
@@ -317,7 +317,9 @@ def test_an_incumbent_that_moved_unseen_makes_the_approval_stale_for_good(engine
         for number, state in ((1, "SUPERSEDED"), (other.id, "BASELINE")):
             session.get_one(ParameterSet, number).ground_state = state
             audit.append(session, people["root"], "exchanged", f"parameter-sets/{number}")
-    with pytest.raises(StaleError, match=r"incumbent moved .* The baseline is PS-ST16-1-2: Root exchanged it .* again"):
+    with pytest.raises(
+        StaleError, match=r"incumbent changed .* The baseline is PS-ST16-1-2: Root exchanged it .* again"
+    ):
         _promote(engine, people["dee"], row.id)
     with open_reading(engine) as session:
         assert lists.list_newest(session, Approval)[0].state == "STALE"

@@ -157,7 +157,7 @@ def test_pages_are_newest_first_and_do_not_overlap(log):
         ("centroid_sigma_px", "Centroid sigma", "px"),
         ("bound.incumbent_sha256", "Bound, Incumbent, SHA-256", ""),
         ("expires_utc", "Expires", ""),
-        ("must_change_password", "Must set a password of their own", ""),
+        ("must_change_password", "Must still set their own password", ""),
     ],
 )
 def test_a_member_has_a_name_and_the_unit_it_is_shown_in(name, title, unit):
@@ -323,8 +323,8 @@ def test_the_light_says_whether_the_chain_holds_of_a_long_one_when_asked(site, r
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("boresight.console.audit.pages.VERIFIED_AT_EVERY_VISIT", 1)
         assert "NOT VERIFIED" in read(visitor.get("/audit"))
-        assert "CHAIN HOLDS" in read(visitor.get("/audit?verify=1"))
-    assert "CHAIN HOLDS" in read(visitor.get("/audit"))
+        assert "CHAIN INTACT" in read(visitor.get("/audit?verify=1"))
+    assert "CHAIN INTACT" in read(visitor.get("/audit"))
     with site.engine.begin() as connection:
         drop_triggers(connection)
         connection.exec_driver_sql("UPDATE audit SET reason = 'altered' WHERE id = 2")
@@ -355,7 +355,7 @@ def test_filters_in_the_address_narrow_the_list_and_stay_in_the_form(site, read)
     assert "<option selected>tested</option>" in visitor.get("/audit?action=tested")
     assert 'class="empty"' in visitor.get("/audit?since=2100-01-01")
     assert "Run 2" in read(visitor.get("/audit?since=2020-01-01T00:00Z&until=2100-01-01&action=tested"))
-    assert "'soon' is no time" in read(visitor.get("/audit?since=soon"))
+    assert "'soon' is not a time" in read(visitor.get("/audit?since=soon"))
     page = visitor.get("/audit?object=users/2")
     assert ('title="users/2"' in page, 'title="users/3"' in page) == (True, False)
 
@@ -372,7 +372,7 @@ def test_a_record_is_shown_whole_with_names_and_units(site, read):
 
 def test_the_bar_tells_through_which_record_the_chain_was_verified(site):
     visitor = site.visitor("victor")
-    assert "NOT YET" in visitor.get("/sensors").split("<main")[0]
+    assert "UNVERIFIED" in visitor.get("/sensors").split("<main")[0]
     site.app.state.maintenance.verify()
     with open_reading(site.engine) as session:
         last = audit.list_records(session, limit=1)[0].id

@@ -151,9 +151,9 @@ def test_a_check_names_the_sensors_that_can_have_no_run_and_queues_nothing(site,
     [
         ({"label": ""}, "Give the campaign a label"),
         ({"sensors": []}, "at least one sensor"),
-        ({"sensors": ["2"]}, "No sensor of the campaign can have a run"),
+        ({"sensors": ["2"]}, "No sensor of the campaign can get a run"),
         ({"minimum_stars": "many"}, "is not a whole number"),
-        ({"calibration-1": "2", "validation-1": "2"}, "cannot validate a calibration made from itself"),
+        ({"calibration-1": "2", "validation-1": "2"}, "cannot validate a calibration that was made from it"),
     ],
 )
 def test_a_refusal_keeps_what_was_typed(site, bare, read, typed, said):  # noqa: ARG001 - the second sensor may be chosen
@@ -240,7 +240,7 @@ def test_presets_are_listed_with_what_they_change_and_archived_by_an_analyst(sit
     with open_writing(site.engine) as session:
         row = presets.save_preset(session, site.actor("ada"), "Mondays", "On Mondays.", {"robust": "huber"})
     ada = site.visitor("ada")
-    assert "Loss Huber on arcs: bounds what a false star may say, for comparison" in read(ada.get("/presets"))
+    assert "Loss Huber on arcs: limits the effect of false stars, for comparison" in read(ada.get("/presets"))
     site.visitor("victor").post(f"/presets/{row.id}/archive")
     assert "Archived" not in read(ada.get("/presets"))
     ada.post(f"/presets/{row.id}/archive")

@@ -105,7 +105,7 @@ def test_a_dry_run_says_what_it_would_be_and_queues_nothing(session, launch):
         (
             {"members": [MemberRequest(1)]},
             RefusedInputError,
-            "No sensor of the campaign can have a run. ST16-1 has no calibration",
+            "No sensor of the campaign can get a run. ST16-1 has no calibration",
         ),
         ({"settings": {"method": "magic"}}, RefusedInputError, "choose from batch"),
         ({"preset": "magic"}, NotFoundError, "There is no preset"),
@@ -156,7 +156,7 @@ def test_cancelling_stops_what_waits_and_what_computes_and_leaves_what_ended(ses
     _end(session, people, second, "CANCELLED")
     assert campaigns.read_campaign(session, row.id).state == "CANCELLED"
     assert audit.find_last_change(session, f"runs/{third}").action == "cancelled"
-    with pytest.raises(ConflictError, match="nothing to stop"):
+    with pytest.raises(ConflictError, match="nothing to cancel"):
         campaigns.cancel_campaign(session, people["ana"], row.id)
 
 

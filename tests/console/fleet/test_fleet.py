@@ -177,7 +177,7 @@ def test_every_finding_is_one_of_the_words_and_there_always_is_one(session, fini
             assert all(word in STATUS_WORDS and sentence.endswith(".") for word, sentence in found)
     assert [word for word, _ in list_findings(NOTHING)] == ["serious", "off"]
     known = replace(NOTHING, baseline=ParameterSet(name="PS-X-0", run_id=None), telemetry_sets=1, days=1.0)
-    assert dict(list_findings(known)) == {"standby": "There is telemetry and no calibration yet; launch a run."}
+    assert dict(list_findings(known)) == {"standby": "There is telemetry but no calibration yet; launch a run."}
 
 
 def test_a_ground_shift_beyond_what_a_look_asks_anew_is_said_once_it_is_known(session, monkeypatch):
@@ -207,7 +207,7 @@ def submitted(site):
 def test_a_sensor_shows_its_status_baseline_and_rms_before_and_after(site, read, results):
     page = read(site.visitor("victor").get("/"))
     rms = results["sqrf"]["rms_arc_rad"]
-    assert "The ground calibration does not hold any more: promote a calibration made on orbit." in page
+    assert "The ground calibration is no longer valid: promote a calibration made on orbit." in page
     assert "PS-ST16-1-0" in page
     assert "ground calibration" in page
     assert f"{rms['final'] * 1e6:.2f} from {rms['initial'] * 1e6:.1f}" in page
@@ -264,10 +264,10 @@ def test_of_a_large_fleet_those_that_stand_worst_are_drawn_and_the_page_says_so(
     monkeypatch.setattr(overview, "MOST_TILES", 3)
     assert [one.sensor_id for one in overview.choose_drawn_sensors(stand)] == [1, 4, 3]
     assert overview.choose_drawn_sensors(stand[:3]) == stand[:3]
-    assert "that stand worst" not in read(site.visitor("ada").get("/"))
+    assert "show all" not in read(site.visitor("ada").get("/"))
     monkeypatch.setattr(overview, "MOST_TILES", 0)
     page = site.visitor("ada").get("/")
-    assert "The 0 that stand worst; all 1" in page
+    assert "The 0 worst of 1; show all" in page
     assert '<th scope="row">' not in page
 
 
@@ -277,7 +277,7 @@ def test_what_the_page_counts_and_what_it_draws_are_one_look_and_it_says_what_is
     monkeypatch.setattr("boresight.console.fleet.status._known", WeakKeyDictionary())
     monkeypatch.setattr("boresight.console.fleet.status.MOST_JUDGED", 0)
     page = site.visitor("ada").get("/?view=tiles")
-    assert "of 1 it is not known yet whether the ground calibration holds" in read(page)
+    assert "for 1 of them the ground calibration has not been checked yet" in read(page)
     assert '<a href="/sensors?status=normal">1</a>' in page
     assert '<li class="tile tile-normal">' in page
     monkeypatch.setattr("boresight.console.fleet.status.MOST_JUDGED", 1)

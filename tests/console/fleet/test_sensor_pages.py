@@ -243,7 +243,7 @@ def test_what_was_baseline_at_a_time_is_answered_and_nonsense_refused(site, read
     visitor = site.visitor("victor")
     assert "Baseline PS-ST16-1-0" in read(visitor.get("/sensors/1?at=2100-01-01T00:00:00Z")).split("What was in use")[1]
     assert "none yet" in read(visitor.get("/sensors/1?at=2000-01-01T00:00:00Z"))
-    assert "is no time" in read(visitor.get("/sensors/1?at=yesterday"))
+    assert "is not a time" in read(visitor.get("/sensors/1?at=yesterday"))
 
 
 def test_an_edit_of_an_older_version_is_refused_and_the_text_kept(site):
@@ -296,7 +296,7 @@ def test_without_a_validation_set_the_calibration_set_is_quoted_and_said_to_be_t
     }
     visitor = site.visitor("ada")
     visitor.post("/sensors", document=EXAMPLE)
-    assert "No finished run says yet" in read_panel(visitor.get("/sensors/2"), read)
+    assert "No finished run yet" in read_panel(visitor.get("/sensors/2"), read)
     site.add_run("batch", state="SUCCEEDED", result=result, validation_set_id=None, sensor_id=2)
     panel = read_panel(visitor.get("/sensors/2"), read)
     assert "on its calibration set" in panel
@@ -328,7 +328,7 @@ def test_analysts_and_administrators_register(session, people, document, name):
         truth = {"f_m": 0.0161}
         row = sensors.register_sensor(session, people[name], document, simulated=True, truth=truth)
         assert (row.name, row.simulated, row.truth) == ("ST16-2", 1, truth)
-        with pytest.raises(ConflictError, match="is a sensor ST16-2 already"):
+        with pytest.raises(ConflictError, match="sensor ST16-2 exists already"):
             sensors.register_sensor(session, people[name], document)
     else:
         with pytest.raises(ForbiddenError, match="analyst or administrator"):

@@ -201,7 +201,7 @@ def test_a_torn_line_is_passed_over_and_not_written_into(tmp_path):
     write_head(file, heads[1])
     assert read_head(file) == heads[1]
     (tmp_path / "other").write_text("no head\n")
-    with pytest.raises(RefusedInputError, match="holds no head"):
+    with pytest.raises(RefusedInputError, match="contains no head"):
         read_head(tmp_path / "other")
 
 

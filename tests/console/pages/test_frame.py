@@ -250,7 +250,7 @@ def test_the_fleet_stands_as_its_worst_sensor_and_names_it():
     tiles = [SimpleNamespace(name=name, status=status, sentence=f"It is {status}.") for name, status in levels.items()]
     standing = find_worst_status(tiles)
     assert (standing.level, standing.word) == ("serious", "SERIOUS")
-    assert standing.sentence == "B: It is serious. 1 more alike."
+    assert standing.sentence == "B: It is serious. 1 more like this."
     assert find_worst_status([]).word == "NO SENSORS"
 
 
@@ -272,13 +272,13 @@ def bare(site, tmp_path):
     ("path", "sentences"),
     [
         ("/", ["No sensors yet.", "Register a sensor"]),
-        ("/sensors", ["No sensors yet.", "Begin with the example"]),
+        ("/sensors", ["No sensors yet.", "Start with the example"]),
         ("/telemetry", ["No telemetry yet.", "Register the sensor first"]),
         ("/users", ["No API keys."]),
         ("/runs", ["No runs yet."]),
         ("/approvals", []),
         ("/parameter-sets", []),
-        ("/audit", ["CHAIN HOLDS"]),
+        ("/audit", ["CHAIN INTACT"]),
     ],
 )
 def test_an_empty_page_says_what_to_do_next(bare, read, path, sentences):

@@ -28,5 +28,5 @@ def test_a_file_is_seen_before_it_is_stored(site):
     shown = ada.send("POST", "/telemetry", data=data, files=files, headers={"Accept": "text/html"})
     assert shown.status_code == 200
     assert "First rows, and what they mean" in shown.text
-    assert "what the first pixel" in shown.text
+    assert "the number of the first pixel" in shown.text
     assert ada.get("/telemetry").count("/telemetry/") == before

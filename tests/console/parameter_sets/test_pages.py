@@ -111,7 +111,7 @@ def test_an_approved_set_becomes_the_baseline_and_the_former_offers_a_roll_back(
         assert set_queries.find_baseline(session, 1).name == "PS-ST16-1-1"
         assert session.get_known(ParameterSet, 1).ground_state == "SUPERSEDED"
     page = olga.get("/parameter-sets/1")
-    assert "Ask to roll back to PS-ST16-1-0" in read(page)
+    assert "Request a roll-back to PS-ST16-1-0" in read(page)
     back = olga.post("/parameter-sets/1/roll-back", version=version(page), reason="The new one lost stars.")
     text = read(site.visitor("alan").get(back.headers["location"]))
     assert "Roll back to PS-ST16-1-0" in text
@@ -169,9 +169,9 @@ def test_a_rotation_that_changes_through_the_set_is_a_caution(site, submit_with)
 
 def test_a_set_without_one_says_why(site, submit_with, read):
     assert "its run compared no attitudes" in read(site.visitor("victor").get(submit_with(None)))
-    assert "a ground calibration turns nothing" in read(site.visitor("victor").get("/parameter-sets/1"))
+    assert "so it has no rotation of its own" in read(site.visitor("victor").get("/parameter-sets/1"))
 
 
 def test_a_baseline_that_was_calibrated_itself_is_a_caution_for_the_next(site, submit_with, read):
     olga = promoted(site, submit_with(TURNED))
-    assert "PS-ST16-1-1 is no ground calibration" in read(olga.get(submit_with(TURNED | {"frames": 11})))
+    assert "PS-ST16-1-1 is not a ground calibration" in read(olga.get(submit_with(TURNED | {"frames": 11})))

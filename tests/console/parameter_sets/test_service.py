@@ -145,7 +145,7 @@ def test_a_request_binds_set_run_and_incumbent(engine, submitted):
 @pytest.mark.parametrize(
     ("who", "given", "error", "says"),
     [
-        ("command line", {}, ForbiddenError, "answer for this"),
+        ("command line", {}, ForbiddenError, "needs a person"),
         ("ana", {"seen": None}, PreconditionRequiredError, "If-Match"),
         ("ana", {"reason": "  "}, RefusedInputError, "Give the reason"),
     ],
@@ -169,7 +169,7 @@ def test_what_is_submitted_is_not_submitted_again_nor_withdrawn_by_another_or_fr
         approvals.withdraw(session, people["bo"], row.id, row.version)
     with open_writing(engine) as session, pytest.raises(StaleError) as refusal:
         approvals.withdraw(session, people["ana"], row.id, 1)
-    assert "you saw v1, it is v2" in str(refusal.value)
+    assert "you saw v1, it is now v2" in str(refusal.value)
     assert "Ana submitted it at 20" in str(refusal.value)
 
 

@@ -65,9 +65,9 @@ def test_a_choice_that_failed_is_made_anew(site, state):
 def test_a_choice_that_cannot_be_read_is_refused_and_made_anew(site):
     first = ask(site, 1)
     answer(site, first, {"schema": "boresight.choice/1"})
-    with open_reading(site.engine) as session, pytest.raises(ConflictError, match="no choice that can be read"):
+    with open_reading(site.engine) as session, pytest.raises(ConflictError, match="cannot be read as a choice"):
         choices.get_choice(session, site.blobs, 1)
-    assert "no choice that can be read" in site.visitor("ada").get("/runs/1?part=distortion")
+    assert "cannot be read as a choice" in site.visitor("ada").get("/runs/1?part=distortion")
     assert ask(site, 1) > first
 
 
@@ -86,7 +86,7 @@ def test_a_choice_that_contradicts_itself_is_refused_on_every_door_and_made_anew
     damage(document)
     first, ada = ask(site, 1), site.visitor("ada")
     answer(site, first, document)
-    assert "no choice that can be read" in ada.get("/runs/1?part=distortion")
+    assert "cannot be read as a choice" in ada.get("/runs/1?part=distortion")
     for place in ("", "/figure", "/data"):
         assert ada.send("GET", f"/api/v1/runs/1/choice{place}").status_code == 409
     assert ask(site, 1) > first
@@ -133,7 +133,7 @@ def test_only_an_analyst_asks_and_only_for_a_calibration_that_has_ended(site, ch
     for state in set(RUN_STATES) - set(TERMINAL_RUN_STATES):
         with pytest.raises(ConflictError, match=state):
             ask(site, site.add_run(state=state))
-    with pytest.raises(ConflictError, match="chooses a camera itself"):
+    with pytest.raises(ConflictError, match="is itself the choice of a camera"):
         ask(site, chosen)
     with open_reading(site.engine) as session, pytest.raises(NotFoundError):
         choices.get_choice(session, site.blobs, 2)
@@ -155,13 +155,13 @@ def test_a_choice_is_no_calibration_to_lists_the_fleet_and_parameter_sets(site, 
 
 def test_the_tab_offers_a_choice_and_says_why_it_may_not_be_asked_for(site, read):
     page = site.visitor("ada").get("/runs/1?part=distortion")
-    assert "Nobody has asked which camera model" in read(page)
+    assert "Which camera model these data need has not been tested yet" in read(page)
     assert '<button class="button-primary" title="Fit every' in page
     page = site.visitor("victor").get("/runs/1?part=distortion")
     assert '<button class="button-primary" disabled' in page
-    assert "Only an analyst may have a camera chosen" in read(page)
+    assert "Only an analyst may choose a camera" in read(page)
     waiting = site.add_run()
-    assert f"Run {waiting} is QUEUED; ask for its camera" in read(
+    assert f"Run {waiting} is QUEUED; choose its camera" in read(
         site.visitor("ada").get(f"/runs/{waiting}?part=distortion")
     )
 

@@ -38,7 +38,7 @@ def test_a_run_without_a_result_is_compared_as_far_as_it_has_come(site, read):
 
 @pytest.mark.parametrize(
     ("asked", "said"),
-    [(["1,x"], "'x' is no run number"), ([",".join(map(str, range(30)))], f"at most {MOST_RUNS}")],
+    [(["1,x"], "'x' is not a run number"), ([",".join(map(str, range(30)))], f"at most {MOST_RUNS}")],
 )
 def test_what_cannot_be_compared_is_refused_in_one_sentence(asked, said):
     with pytest.raises(RefusedInputError, match=said):
@@ -97,7 +97,7 @@ def test_more_than_eight_runs_are_warned_of_with_the_table_and_the_band_at_hand(
     page = site.visitor("victor").get(f"/compare?runs={','.join(map(str, runs))}")
     assert "More than eight runs" in page
     assert 'overlay=table">Tables only' in page
-    assert 'overlay=band">Band of the lowest' in page
+    assert 'overlay=band">Band from lowest' in page
 
 
 def test_unlike_models_are_refused_with_both_named_and_a_set_to_convert(site, read, results):

@@ -99,7 +99,7 @@ def test_a_batch_has_no_axis_to_choose_and_no_tail_and_without_a_held_out_set_it
     tail, rows = tail_facts(parse_calibration({**results["batch"], "validation": None}), asked)
     assert tail is None
     assert not any(term.startswith("Tail") for term, _, _ in rows)
-    assert "launch with one" in rows[-1][2]
+    assert "launch a run with one" in rows[-1][2]
 
 
 def test_errors_stand_with_their_three_sigma_and_held_out_ones_by_themselves(results):
@@ -125,9 +125,9 @@ def test_a_result_that_kept_no_number_of_held_out_arcs_shows_the_value_and_says_
     judged = parse_calibration({**result, "validation": kept})
     _, value, meaning = tail_facts(judged, view("", result))[1][-1]
     assert float(value) == pytest.approx(1e6 * kept["rms_arc_rad"]["final"], rel=1e-3)
-    assert meaning.endswith("σ not kept.")
+    assert meaning.endswith("σ not stored.")
     said = {mark.name: mark.detail for mark in make_verdict_marks(judged)}
-    assert said["validation_rms"].endswith("σ not kept")
+    assert said["validation_rms"].endswith("σ not stored")
     marks = make_verdict_marks(parse_calibration(result))
     assert "(3σ)" in next(mark.detail for mark in marks if mark.name == "validation_rms")
 
@@ -255,7 +255,7 @@ def test_one_method_twice_has_no_panel_and_runs_without_results_ask_for_patience
 def test_methods_on_different_sets_are_refused_with_both_runs_named(site, read, results):
     other = site.add_run("sqrf", state="SUCCEEDED", result=results["sqrf"], telemetry_set_id=2)
     text = read(site.visitor("victor").get(f"/compare?runs=1,{other}"))
-    assert f"Run #1 and run #{other} are of different telemetry sets" in text
+    assert f"Run #1 and run #{other} use different telemetry sets" in text
     assert "Claimed error" not in text
 
 

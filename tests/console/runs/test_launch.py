@@ -150,16 +150,16 @@ def test_queueing_stores_the_settings_as_typed_and_a_clone_starts_from_them(site
 @pytest.mark.parametrize(
     ("typed", "said"),
     [
-        ({"linearisations": "many"}, "Linearisations a frame: 'many' is not a whole number"),
-        ({"process_noise_sigma": "lots"}, "Drift a frame: 'lots' is not a number"),
+        ({"linearisations": "many"}, "Linearisations per frame: 'many' is not a whole number"),
+        ({"process_noise_sigma": "lots"}, "Drift per frame: 'lots' is not a number"),
         ({"free-1": []}, "No parameter is free"),
         ({"linearisations": "0"}, "give a whole number from 1"),
-        ({"validation_set_id": "1"}, "cannot validate a calibration made from itself"),
+        ({"validation_set_id": "1"}, "cannot validate a calibration that was made from it"),
         ({"replay_frames_per_s": "nan"}, "give a number from 0"),
         (BATCH_FORM | {"huber_threshold": "wide"}, "Huber threshold: 'wide' is not a number"),
         (BATCH_FORM | {"minimum_stars": "3"}, "give a whole number from 4"),
         (BATCH_FORM | {"flight_tolerance_urad": "0"}, "give a number from 0.1"),
-        (BATCH_FORM | {"error": "cosine"}, "has no weights to be robust by"),
+        (BATCH_FORM | {"error": "cosine"}, "has no weights for a robust loss"),
     ],
 )
 def test_a_refusal_keeps_everything_that_was_typed(site, read, typed, said):
@@ -213,7 +213,7 @@ def test_a_check_names_the_choices_that_differ_from_the_usual(site, read):
     text = read(site.visitor("ada").post("/runs/new", **BATCH_FORM, intent="check").text)
     assert "minimum_stars 6" in text
     assert "robust huber" in text
-    assert "forgetting_factor" not in text[text.index("Other choices") :]
+    assert "forgetting_factor" not in text[text.index("Other settings") :]
 
 
 def _count(site):
@@ -276,7 +276,7 @@ def test_a_clone_shows_what_was_changed_of_its_run(site, read):
     other = read(ada.post(f"/runs/new?clone={number}", **changed).text)
     assert "No setting differs." in same
     assert f"Changed from run #{number}" in other
-    assert "Linearisations a frame 4 2" in other
+    assert "Linearisations per frame 4 2" in other
     assert "Free parameters f_m, b2_per_m2 f_m" in other
 
 
@@ -284,7 +284,7 @@ def test_differences_are_told_in_the_words_of_the_form():
     before, now = {"method": "batch"}, {"method": "svd", "singular_values": [1, 3], "leave_out_doubles": True}
     told = {one.title: (one.before, one.now) for one in differences(before, now)}
     assert told["Method"] == ("Batch", "Singular values")
-    assert told["Singular values"][1] == "σ1 and σ3: the same by another name"
+    assert told["Singular values"][1] == "σ1 and σ3: the same information"
     assert told["Leave out doubles and unreliable stars"] == ("no", "yes")
     assert differences(now, now) == []
 
@@ -309,7 +309,7 @@ def test_a_preset_without_a_sentence_is_refused_and_everything_stays_typed(site,
 
 def test_a_set_that_cannot_be_looked_into_leaves_the_dry_run_its_size(site, read):
     text = read(site.visitor("ada").post("/runs/new", **FORM, intent="check").text)
-    assert "No sigma can be foretold" in text
+    assert "No sigma can be predicted" in text
     assert "a guess before the first run" in text or "of this method" in text
 
 

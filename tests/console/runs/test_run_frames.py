@@ -78,12 +78,12 @@ def test_without_a_frame_the_worst_one_opens_and_the_worst_are_listed_first(site
 
 def test_a_frame_that_is_not_there_says_which_there_are(site, read, run_id):
     assert "numbered from 0 to 39" in read(frames_page(site, run_id, frame=4000))
-    assert "is no frame number" in read(frames_page(site, run_id, frame="abc"))
+    assert "is not a frame number" in read(frames_page(site, run_id, frame="abc"))
 
 
 def test_a_queued_run_shows_its_frames_under_the_parameters_it_has(site, read):
     text = read(frames_page(site, site.add_run("batch"), frame=3))
-    assert "The run has no parameters of its own to show this frame under." in text
+    assert "The run has no parameters to show this frame with." in text
     assert "On the detector" in text
 
 

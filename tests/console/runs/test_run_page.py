@@ -88,7 +88,7 @@ def test_a_running_run_shows_its_partial_estimate_marked_partial_and_follows_the
     assert "live-run.js" in page
     assert "data-follows" in page
     page = site.visitor("victor").get(f"/runs/{run_id}?part=evidence")
-    assert "Trust is examined when the run ends" in read(page)
+    assert "trust is examined when the run ends" in read(page)
     assert not list_figures(page) & {figure.name for figure in CHAPTERS["trust"] + CHAPTERS["matching"]}
 
 
@@ -382,8 +382,8 @@ def test_a_result_from_before_the_examination_says_how_to_have_one(site, read, r
     old = {name: said for name, said in results["batch"].items() if name not in ("trust", "matching", "shadow")}
     run_id = site.add_run("batch", state="SUCCEEDED", result=old)
     victor = site.visitor("victor")
-    assert "clone its run and start it again" in read(victor.get(f"/runs/{run_id}?part=evidence"))
-    assert "used the matches it was given" in read(victor.get(f"/runs/{run_id}?part=evidence"))
+    assert "clone its run and run it again" in read(victor.get(f"/runs/{run_id}?part=evidence"))
+    assert "used the given matches" in read(victor.get(f"/runs/{run_id}?part=evidence"))
 
 
 FREE = {"turns": True, "connected": True, "threads": 2, "tasks": 1}
@@ -402,12 +402,12 @@ def tell(site):
 @pytest.mark.parametrize(
     ("workers", "said"),
     [
-        ({}, "This server computes nothing itself"),
-        (FREE | {"turns": False}, "This server computes nothing itself"),
-        (FREE | {"connected": False}, "No worker is there yet"),
-        (FREE | {"threads": 0}, "No worker is there yet"),
-        (FREE, "A worker is free: it starts at once."),
-        (FREE | {"tasks": 2}, "All 2 workers are busy with run #{busy}; it starts when one is free."),
+        ({}, "This server has no workers"),
+        (FREE | {"turns": False}, "This server has no workers"),
+        (FREE | {"connected": False}, "No worker is connected yet"),
+        (FREE | {"threads": 0}, "No worker is connected yet"),
+        (FREE, "A worker is free: the run starts at once."),
+        (FREE | {"tasks": 2}, "All 2 workers are busy with run #{busy}; the run starts when one is free."),
         (FREE | {"tasks": 1, "threads": 1}, "The only worker is busy with run #{busy}"),
     ],
 )
@@ -423,9 +423,9 @@ def test_a_queued_run_says_its_position_and_what_it_waits_for(site, read, worker
 
 def test_a_run_that_is_computed_again_says_why(site, read, tell):
     run_id = site.add_run(state="RUNNING", attempt=2, started_utc=utc_now())
-    tell(run_id, replace(Line.queued_again("its server host/1 was not heard of any more"), message="in other words"))
+    tell(run_id, replace(Line.queued_again("its server host/1 stopped reporting"), message="in other words"))
     text = read(site.visitor("victor").get(f"/runs/{run_id}"))
-    assert "Attempt 1 ended without a result: its server host/1 was not heard of any more." in text
+    assert "Attempt 1 ended without a result: its server host/1 stopped reporting." in text
     assert "attempt 2" in text
 
 
@@ -460,7 +460,7 @@ def test_a_lost_run_says_when_it_was_last_heard_of_and_offers_to_run_it_again(si
     page = site.visitor("ada").get(f"/runs/{run_id}")
     text = read(page)
     assert "The worker stopped reporting at 2026-11-21 03:04:05Z; no result is trusted. Given up after" in text
-    assert "PARTIAL: It had come to 43 % (frame 17: 17 of 40 frames)." in text
+    assert "PARTIAL: It had reached 43 % (frame 17: 17 of 40 frames)." in text
     assert f'href="/runs/new?clone={run_id}">Run it again</a>' in page
 
 

@@ -94,7 +94,7 @@ def test_a_dry_run_says_what_it_would_be_and_queues_nothing(session, launch, add
 def test_a_dry_run_warns_of_few_arcs_and_of_no_validation(launch, add_set):
     tiny = add_set(frames=1, stars=5)
     warnings = launch(telemetry_set_id=tiny.id, validate_only=True)["warnings"]
-    assert warnings[0].startswith("About 7 arcs for 8 parameters is little")
+    assert warnings[0].startswith("About 7 arcs are few for 8 parameters")
     assert "validation set" in warnings[1]
 
 
@@ -180,7 +180,7 @@ def test_the_list_is_paged_newest_first_and_filtered(session, people, launch):
     assert len(runs.list_runs(session, state=["QUEUED", "CANCELLED"], sensor_id=1)) == 4
     assert runs.list_runs(session, sensor_id=2) == []
     assert runs.count_by_state(session)["QUEUED"] == 3
-    with pytest.raises(RefusedInputError, match="DONE is no state"):
+    with pytest.raises(RefusedInputError, match="DONE is not a state"):
         runs.list_runs(session, state="DONE")
 
 
@@ -280,7 +280,7 @@ def test_what_an_archived_version_said_can_still_be_read_and_an_older_one_comes_
 
 def test_the_same_again_is_no_new_version_unless_it_was_archived(session, people, save):
     row = save()
-    with pytest.raises(ConflictError, match="Version 1 of Ours says the same already"):
+    with pytest.raises(ConflictError, match="Version 1 of Ours is identical"):
         save()
     presets.archive_preset(session, people["ana"], row.id)
     assert save().number == 2
@@ -292,7 +292,7 @@ def test_the_same_again_is_no_new_version_unless_it_was_archived(session, people
         ({"name": " "}, "Give the preset a name"),
         ({"name": "n" * 61}, "up to 60 characters"),
         ({"sentence": ""}, "when to use Ours"),
-        ({"name": "quick LOOK"}, "comes with Boresight; choose another name"),
+        ({"name": "quick LOOK"}, "is a built-in preset; choose another name"),
         ({"name": "a\x07b"}, "U.0007"),
         ({"method": "magic"}, "choose from batch"),
     ],
@@ -428,9 +428,9 @@ def test_what_cannot_be_compared_is_refused(session, blobs, run_on):
     runs = [run_on(list(range(40))), run_on(list(range(50, 90)))]
     with pytest.raises(RefusedInputError, match="two runs or more"):
         compare(session, blobs, runs[:1])
-    with pytest.raises(RefusedInputError, match="none of those compared"):
+    with pytest.raises(RefusedInputError, match="not among those compared"):
         compare(session, blobs, runs, 999)
     with pytest.raises(NotFoundError, match="There is no run 999"):
         compare(session, blobs, [*runs, 999])
-    with pytest.raises(NotFoundError, match="so great a number"):
+    with pytest.raises(NotFoundError, match="so large a number"):
         read_run_ids(["9" * 5000])

@@ -143,7 +143,7 @@ def test_a_dump_with_a_flipped_bit_is_a_mismatch_that_the_page_names(site, read)
     assert re.search(r"N0_PX 16 [\d.]+ [0-9A-F]{16} [-+.e\d]+ [0-9A-F]{16}", words)
     assert 'class="failed"' in page
     assert send_dump(site, visitor, sent).status_code == 303
-    assert "What was read back matches, byte for byte." in read(visitor.get(STEPS))
+    assert "The read-back matches, byte for byte." in read(visitor.get(STEPS))
 
 
 def test_the_page_says_who_defines_the_table_and_that_a_typed_crc_verified_by_crc(site, read):
@@ -181,7 +181,7 @@ def test_what_was_verified_by_word_alone_is_to_be_read_back_before_it_is_signed(
     with open_writing(site.engine) as session:
         add_entry(session, site.actor("olga"), session.get_one(ParameterSet, 1), "VERIFIED", "pass 1")
     visitor = site.visitor("olga")
-    assert "VERIFIED by statement alone: read it back before you sign." in read(visitor.get(STEPS))
+    assert "VERIFIED only by statement: read it back before you sign." in read(visitor.get(STEPS))
 
 
 def test_loaded_is_not_offered_while_a_dump_stands_against_it(site):
@@ -224,7 +224,7 @@ def test_the_package_is_built_once_and_listed_with_hashes_and_the_way_back(site,
         assert visitor.post(f"{STEPS}/package").status_code == 303
     words = read(visitor.get(STEPS))
     assert "Exported done" in words
-    assert "Way back PS-ST16-1-0" in words
+    assert "Back-out PS-ST16-1-0" in words
     assert "SHA256SUMS" in words
     with open_reading(site.engine) as session:
         (package,) = lists.list_newest(session, Package)

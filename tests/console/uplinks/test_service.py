@@ -71,10 +71,10 @@ def test_active_is_never_reached_but_from_verified(states):
             "LOADED",
             "x",
             ConflictError,
-            "PS-ST16-1-0 is NOT SENT on board, from which LOADED does not follow; record SENT",
+            "PS-ST16-1-0 is NOT SENT on board, so LOADED cannot be next; record SENT",
         ),
         ("FLYING", "x", RefusedInputError, "no on-board state 'FLYING'"),
-        ("SENT", "  ", RefusedInputError, "Say where this is known from"),
+        ("SENT", "  ", RefusedInputError, "Give the source"),
     ],
 )
 def test_a_step_off_the_ladder_leaves_no_record(engine, people, state, source, error, says):
@@ -100,7 +100,7 @@ def test_nobodys_word_makes_a_set_verified_or_active_and_the_door_is_named(engin
         _record(engine, key, "ACTIVE")
     with pytest.raises(ConflictError, match="VERIFIED is not recorded by statement"):
         _record(engine, key, "VERIFIED")
-    with pytest.raises(ForbiddenError, match="answer for this"):
+    with pytest.raises(ForbiddenError, match="needs a person"):
         _record(engine, COMMAND_LINE, "SENT")
     assert onboard(engine) == before
 
@@ -193,10 +193,10 @@ def test_a_signed_entry_keeps_name_meaning_source_and_the_hash_of_what_was_shown
 REFUSED: list[tuple[str, dict[str, Any], type[BoresightError], str]] = [
     ("dee", {"password": "wrong"}, UnauthenticatedError, "password"),
     ("dee", {"meaning": "  "}, RefusedInputError, "Say what your signature means"),
-    ("dee", {"source": ""}, RefusedInputError, "Say where this is known from"),
+    ("dee", {"source": ""}, RefusedInputError, "Give the source"),
     ("dee", {"seen": None}, PreconditionRequiredError, "which version"),
-    ("dee", {"seen": 1}, StaleError, "changed since you looked"),
-    ("dee", {"happened": "soon"}, RefusedInputError, "is no time"),
+    ("dee", {"seen": 1}, StaleError, "changed since you read it"),
+    ("dee", {"happened": "soon"}, RefusedInputError, "is not a time"),
     ("ana", {}, ForbiddenError, "role operator"),
     ("cy", {}, ForbiddenError, "role operator"),
     ("root", {}, ForbiddenError, "An administrator cannot sign"),
@@ -224,7 +224,7 @@ def test_what_an_earlier_version_took_for_verified_on_somebodys_word_is_read_bac
     advance(engine, people["dee"], "SENT", "LOADED")
     with open_writing(engine) as session:
         add_entry(session, people["dee"], session.get_one(ParameterSet, 1), "VERIFIED", "pass 4711")
-    with pytest.raises(ConflictError, match="is VERIFIED by statement alone; read it back by dump or CRC"):
+    with pytest.raises(ConflictError, match="is VERIFIED only by statement; read it back by dump or CRC"):
         activate(engine, people["dee"])
     advance(engine, people["dee"], "VERIFIED")
     assert activate(engine, people["dee"]).onboard_state == "ACTIVE"

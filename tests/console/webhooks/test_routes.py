@@ -378,7 +378,7 @@ def test_a_new_webhooks_secret_is_shown_this_once(site):
 def test_a_refused_webhook_keeps_what_was_typed(site, read):
     answer = site.visitor("adele").post("/webhooks", **{**FORM, "url": "mission"})
     assert answer.status_code == 422
-    assert "is no address" in read(answer.text)
+    assert "is not an address" in read(answer.text)
     assert 'value="Mission chat"' in answer.text
 
 
@@ -407,6 +407,6 @@ def test_a_disabled_webhook_offers_to_be_enabled_and_nothing_else(site):
 def test_who_is_no_administrator_is_told_who_may_and_shown_no_address(site, read):
     address = _made(site)
     page = read(site.visitor("ada").get("/webhooks"))
-    assert "Webhooks are managed by administrators" in page
+    assert "Only administrators manage webhooks" in page
     assert "mission.invalid" not in page
     assert site.visitor("ada").send("GET", address, headers={"accept": "text/html"}).status_code == 403

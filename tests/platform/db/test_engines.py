@@ -119,14 +119,22 @@ def test_writers_of_two_databases_on_one_server_do_not_wait_for_each_other(two: 
 
 def test_a_writer_that_waits_too_long_is_told_so(two: list[Engine], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engines.be_the_only_writer, "__kwdefaults__", {"wait_s": 1})
-    with open_writing(two[0]), pytest.raises(UnavailableError, match="held by another writer"), open_writing(two[0]):
+    with (
+        open_writing(two[0]),
+        pytest.raises(UnavailableError, match="Another writer is using the database"),
+        open_writing(two[0]),
+    ):
         pytest.fail("there are two writers")
 
 
 def test_a_sqlite_writer_that_waits_too_long_is_told_the_same(sqlite: Engine) -> None:
     sqlite.dispose()  # its connections wait for ten seconds
     sa.event.listen(sqlite, "connect", lambda opened, _: opened.execute("PRAGMA busy_timeout=10"))
-    with open_writing(sqlite), pytest.raises(UnavailableError, match="held by another writer"), open_writing(sqlite):
+    with (
+        open_writing(sqlite),
+        pytest.raises(UnavailableError, match="Another writer is using the database"),
+        open_writing(sqlite),
+    ):
         pytest.fail("there are two writers")
 
 

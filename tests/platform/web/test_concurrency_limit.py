@@ -32,7 +32,7 @@ def test_who_comes_when_too_many_are_under_way_is_told_when_to_come_back(
     assert answer.json()["type"] == "urn:boresight:problem:overloaded"
     page = client.get("/sensors", headers={"Accept": "text/html"})
     assert (page.status_code, page.headers["retry-after"]) == (503, str(COME_BACK_S))
-    assert "ask again" in page.text
+    assert "try again" in page.text
 
 
 def test_those_who_watch_and_the_files_of_pages_are_always_let_in(

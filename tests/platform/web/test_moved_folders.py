@@ -121,7 +121,7 @@ def test_connections_that_are_open_on_a_moved_database_are_refused_too(tmp_path:
     assert reader.look() is not None
     place.parent.rename(tmp_path / "away")
     for opened in (open_reading, open_writing):
-        with pytest.raises(StorageError, match="is not there any more"), opened(engine) as session:
+        with pytest.raises(StorageError, match="is gone: mount its disk"), opened(engine) as session:
             session.connection()
     assert reader.look() is None
     place.parent.mkdir()
@@ -136,7 +136,7 @@ def test_a_stored_file_is_not_called_missing_where_its_folder_is(tmp_path: Path)
     sha256 = blobs.put(b"stars")
     blobs.folder.rename(tmp_path / "away")
     for act in (lambda: blobs.read(sha256), lambda: blobs.put(b"more"), blobs.refuse_unusable):
-        with pytest.raises(StorageError, match="is not there any more"):
+        with pytest.raises(StorageError, match="is gone: mount its disk"):
             act()
     (tmp_path / "away").rename(blobs.folder)
     assert blobs.read(sha256) == b"stars"

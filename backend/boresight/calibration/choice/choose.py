@@ -55,7 +55,7 @@ from boresight.telemetry.sensors import Sensor
 
 Report = Callable[[str, float], None]
 NO_FIT = (
-    "No camera model could be fitted to these stars, for the fits diverge: check the sensor file's focal length and parity, and "
+    "No camera model can be fitted to these stars, the fits diverge: check the sensor file's focal length and parity, and "
     "the identities, with `boresight check`."
 )
 
@@ -123,7 +123,7 @@ def choose(  # noqa: PLR0913 - what is chosen from, and six choices of the calle
     candidates = list(fits.known.values())
     held = _score_held_out(validation, fits, candidates, richest, catalogue, settings, context, rng)
     advice += held[1]
-    tell("looking over the detector", 0.8)
+    tell("comparing over the detector", 0.8)
     tables = _CandidateTables(fits, noise, candidates, held[0])
     answer = Choice(
         sensor=sensor.name,
@@ -247,7 +247,7 @@ def _read(
     words = off.sentences(which)
     if is_large(telemetry):
         words.append(
-            f"The set{which} is large: {len(np.unique(inside.frame)):,} of its frames, evenly spread, were looked at."
+            f"The set{which} is large: {len(np.unique(inside.frame)):,} of its frames, evenly spread, were used."
         )
     return inside, words
 
@@ -291,7 +291,7 @@ def _matched(
     first = sets.at_start()
     if first.problem.arcs.n_exposures == 0:
         raise RefusedInputError(
-            "No exposure has four stars that can be used: check identities, times and the sensor file with `boresight check`."
+            "No exposure has four usable stars: check identities, times and the sensor file with `boresight check`."
         )
     ended = Estimation(sets, first, everything, chosen, lambda *_: None, context.cancelled).run()
     last = first if ended.estimate.status == "diverged" else ended.matched
@@ -327,13 +327,11 @@ def _score_held_out(
     """Score every candidate on a validation set, matched under the richest camera, or by cross-validation."""
     if validation is None:
         found = cross_validate(fits, candidates, rng)
-        return found, [] if found else ["One frame alone leaves nothing to hold out: give a validation set."]
+        return found, [] if found else ["With one frame alone nothing can be held out: give a validation set."]
     inside, words = _read(validation, fits.sensor, catalogue, " in the validation set")
     matched = _matched_under(inside, fits, richest, catalogue, settings, context)
     if matched.problem.arcs.n_exposures == 0:
-        raise RefusedInputError(
-            "No exposure of the validation set has four stars that can be used: choose another set."
-        )
+        raise RefusedInputError("No exposure of the validation set has four usable stars: choose another set.")
     arcs = whitened_at(matched.problem.arcs.whole(), richest.camera, richest.x)
     return validate(arcs, candidates, rng), words
 

@@ -209,7 +209,7 @@ class Choice:
         chosen, camera = self.chosen, CAMERA_MODELS.get(self.chosen.camera_model)
         if camera is None or not set(chosen.free) <= set(camera.parameter_names) <= set(chosen.parameters):
             raise RefusedInputError(
-                f"The chosen camera {chosen.camera_model} is not as this version has it: choose again with this version."
+                f"The chosen camera {chosen.camera_model} is not the one of this version: choose again with this version."
             )
         return replace(
             sensor,
@@ -246,7 +246,7 @@ def parse_choice(document: str | bytes | Mapping[str, Any], name: str = "This do
         first = error.errors(include_url=False)[0]
         where = ".".join(str(part) for part in first["loc"])
         raise RefusedInputError(
-            f"{name} is no whole choice of a camera ({where}: {first['msg']}): {advice}."
+            f"{name} is not a complete choice of a camera ({where}: {first['msg']}): {advice}."
         ) from error
     if fault := _find_fault(found):
         raise RefusedInputError(f"{name} contradicts itself ({fault}): {advice}.")
@@ -273,13 +273,13 @@ def say(found: Choice) -> str:
 def _say_needed(found: Choice) -> str:
     camera, terms = found.chosen.camera_model, found.chosen.terms
     if not terms:
-        return f"{camera} with nothing but its focal length free suffices"
+        return f"{camera} with only its focal length free suffices"
     of = [(one.terms[0], f"p {shown_p(one.log10_p_corrected)}", _say_saved(one.held_out_ratio)) for one in found.needed]
     tested = {name for name, _, _ in of}
     held = [name for name in terms if name not in tested]
     if len(of) == 1:
         name, p, saved = of[0]
-        stands = f", which stand on {listed(held)}," if held else ""
+        stands = f", in addition to {listed(held)}," if held else ""
         return f"{camera}: {name} terms{stands} are needed: {', '.join(part for part in (p, saved) if part)}"
     each = listed([f"{name} ({', '.join(part for part in (p, saved) if part)})" for name, p, saved in of])
     return f"{camera}: {each} terms are needed" + (f", on {listed(held)}" if held else "")
@@ -291,9 +291,9 @@ def _say_camera(found: Choice) -> Iterable[str]:
         if other.camera_model != own:
             continue
         if other.test is not None and other.test.needed:
-            yield f"{own} does not hold them (p {shown_p(other.test.log10_p_corrected)})"
+            yield f"{own} does not have them (p {shown_p(other.test.log10_p_corrected)})"
         else:
-            yield f"{own} holds the stars less well (BIC {other.bic_above:.3g} above)"
+            yield f"{own} fits the stars less well (BIC {other.bic_above:.3g} above)"
 
 
 def _say_rest(found: Choice) -> Iterable[str]:
@@ -301,12 +301,12 @@ def _say_rest(found: Choice) -> Iterable[str]:
     if found.sufficiency is Sufficiency.SOMETHING_LEFT and found.leftover is not None:
         left = found.leftover
         yield (
-            f"but no model here suffices: {left.largest_px:.2g} ± {3 * left.sigma_px:.1g} px of smooth displacement is left "
+            f"but no model here suffices: {left.largest_px:.2g} ± {3 * left.sigma_px:.1g} px of smooth displacement remain "
             f"(p {shown_p(math.log10(max(left.p, 1e-300)))})"
         )
     elif missing:
         terms = listed(sorted({name for test in missing for name in test.terms}))
-        yield f"{terms} would be needed beyond, which these stars do not determine"
+        yield f"{terms} would also be needed, but these stars do not determine them"
     else:
         yield "nothing beyond"
     if not found.noise_of_chosen.as_stated:

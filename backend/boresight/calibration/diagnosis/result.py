@@ -12,18 +12,18 @@ from boresight.errors import RefusedInputError
 SCHEMA: Final = "boresight.diagnosis/1"
 #: Every cause, with what it says of the file in a clause; the first says that nothing is wrong and the last that nobody knows.
 CAUSES: Final = {
-    "none": "sensor file and telemetry fit each other",
+    "none": "sensor file and telemetry match",
     "parity": "the image is mirrored",
     "swapped_axes": "rows and columns are exchanged",
     "flipped_rows": "rows are counted from the other edge",
     "flipped_columns": "columns are counted from the other edge",
     "half_pixel": "pixels are counted from another origin",
-    "focal_length": "the focal length is another",
+    "focal_length": "the focal length is wrong",
     "j2000_directions": "star directions are of another kind than declared",
     "quaternion_order": "quaternions are written in another order or sense",
     "no_time": "the telemetry has no time",
-    "wrong_epoch": "times are of another epoch",
-    "magnitude_limit": "the magnitude limit is another",
+    "wrong_epoch": "times are counted from another epoch",
+    "magnitude_limit": "the magnitude limit is wrong",
     "unknown": "nothing that was tried explains it",
 }
 
@@ -102,7 +102,7 @@ def parse_diagnosis(document: Mapping[str, Any]) -> Diagnosis:
     """Read a diagnosis; a member that is not known here is dropped."""
     if document.get("schema") != SCHEMA:
         raise RefusedInputError(
-            f"This is no diagnosis, its schema is {document.get('schema')!r}, not {SCHEMA!r}: diagnose the set again."
+            f"This is not a diagnosis, its schema is {document.get('schema')!r}, not {SCHEMA!r}: diagnose the set again."
         )
     return parse_part(
         Diagnosis,

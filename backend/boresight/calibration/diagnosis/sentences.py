@@ -28,7 +28,7 @@ def describe(hypothesis: Hypothesis) -> str:
         f"quaternions {mapping.quaternion_order} {mapping.quaternion_sense}" if _turned(hypothesis) else "",
         f"times {_shift(mapping.time_shift_s)}" if mapping.time_shift_s else "",
     ]
-    return ", ".join(part for part in said if part) or "the files as they stand"
+    return ", ".join(part for part in said if part) or "the files as they are"
 
 
 def _limit(limit: float | None) -> str:
@@ -51,20 +51,20 @@ def say(found: Diagnosis, best: Trial, sensor: Sensor) -> str:
     """Say in a sentence what is wrong, how surely, and what to do."""
     looked = f"{found.exposures:,} exposures"
     if found.of_exposures > found.exposures:
-        looked += f" of {found.of_exposures:,} looked at"
+        looked += f" of {found.of_exposures:,} tried"
     if found.fits:
-        return f"Sensor file and telemetry fit each other: {found.exposures_solved:,} of {looked} match as they stand."
+        return f"Sensor file and telemetry match: {found.exposures_solved:,} of {looked} match as they are."
     if "unknown" in found.names:
         return _say_unknown(found, looked)
     parts = [_clause(name, best, sensor) for name in found.names]
     others = [CAUSES[cause.name] for cause in found.causes if cause.alternative]
     told = "; ".join(parts)
     if others:
-        told += f" (or {' or '.join(others)}: stars alone cannot tell these apart)"
+        told += f" (or {' or '.join(others)}: stars alone cannot separate these)"
     if found.names == ("no_time",):
-        return f"{told[0].upper()}{told[1:]}; all else fits: {found.exposures_solved:,} of {looked} match but for it."
-    before = f"{found.exposures_solved_before:,} as the files stand"
-    return f"{told[0].upper()}{told[1:]}: so {found.exposures_solved:,} of {looked} match, {before}."
+        return f"{told[0].upper()}{told[1:]}; everything else matches: {found.exposures_solved:,} of {looked} match apart from it."
+    before = f"{found.exposures_solved_before:,} with the files as they are"
+    return f"{told[0].upper()}{told[1:]}: corrected, {found.exposures_solved:,} of {looked} match, {before}."
 
 
 def _say_unknown(found: Diagnosis, looked: str) -> str:
@@ -72,12 +72,12 @@ def _say_unknown(found: Diagnosis, looked: str) -> str:
     told = f"{'; '.join(known)}. ".capitalize() if known else ""
     short = " (the time limit ended the search)" if found.cut_short else ""
     told += (
-        f"Nothing that was tried makes enough of {looked} match ({found.exposures_solved_before:,} do as they stand), not parity, "
+        f"Nothing that was tried makes enough of {looked} match ({found.exposures_solved_before:,} do as they are), not parity, "
         f"exchanged or flipped axes, focal lengths from -40 to +67 %, or the magnitude limit{short}; pixels counted from half a "
-        "pixel or from 1 would not keep stars from matching"
+        "pixel or from 1 would not prevent stars from matching"
     )
     return (
-        f"{told}: check that the centroids are stars (at least 4 an exposure, in pixels), and that sensor and telemetry are of one "
+        f"{told}: check that the centroids are stars (at least 4 an exposure, in pixels), and that sensor and telemetry share a "
         "camera."
     )
 
@@ -89,7 +89,7 @@ def _clause(name: str, best: Trial, sensor: Sensor) -> str:
 
 
 def _parity_clause(best: Trial, _: Sensor) -> str:
-    return f"the image is mirrored against what the sensor file says: parity {best.sensor.parity:+d} solves it"
+    return f"the image is mirrored compared with the sensor file: parity {best.sensor.parity:+d} solves it"
 
 
 def _origin_clause(best: Trial, _: Sensor) -> str:
@@ -113,11 +113,11 @@ def _quaternion_clause(best: Trial, _: Sensor) -> str:
 
 
 def _time_clause(_: Trial, __: Sensor) -> str:
-    return "the telemetry has no time, without which no catalogue star has a direction: add time_utc (ISO 8601, UTC)"
+    return "the telemetry has no time, which directions of catalogue stars need: add time_utc (ISO 8601, UTC)"
 
 
 def _epoch_clause(best: Trial, _: Sensor) -> str:
-    return f"times are of another epoch: add {_shift(best.hypothesis.mapping.time_shift_s)}"
+    return f"times are counted from another epoch: add {_shift(best.hypothesis.mapping.time_shift_s)}"
 
 
 def _focal_clause(best: Trial, sensor: Sensor) -> str:
@@ -151,4 +151,4 @@ def advise(found: Diagnosis) -> list[str]:
         return []
     if "unknown" in found.names:
         return [found.sentence]
-    return [f"{found.sentence} `boresight diagnose` and the page of a telemetry set write the files mended."]
+    return [f"{found.sentence} `boresight diagnose` and the page of a telemetry set write corrected files."]

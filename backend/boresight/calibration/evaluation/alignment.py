@@ -217,16 +217,16 @@ def sentence(found: MeanRotation) -> str:
     turned = f"Loading these parameters turns the reported attitude by {size}"
     if not found.consistent:
         return (
-            f"{turned} {_about(axis)} on average, but not by the same in both halves of the set: "
+            f"{turned} {_about(axis)} on average, but not by the same amount in both halves of the set: "
             "find out why before C_SD is updated."
         )
     if angle * ARCSEC_PER_RAD <= 2 * by_loading:
-        return f"{turned}, which is no turn that these data can show: C_SD may stay as it is."
+        return f"{turned}, no rotation that these data can show: C_SD may stay as it is."
     another = ""
     if np.isfinite(by_repeating):
         another = f"; another such calibration would differ by {_fixed(by_repeating, by_repeating)} (one sigma)"
     return (
-        f"{turned} {_about(axis)}{another}: multiply C_SD from the right by the update to keep the attitude as it was."
+        f"{turned} {_about(axis)}{another}: multiply C_SD from the right by the update to keep the attitude unchanged."
     )
 
 

@@ -298,7 +298,7 @@ def _sentence(b: int, c: int, p: float, stars_lost: int, stars_gained: int) -> s
         return f"Both parameter sets solve the same frames; {stars}."
     lost, won = f"loses {_frames(b)} that the baseline solves", f"solves {_frames(c)} that the baseline loses"
     first, second = (won, lost) if c >= b else (lost, won)
-    doubt = "" if p < 0.05 else ", which chance alone would explain"
+    doubt = "" if p < 0.05 else ", which chance alone explains"
     return f"The candidate {first} and {second} (exact test, p = {p:.2g}{doubt}); {stars}."
 
 

@@ -144,7 +144,7 @@ def _share(reference: str, shares: FloatArray, names: list[str]) -> ReferenceInf
 def _sentence(information: list[ReferenceInformation], models: FloatArray) -> str:
     """Say in words what the references hold, and what W's measure makes of the models (4, n_frames)."""
     if not information:
-        return "These frames leave a direction of the parameters open, so there is no bound: hold a parameter fixed."
+        return "These frames do not determine one direction of the parameters, so there is no bound: hold a parameter fixed."
     share = {entry.reference: entry.share for entry in information}
     of_models = ", ".join(f"{_percent(share[f'model_{model}'])} under Model {model}" for model in STAR_MODELS)
     return (
@@ -241,7 +241,7 @@ def validate(
     if last.problem.arcs.n_exposures == 0:
         return with_advice(
             calibration,
-            f"The validation set has no exposure with {settings.minimum_stars} usable stars: nothing was checked by it.",
+            f"The validation set has no exposure with {settings.minimum_stars} usable stars: nothing was validated.",
         )
     scores, shadow = _flown(validation, first, last, estimate.x, settings)
     judged = replace(calibration, validation=scores, shadow=replace(calibration.shadow, validation=shadow))
@@ -266,7 +266,7 @@ def _of_validation(scores: Evaluation) -> list[str]:
     if rms.final is not None and rms.initial is not None and rms.final >= rms.initial:
         sentences.append(
             f"On the validation set the new parameters are no better than the old ({rms.final * 1e6:.1f} against "
-            f"{rms.initial * 1e6:.1f} urad): do not promote them without knowing why."
+            f"{rms.initial * 1e6:.1f} urad): find out why before you promote them."
         )
     if (
         availability.final is not None
@@ -275,6 +275,6 @@ def _of_validation(scores: Evaluation) -> list[str]:
     ):
         sentences.append(
             f"On the validation set fewer frames would give an attitude than before ({availability.final:.1%} against "
-            f"{availability.initial:.1%}): look at the frames that would be lost."
+            f"{availability.initial:.1%}): check the frames that would be lost."
         )
     return sentences

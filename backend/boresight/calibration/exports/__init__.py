@@ -28,7 +28,7 @@ def find_camera_format(name: str) -> ExportFormat:
     form = find_format(name)
     if form.needs_attitudes:
         raise RefusedInputError(
-            f"{form.name} has a header for each exposure, whose attitude its stars tell: write it from the telemetry with "
+            f"{form.name} has a header for each exposure, with the attitude from its stars: write it from the telemetry with "
             f"`boresight convert PARAMETERS --sensor FILE --telemetry FILE --to {form.name} --out FILE`."
         )
     return form

@@ -140,7 +140,7 @@ def export(
     allowed = form.share * sensor.centroid_sigma_px if allowed_px is None else allowed_px
     if form.needs_attitudes and not exposures:
         raise RefusedInputError(
-            f"{form.name} has a header for each exposure, and there is no exposure with an attitude: give telemetry "
+            f"{form.name} has a header for each exposure, but no exposure has an attitude: give telemetry "
             "whose stars can be matched."
         )
     fitted = fit_lens(form.lenses, sensor, x, allowed, P=P, residual=residual) if form.lenses else None
@@ -258,8 +258,8 @@ def provenance(asked: Export) -> list[str]:
     if fitted.turned:
         turn = rotation_vector(to_quaternion(fitted.turn)) * ARCSEC_PER_RAD
         lines.append(
-            "The frame is turned against the detector's by the rotation vector "
-            f"({turn[0]:.6g}, {turn[1]:.6g}, {turn[2]:.6g}) arcsec: turn attitudes with it"
+            "The frame is rotated from the detector's by the rotation vector "
+            f"({turn[0]:.6g}, {turn[1]:.6g}, {turn[2]:.6g}) arcsec: rotate attitudes by it"
         )
     return lines
 

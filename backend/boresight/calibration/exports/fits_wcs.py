@@ -233,9 +233,9 @@ def _header(asked: Export, kind: str, exposure: ExposureAttitude, fit: _Fit, gri
     header["MISFIT"] = (fit.misfit_px, "largest over the detector, pixels")
     (_sip if kind == "SIP" else _tpv)(header, fit, grid, (row0, column0))
     header["COMMENT"] = (
-        "Directions are apparent: aberration is not undone, for no time tells it"
+        "Directions are apparent: aberration is not removed, because there is no time"
         if exposure.velocity_c is None
-        else "Aberration is undone; move catalogue places by proper motion and parallax"
+        else "Aberration is removed; move catalogue places by proper motion and parallax"
     )
     return header
 
@@ -252,7 +252,7 @@ def _write(asked: Export, kind: str) -> Written:
     grids = _grid(asked, FITTED), _grid(asked, JUDGED)
     if not all(np.isfinite(grid.s).all() for grid in grids):
         raise RefusedInputError(
-            f"The camera of {asked.source.name} sees nothing in a part of the detector, where no header can say a direction: give "
+            f"The camera of {asked.source.name} has no direction in a part of the detector, so no header can be written: give "
             "parameters that cover the detector."
         )
     order = _order(asked, kind, grids)

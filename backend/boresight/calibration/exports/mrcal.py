@@ -34,5 +34,5 @@ def _write(asked: Export) -> Written:
 
 MRCAL = ExportFormat(
     "mrcal", "mrcal", (".cameramodel",), "text/plain", _write, (PLUMB_BOB, THIN_PRISM, RATIONAL, THIN_PRISM_RATIONAL),
-    why="`LENSMODEL_OPENCV5`, `8` or `12`; the pose is the turn of the frame",
+    why="`LENSMODEL_OPENCV5`, `8` or `12`; the pose is the rotation of the frame",
 )  # fmt: skip

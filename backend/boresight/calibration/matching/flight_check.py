@@ -55,8 +55,8 @@ ARC_SIGMAS = 5.0
 AGREEING, OF = 2, 3
 FLIGHT_REASONS = (
     "valid",
-    "fewer stars matched than the least number",
-    "fewer matches agree than the least number",
+    "fewer stars matched than required",
+    "fewer matches agree than required",
     "no more than two thirds of the matches agree",
 )
 

@@ -230,7 +230,7 @@ def names_advice(given: int, kept: int) -> list[str]:
         return []
     sentence = (
         f"Only {kept:,} of {given:,} given identities agree with this sensor: the sensor file, its parity or its parameters are "
-        "probably not those of this telemetry; attitudes and matches found in spite of that deserve no trust."
+        "probably wrong for this telemetry; do not trust the attitudes and matches that were found."
     )
     return [sentence]
 

@@ -80,8 +80,8 @@ SAMPLE_STARS = 20_000
 #: Removed stars that a calibration lists; the others are counted.
 MOST_LISTED = 10_000
 BY_VOTE = "its arcs to the other stars of its exposure disagree with the catalogue"
-BY_GATE = "it lies too far from where the other stars of its exposure place it"
-BY_NAME = "its star is named twice in its exposure, and the other detection lies nearer to the star's place"
+BY_GATE = "it is too far from where the other stars of its exposure place it"
+BY_NAME = "its star is given twice in its exposure, and the other detection is nearer to the star's place"
 REASONS = (BY_VOTE, BY_GATE, BY_NAME)
 #: Directions, rad, that are one star's: two of a catalogue that lie so close are one image.
 SAME_DIRECTION = 1e-8
@@ -310,9 +310,9 @@ def advise(proposed: int, removed: int, listed: Sequence[RemovedStar]) -> list[s
     which = which if removed == 1 else f"the first is {which}; all are listed under Matching"
     many = removed > MANY_REMOVED * proposed
     remedy = (
-        "so many point to a faulty identification: match the stars anew (match 'rematch')"
+        "so many mean that the identification is faulty: match the stars again (match 'rematch')"
         if many
-        else "the result stands without them; correct the file, or match the stars anew (match 'rematch')"
+        else "the result does not use them; correct the file, or match the stars again (match 'rematch')"
     )
     did = (
         "was removed: the other stars of its exposure contradict it"

@@ -55,8 +55,8 @@ def _of_causes(trust: Trust, causes: Sequence[Cause]) -> Iterator[str]:
 def _opening(likelihood: float) -> str:
     """How surely the first cause is one: at less than even odds nothing is called likely."""
     if likelihood < EVEN_ODDS:
-        return f"No cause explains well what the tests notice; perhaps ({likelihood:.0%}): "
-    return f"Likeliest cause ({likelihood:.0%}): " if likelihood < CERTAIN else ""
+        return f"No cause explains well what the tests noticed; perhaps ({likelihood:.0%}): "
+    return f"Most likely cause ({likelihood:.0%}): " if likelihood < CERTAIN else ""
 
 
 def _of_coverage(trust: Trust, coverage: Coverage | None) -> Iterator[str]:
@@ -71,7 +71,7 @@ def _of_coverage(trust: Trust, coverage: Coverage | None) -> Iterator[str]:
     if parts.mean() >= COVERED:
         return
     yield (
-        f"Stars lie in {int(parts.sum())} of {parts.size} parts of the detector; elsewhere the camera is extrapolated"
+        f"Stars cover {int(parts.sum())} of {parts.size} parts of the detector; elsewhere the camera is extrapolated"
         f"{_predicted(trust, coverage, parts)}: add frames with stars in the other parts, or use only the part that is covered."
     )
 
@@ -91,8 +91,8 @@ def _predicted(trust: Trust, coverage: Coverage, parts: BoolArray) -> str:
     if not inside.any() or inside.all() or not np.isfinite(sigma).all():
         return ""
     return (
-        f", where an arc of {seen.arc_deg:.2g}° may be {sigma[~inside].max():.2g} arcsec off (1 sigma, if the camera model "
-        f"holds there) and {sigma[inside].max():.2g} at most where stars are"
+        f", where an arc of {seen.arc_deg:.2g}° may be {sigma[~inside].max():.2g} arcsec off (1 sigma, if the camera model is "
+        f"valid there) and {sigma[inside].max():.2g} at most where stars are"
     )
 
 

@@ -88,57 +88,57 @@ CAUSES: dict[str, CauseKind] = {
     for kind in (
         CauseKind(
             "tangential",
-            "The lens is decentred: tangential distortion that the camera does not have still displaces stars by about {size} px",
+            "The lens is decentred: tangential distortion that the camera model does not have displaces stars by about {size} px",
             "calibrate with a camera model that has it, such as brown_conrady, or free the tilt",
             ("tangential", *GENERAL),
         ),
         CauseKind(
             "radial",
-            "The lens distorts in a higher radial order than is free, which still displaces stars by about {size} px",
-            "free the higher radial terms, or calibrate with a camera model that has them; `boresight choose` names the least",
+            "The lens has radial distortion of a higher order than is free, which displaces stars by about {size} px",
+            "free the higher radial terms, or calibrate with a camera model that has them; `boresight choose` finds the simplest",
             ("radial", *GENERAL),
         ),
         CauseKind(
             "affine",
-            "The image is skewed or stretched by about {size} px: lines read out one after another while the image moves steadily, "
+            "The image is skewed or stretched by about {size} px: lines are read out in turn while the image moves steadily, "
             "or pixels that are not square",
             "state readout mode and line time in the sensor file, or free the aspect where the camera model has one",
             ("affine", *GENERAL),
         ),
         CauseKind(
             "lens",
-            "The lens leaves a smooth residual of about {size} px that no simple term takes up",
+            "The lens leaves a smooth residual of about {size} px that no simple term describes",
             "try `boresight choose`; if no camera model suffices, load the correction table of the residual spline",
             ("lens", *GENERAL),
         ),
         CauseKind(
             "edges",
-            "Centroids near the edges of the detector are drawn off by about {size} px, as windows cut by the edge do",
-            "leave out stars whose window reaches over the edge, or correct their centroids",
+            "Centroids near the edges of the detector are displaced by about {size} px, as happens to windows cut by the edge",
+            "leave out stars whose window crosses the edge, or correct their centroids",
             ("edges", *GENERAL),
         ),
         CauseKind(
             "flaw",
-            "Something at one place displaces stars about it by up to {size} px: a flaw of the window, a droplet, dust",
+            "Something at one place displaces the stars around it by up to {size} px: a flaw of the window, a droplet, dust",
             "leave out stars near it, or load the correction table of the residual spline",
             ("flaw", *GENERAL),
         ),
         CauseKind(
             "readout",
             "Lines are read out one after another: stars are displaced by about {size} px with their line and the image's velocity",
-            "state readout mode and line time in the sensor file, or use frames taken at rest",
+            "state readout mode and line time in the sensor file, or use frames taken without motion",
             ("readout", *GENERAL),
         ),
         CauseKind(
             "trend",
             "The focal length drifts one way during the set, which moves stars by about {size} px",
-            "calibrate shorter stretches apart, or run a filter with process noise and use its last state",
+            "calibrate shorter stretches separately, or run a filter with process noise and use its last state",
             ("trend", *GENERAL),
         ),
         CauseKind(
             "time",
             "The focal length changes during the set, which moves stars by about {size} px",
-            "calibrate shorter stretches apart, or run a filter with process noise and use its last state",
+            "calibrate shorter stretches separately, or run a filter with process noise and use its last state",
             ("time", *GENERAL),
         ),
         CauseKind(
@@ -149,53 +149,53 @@ CAUSES: dict[str, CauseKind] = {
         ),
         CauseKind(
             "drift",
-            "The camera drifts over the set, not by its focal length alone",
-            "calibrate shorter stretches apart, or run a filter with process noise and use its last state",
+            "The camera drifts over the set, not only in its focal length",
+            "calibrate shorter stretches separately, or run a filter with process noise and use its last state",
             ("drift", *GENERAL),
         ),
         CauseKind(
             "exposure",
-            "The exposures of a frame see different cameras: parameters change from the first exposure to the last",
-            "calibrate them apart; look at exposure times, motion during the exposure and how each is read",
+            "The camera differs between the exposures of a frame: parameters change from the first exposure to the last",
+            "calibrate them separately; check exposure times, motion during the exposure and how each is read",
             ("exposure", *GENERAL),
         ),
         CauseKind(
             "magnitude",
-            "Centroids are pulled with brightness, by about {size} px between the brightest and the faintest stars",
-            "look at saturation, background and charge transfer in the centroiding, or leave the brightest stars out",
+            "Centroids shift with brightness, by about {size} px between the brightest and the faintest stars",
+            "check saturation, background and charge transfer in the centroiding, or leave the brightest stars out",
             ("magnitude", *GENERAL),
         ),
         CauseKind(
             "colour",
             "Centroids depend on the star's colour, by about {size} px: the lens is not achromatic",
-            "restrict the set to stars of like colour, or add the colour term to the noise model",
+            "restrict the set to stars of similar colour, or add the colour term to the noise model",
             ("colour", *GENERAL),
         ),
         CauseKind(
             "phase",
-            "Centroids are drawn towards fixed places within the pixel, by about {size} px",
-            "correct the centroiding for pixel phase or defocus more; until then state a larger centroid sigma",
+            "Centroids shift towards fixed places within the pixel, by about {size} px",
+            "correct the centroiding for pixel phase or defocus more; otherwise state a larger centroid sigma",
             ("phase", *GENERAL),
         ),
         CauseKind(
             "aberration",
-            "Directions are those of another observer: a velocity of {size} km/s is missing or too much",
-            "give apparent directions, or the satellite's velocity and right times; J2000 places are not apparent",
+            "Directions do not match the satellite's velocity: {size} km/s is missing or excessive",
+            "give apparent directions, or the satellite's velocity and correct times; J2000 places are not apparent",
             ("aberration", *GENERAL),
         ),
         CauseKind(
             "refraction",
-            "These residuals look like refraction: stars are displaced by {size} times what the usual air above a place on the "
-            "ground does",
+            "These residuals look like refraction: stars are displaced {size} times as much as by usual air above a place on the "
+            "ground",
             "give the site in the sensor file (`site`: latitude_deg, longitude_deg, pressure_hpa, temperature_c), or on the "
-            "command line with --site, and times in UTC; where directions of the telemetry hold refraction already, declare it "
+            "command line with --site, and times in UTC; if directions in the telemetry include refraction already, declare it "
             "corrected",
             ("refraction", *GENERAL),
         ),
         CauseKind(
             "identities",
-            "Single stars are named wrongly or are no stars: about {size} % of the sightings lie where noise cannot put them",
-            "match the stars again (`--match rematch`) and look at the outliers",
+            "Single stars are misidentified or are not stars: about {size} % of the sightings are where noise cannot put them",
+            "match the stars again (`--match rematch`) and check the outliers",
             tuple(kind.name for kind in TRUST_TESTS),
         ),
         CauseKind(
@@ -207,7 +207,7 @@ CAUSES: dict[str, CauseKind] = {
         CauseKind(
             "tails",
             "The centroid noise has heavier tails than the normal distribution: Student's with {size} degrees of freedom fits",
-            "look for hot pixels and blends, or calibrate with robust 'stars'",
+            "check for hot pixels and blends, or calibrate with robust 'stars'",
             GENERAL,
         ),
         CauseKind(
@@ -220,8 +220,8 @@ CAUSES: dict[str, CauseKind] = {
 }
 UNKNOWN = CauseKind(
     "unknown",
-    "Something contradicts the model that is none of the causes looked for",
-    "Look at the tests that noticed it",
+    "Something contradicts the model, but it is none of the known causes",
+    "Check the tests that noticed it",
     tuple(kind.name for kind in TRUST_TESTS),
 )
 
@@ -473,7 +473,7 @@ def _describe(
     if one.name == "noise" and np.isfinite(examined.fitted.threshold):
         kind = replace(
             kind,
-            sentence="The centroid noise is {size} times the stated one; the sigmas hold the scale that was measured",
+            sentence="The centroid noise is {size} times the stated one; the sigmas use the measured scale",
         )
     if isinstance(flaw := examined.fitted.kept.get("flaw"), Flaw) and one.name == "flaw":
         where = f"row {flaw.row_px:.0f}, column {flaw.col_px:.0f}"

@@ -177,7 +177,7 @@ def _magnitude(fitted: FittedSet) -> FloatArray | str:
 def _colour(fitted: FittedSet) -> FloatArray | str:
     ids, catalogue = fitted.telemetry.star_id, fitted.catalogue
     if ids is None or catalogue is None:
-        return "The telemetry names no stars, so their colours are not known."
+        return "The telemetry gives no star numbers, so colours are not known."
     place = catalogue.find_index(ids[fitted.arcs.source_row])
     if not (place >= 0).any():
         return "None of the stars is in the catalogue, so their colours are not known."

@@ -57,7 +57,9 @@ MEDIAN_OF_A_SQUARE = 0.454936
 def efficiency(fitted: FittedSet) -> Efficiency:
     """Claimed sigma over bound, a parameter at a time and over all directions."""
     if not fitted.determined:
-        raise Unavailable("The data leave a direction of the parameters open, so there is no bound: hold it fixed.")
+        raise Unavailable(
+            "The data do not determine one direction of the parameters, so there is no bound: hold it fixed."
+        )
     arcs = fitted.thinned(MOST_FRAMES)
     held = _centroid_information(fitted, arcs)
     if fitted.settings.sequential:
@@ -105,8 +107,8 @@ def _efficiency_sentence(overall: float, ratio: FloatArray, fitted: FittedSet, f
     if overall < 1 - NEAR:
         return f"The claimed sigmas are {numbers}{of}: less than the centroids allow, so they are too small{remedy}."
     if overall > 1 + NEAR:
-        return f"The claimed sigmas are {numbers}{of}: these centroids hold more than the method took from them."
-    return f"The claimed sigmas are {numbers}{of}: these centroids hold no more."
+        return f"The claimed sigmas are {numbers}{of}: these centroids contain more information than the method used."
+    return f"The claimed sigmas are {numbers}{of}: these centroids contain no more information."
 
 
 ARC_DEG = 5.0
@@ -141,13 +143,13 @@ def arc_sigma_map(fitted: FittedSet) -> ArcSigmaMap:
     """The map, with the length of its arcs and a sentence."""
     if not fitted.determined:
         raise Unavailable(
-            "The data leave a direction of the parameters open, so arcs have no bounded error: hold it fixed."
+            "The data do not determine one direction of the parameters, so arcs have no bounded error: hold it fixed."
         )
     sensor = fitted.problem.sensor
     row, col = grid(sensor.rows, sensor.columns, ROWS, COLUMNS)
     sigma, length = field_arc_sigma(sensor, fitted.estimate.x, fitted.full_covariance(fitted.estimate.P))
     if not np.isfinite(sigma).any():
-        raise Unavailable("At these parameters no arc of the detector has a bounded error: look at sensor and matches.")
+        raise Unavailable("At these parameters no arc of the detector has a bounded error: check sensor and matches.")
     sigma_arcsec = ARCSEC * sigma
     best, worst, degrees = np.nanmin(sigma_arcsec), np.nanmax(sigma_arcsec), np.degrees(length)
     return ArcSigmaMap(
@@ -174,7 +176,7 @@ def more_data(fitted: FittedSet) -> MoreData:
     """Predicted one-sigma of each free parameter, SI."""
     if not fitted.determined:
         raise Unavailable(
-            "More frames of the same kind would leave the same direction open: turn the sensor, or hold it fixed."
+            "More frames of the same kind would not determine this direction: turn the sensor, or hold it fixed."
         )
     n = fitted.arcs.n_frames
     frames = sorted({round(share * n) for share in SHARES})
@@ -221,13 +223,15 @@ def _more_data_sentence(fitted: FittedSet, frames: list[int], sigma: FloatArray,
     gain = 1 - sigma[:, least] / sigma[0, least]
     if gain[most] < LITTLE:
         return (
-            f"A filter that forgets knows what its last frames told it: even {frames[most]} further frames of the same kind would "
+            f"A filter that forgets only uses its last frames: even {frames[most]} further frames of the same kind would "
             f"lower the sigma of {symbol} by {gain[most]:.0%} only."
         )
     unlike = (
-        "" if doubt is None else f"; judged by how unlike its parts are, it may be {doubt[least]:.0%} off (1 sigma)"
+        ""
+        if doubt is None
+        else f"; judged by how much parts of the set differ, it may be {doubt[least]:.0%} off (1 sigma)"
     )
     return (
-        f"{frames[double]} further frames of the same kind would lower the sigma of {symbol}, the parameter known least "
-        f"beside its typical sigma, by {gain[double]:.0%}, and {frames[most]} by {gain[most]:.0%}{unlike}."
+        f"{frames[double]} further frames of the same kind would lower the sigma of {symbol}, the least known parameter "
+        f"relative to its typical sigma, by {gain[double]:.0%}, and {frames[most]} by {gain[most]:.0%}{unlike}."
     )

@@ -80,7 +80,7 @@ def residual_field(fitted: FittedSet, found: StarResiduals) -> ResidualField:
     was = _binned(r, M, arcs.sigma_px * spread, cell, row_edges, col_edges)
     after = _binned(found.r, found.M, arcs.sigma_px * spread, cell, row_edges, col_edges)
     if after is None:
-        raise Unavailable(f"No cell of the detector holds {LEAST_STARS} stars: add frames.")
+        raise Unavailable(f"No cell of the detector has {LEAST_STARS} stars: add frames.")
     return ResidualField(
         row_edges_px=nested(row_edges),
         col_edges_px=nested(col_edges),
@@ -168,9 +168,9 @@ def _field_sentence(before: FieldOfResiduals | None, after: FieldOfResiduals) ->
     was = "" if before is None else f"{before.rms_in_all_px:.3g} px before and "
     size = f"Residuals are {was}{after.rms_in_all_px:.3g} px after (rms an axis)"
     if after.p >= UNLIKELY:
-        return f"{size}; what is left has no pattern over the detector that the noise lets one see ({probability(after.p)})."
+        return f"{size}; they have no pattern over the detector beyond noise ({probability(after.p)})."
     return (
-        f"{size}; what is left has a pattern over the detector that noise does not explain ({probability(after.p)}): "
+        f"{size}; they have a pattern over the detector that noise does not explain ({probability(after.p)}): "
         "the camera model does not have this distortion, or some stars are matched wrongly."
     )
 
@@ -240,12 +240,12 @@ def two_sided(count: int, n: int, share: float) -> float:
 
 
 def _tails_sentence(z: FloatArray, spread: float, share: float, expected: float, p: float) -> str:
-    size = f"Of {len(z)} residuals {share:.2%} lie beyond {TAIL:g} times their spread of {spread:.2f} sigmas"
+    size = f"Of {len(z)} residuals {share:.2%} are beyond {TAIL:g} times their spread of {spread:.2f} sigmas"
     if p >= UNLIKELY:
         return f"{size}, {expected:.2%} are expected: their tails are those of the normal curve ({probability(p)})."
     if share > expected:
-        return f"{size}, {expected:.2%} are expected ({probability(p)}): some stars are wrong; look at the outliers."
-    return f"{size}, {expected:.2%} are expected ({probability(p)}): something cut the largest off, such as a narrow match gate."
+        return f"{size}, {expected:.2%} are expected ({probability(p)}): some stars are wrong; check the outliers."
+    return f"{size}, {expected:.2%} are expected ({probability(p)}): something removed the largest, such as a narrow match gate."
 
 
 def residual_outliers(fitted: FittedSet, found: StarResiduals) -> ResidualOutliers:
@@ -271,8 +271,8 @@ def residual_outliers(fitted: FittedSet, found: StarResiduals) -> ResidualOutlie
         in_all=len(out),
         expected=expected,
         sentence=(
-            f"{len(out)} of {int(found.known.sum())} matched stars lie beyond {OUTLIER:g} sigmas of their residual; chance "
-            f"puts {expected:.1f} there."
+            f"{len(out)} of {int(found.known.sum())} matched stars are beyond {OUTLIER:g} sigmas of their residual; "
+            f"{expected:.1f} are expected by chance."
         ),
     )
 
@@ -409,7 +409,7 @@ def _level(name: str) -> float:
 def _against_sentence(name: str, largest: float, p: float) -> str:
     which = f"residual along the {'columns' if ALONG[name] else 'rows'}" if name in ALONG else "radial residual"
     if p >= _level(name):
-        return f"The {which} does not depend on {_shown(name)}, as far as the noise lets one see ({probability(p)})."
+        return f"The {which} does not depend on {_shown(name)}beyond noise ({probability(p)})."
     return (
         f"The {which} depends on {_shown(name)}: bins are up to {largest:.2g} px off, more than noise explains "
         f"({probability(p)})."

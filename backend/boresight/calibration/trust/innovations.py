@@ -53,7 +53,7 @@ def whiteness(fitted: FittedSet) -> Whiteness:
     n = fitted.arcs.n_frames
     if n < FEWEST_FRAMES:
         raise Unavailable(
-            f"A series needs {FEWEST_FRAMES} frames before it can be told from noise, and there are {n}: add frames."
+            f"A series needs {FEWEST_FRAMES} frames before it can be separated from noise, and there are {n}: add frames."
         )
     y = np.ascontiguousarray((fitted.sums.scores / np.sqrt(np.maximum(fitted.sums.squares, np.finfo(float).tiny))).T)
     lags = min(MOST_LAGS, n // 5)
@@ -75,12 +75,12 @@ def whiteness(fitted: FittedSet) -> Whiteness:
 def _whiteness_sentence(symbol: str, p: float, n: int, white: bool) -> str:
     if white:
         return (
-            f"The residuals are white over {n} frames: no parameter is seen to drift ({probability(p)} for the least white, "
+            f"The residuals are white over {n} frames: no drift of a parameter is visible ({probability(p)} for the least white, "
             f"{symbol})."
         )
     return (
-        f"The residuals are not white over {n} frames ({probability(p)}): those along {symbol} follow one another, as when "
-        "the camera drifts with temperature or stars keep wrong places; the sigmas leave this out."
+        f"The residuals are not white over {n} frames ({probability(p)}): those along {symbol} are correlated in time, as when "
+        "the camera drifts with temperature or stars have wrong places; the sigmas do not include this."
     )
 
 
@@ -129,11 +129,11 @@ def _series(fitted: FittedSet) -> tuple[NDArray[np.int64], FloatArray, FloatArra
     if history is not None and updated is not None:
         took = history.dof > 0  # an update whose measurements were all left out says nothing
         if not took.any():
-            raise Unavailable("The filter took no frame in: look at sensor and matches.")
+            raise Unavailable("The filter used no frame: check sensor and matches.")
         return updated[took], history.nis[took], history.dof[took].astype(float)
     if fitted.sums.dof.min() < 1:
         raise Unavailable(
-            "One frame alone determines most of the parameters, so it cannot be judged by the rest: add frames."
+            "One frame alone determines most of the parameters, so it cannot be checked against the rest: add frames."
         )
     return fitted.arcs.frame, fitted.sums.chi2, fitted.sums.dof
 
@@ -141,14 +141,10 @@ def _series(fitted: FittedSet) -> tuple[NDArray[np.int64], FloatArray, FloatArra
 def _innovations_sentence(n: int, outside: float, bounds: tuple[float, float], runs: float, filtered: bool) -> str:
     what = "updates" if filtered else "frames"
     share = f"{outside:.1%} of {n} {what} lie outside their 95 % bounds ({bounds[0]:.1%} to {bounds[1]:.1%} is what chance allows)"
-    wrong = "" if bounds[0] <= outside <= bounds[1] else ": the noise or the covariance is not what it is said to be"
+    wrong = "" if bounds[0] <= outside <= bounds[1] else ": the noise or the covariance is not as stated"
     if n < FEWEST_FOR_RUNS:
         return f"{share}{wrong}."
-    order = (
-        "follow one another as by chance"
-        if runs >= UNLIKELY
-        else "do not follow one another as by chance: something changes"
-    )
+    order = "are in random order" if runs >= UNLIKELY else "are not in random order: something changes"
     return f"{share}{wrong}; high and low {what} {order} ({probability(runs)})."
 
 
@@ -162,7 +158,9 @@ def worst_frames(fitted: FittedSet) -> WorstFrames:
     chi2, dof = fitted.sums.chi2, fitted.sums.dof
     judged = np.flatnonzero(dof >= 1)
     if not len(judged):
-        raise Unavailable("One frame alone determines the parameters, so none can be judged by the rest: add frames.")
+        raise Unavailable(
+            "One frame alone determines the parameters, so none can be checked against the rest: add frames."
+        )
     deviate = deviates(chi2[judged], dof[judged])
     order = np.argsort(-deviate, kind="stable")[:MOST_SHOWN]
     shown, bad, expected = judged[order], int(np.sum(deviate > BAD)), len(judged) * float(ndtr(-BAD))

@@ -282,26 +282,26 @@ def _sentence(fitted: FittedSet, found: Widening, factor: FloatArray) -> str:
     """Say by how much the sigmas widen, why, and what to do."""
     most = int(np.argmax(factor))
     if factor[most] < SAME:
-        return "Nothing in these data asks for wider sigmas than noise alone gives."
+        return "Nothing in these data calls for wider sigmas than noise alone gives."
     reasons = []
     if found.departures:
         named = ", ".join(one.replace("_", " ") for one in found.departures)
         reasons.append(
-            f"what was noticed ({named}) moves the parameters if it is real: remove its cause, or choose a camera "
-            "model that holds it"
+            f"what was noticed ({named}) changes the parameters if it is real: remove its cause, or choose a camera "
+            "model that describes it"
         )
     if found.blocks:
         reasons.append(
-            f"{found.blocks} blocks of frames disagree by more than noise: look for drift, a temperature or wrong matches"
+            f"{found.blocks} blocks of frames disagree by more than noise: check for drift, a temperature effect or wrong matches"
         )
     if found.selected > 1:
         reasons.append(
-            f"the filter kept only arcs that agreed with where it stood, and ended {found.selected:.2g} of its sigmas from the fit "
+            f"the filter used only arcs that agreed with its state, and ended {found.selected:.2g} of its sigmas from the fit "
             "of the whole set: choose the statistical tolerance, or the batch"
         )
     if found.level > 1:
         reasons.append(
-            f"the residuals are {np.sqrt(found.level):.2f} times as large as the stated noise: state it anew"
+            f"the residuals are {np.sqrt(found.level):.2f} times as large as the stated noise: correct the stated noise"
         )
     opening = f"With misfit the sigmas are up to {factor[most]:.2g} times those of noise alone ({fitted.names[most]})"
     return f"{opening}, because {'; '.join(reasons)}." if reasons else f"{opening}."

@@ -70,7 +70,7 @@ def two_halves(fitted: FittedSet) -> TwoHalves:
 def _fitted(ground: FittedSet, frames: NDArray[np.bool_]) -> batch.BatchFit:
     arcs = chosen(ground.arcs, frames)
     if arcs.n_arcs <= len(ground.names):
-        raise Unavailable("A half of the set holds no more arcs than there are free parameters: add frames.")
+        raise Unavailable("A half of the set has no more arcs than there are free parameters: add frames.")
     refusal = "A half of the set does not determine the free parameters by itself: add frames, or free fewer."
     return _fit_all(ground, arcs, HALF_ITERATIONS, refusal, _summed(ground, frames))
 
@@ -149,13 +149,13 @@ def _sentence(value: float, dof: int, bounds: tuple[float, float], found: float,
     if value > upper:
         return (
             f"Two halves of the set disagree by more than their sigmas allow ({numbers}); {over}: "
-            "look for wrong matches, understated noise or a camera that changed."
+            "check for wrong matches, understated noise or a camera that changed."
         )
     if value < lower:
         return (
             f"Two halves of the set agree better than their sigmas allow ({numbers}); {over}: the noise is overstated."
         )
-    return f"Two halves of the set, fitted apart, agree ({numbers}); {over}."
+    return f"Two halves of the set, fitted separately, agree ({numbers}); {over}."
 
 
 MOST_FRAMES = 200
@@ -176,11 +176,11 @@ class Optimum:
 def drop_one(ground: FittedSet) -> list[DroppedParameter]:
     """One entry a free parameter, in parameter order."""
     if len(ground.names) < 2:
-        raise Unavailable("Only one parameter is free, so there is no other to fit without it: free more.")
+        raise Unavailable("Only one parameter is free, so nothing can be fitted without it: free more parameters.")
     if not ground.determined:
-        raise Unavailable("The data leave a direction of the parameters open already: hold some fixed and run again.")
+        raise Unavailable("The data do not determine one direction of the parameters: hold some fixed and run again.")
     arcs = ground.thinned(min(MOST_FRAMES, -(-MOST_ARCS * ground.arcs.n_frames // ground.arcs.n_arcs)))
-    refusal = "The fit of all parameters does not converge, so none can be compared with it: free fewer."
+    refusal = "The fit of all parameters does not converge, so none can be compared with it: free fewer parameters."
     fitted = _fit_all(ground, arcs, MOST_ITERATIONS, refusal)
     best = Optimum(fitted.x, covariance(fitted.A), fitted.cost)
     whole = best if arcs.n_frames == ground.arcs.n_frames else Optimum(ground.x, covariance(ground.A), np.nan)
@@ -287,11 +287,13 @@ def drop_one_sentence(fitted: FittedSet, entries: list[DroppedParameter]) -> str
     symbols = dict(zip(fitted.names, fitted.symbols, strict=True))
     spare = [symbols[entry.name] for entry in entries if not entry.needed]
     weakest = min(entries, key=lambda entry: entry.chi2_increase)
-    least = f"{symbols[weakest.name]} costs least to hold, {weakest.chi2_increase:.3g} in chi-square"
+    least = f"{symbols[weakest.name]} costs least when held fixed, {weakest.chi2_increase:.3g} in chi-square"
     if lower := fitted.kept.get("lower_minimum"):
         least += f"; against another minimum, {lower}: run the batch, which takes the lowest"
     if not spare:
-        return f"The data ask for every free parameter: {least}, and beyond {NEEDED:.3g} a parameter is needed (1 % level)."
+        return (
+            f"The data need every free parameter: {least}, and beyond {NEEDED:.3g} a parameter is needed (1 % level)."
+        )
     return (
         f"These data give no evidence that {', '.join(spare)} changed: held at the start, chi-square grows by less than "
         f"{NEEDED:.3g} (1 % level); {least}. It may be held fixed, one parameter at a time."

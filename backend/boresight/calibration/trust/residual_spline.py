@@ -47,7 +47,7 @@ def find_residual_spline(fitted: FittedSet) -> ResidualSplineFit:
         parity=sensor.parity, detector=(sensor.rows, sensor.columns),
     )  # fmt: skip
     if fit.data.dof <= 0 or not np.isfinite(fit.posterior.surface.coefficients).all():
-        raise Unavailable("There are too few stars for a spline of what the camera model leaves: add frames.")
+        raise Unavailable("There are too few stars for a residual spline: add frames.")
     fitted.kept["flaw"] = find_flaw(fit)
     shape = (sensor.rows, sensor.columns)
     counts = [max(FEWEST_PLACES, round(PLACES * n / max(shape))) for n in shape]
@@ -174,7 +174,7 @@ def _sentence(
     """Value, sigma, probability, and what to do."""
     if p >= FALSE_ALARM:
         return (
-            f"What the camera model leaves of the lens is no more than noise explains ({probability(p)}): at most "
+            f"The camera model leaves no more displacement than noise explains ({probability(p)}): at most "
             f"{at_most_px:.2g} px along an axis, anywhere on the detector (95 %)."
         )
     return (
@@ -188,15 +188,15 @@ def _remedy(camera: CameraModel, explained_by: tuple[SplineExplanation, ...]) ->
     found = next((one for one in explained_by if suffices(one)), None)
     if found is None:
         return (
-            "no other takes it all up. Look for wrong matches and directions; if there are none, load the correction "
-            "table of this residual beside the parameters."
+            "no other describes all of it. Check matches and directions; if they are right, load the correction "
+            "table of this residual with the parameters."
         )
     if found.camera_model == camera.name:
         symbols = dict(zip(camera.parameter_names, camera.symbols, strict=True))
         return (
-            f"some of {', '.join(symbols[name] for name in found.more)}, which are held, take it up; `boresight choose` names "
-            "the least that suffice."
+            f"some of {', '.join(symbols[name] for name in found.more)}, which are held, describe it; `boresight choose` finds "
+            "the fewest that suffice."
         )
     others = [one.camera_model.replace("_", " ") for one in explained_by if suffices(one) and one is not found]
     also = f", as would {' and '.join(others)}" if others else ""
-    return f"the camera model {found.camera_model.replace('_', ' ')} takes it up{also}; calibrate with that."
+    return f"the camera model {found.camera_model.replace('_', ' ')} describes it{also}; calibrate with that."

@@ -23,7 +23,7 @@ MOST_SHOWN = 2000
 MIRRORED = 10.0
 #: What is said then, by the parity to try.
 OTHER_PARITY = {
-    parity: "The arcs fit, yet no rotation takes the catalogue to the detector: the sensor's parity is probably wrong; "
+    parity: "The arcs fit, but no rotation from catalogue to detector does: the sensor's parity is probably wrong; "
     f"try {parity:+d}."
     for parity in (-1, 1)
 }
@@ -107,7 +107,7 @@ def residuals(fitted: FittedSet, found: StarResiduals) -> Residuals:
         stars_in_all=len(places),
         frames_used=arcs.n_frames,
         sentence=(
-            f"Centroids lie {rms:.3g} px (rms an axis) from their stars under the best attitude "
+            f"Centroids are {rms:.3g} px (RMS per axis) from their stars under the best attitude "
             f"of each exposure, {found.spread:.2f} times the stated noise."
         ),
     )

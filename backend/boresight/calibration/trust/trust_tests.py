@@ -221,16 +221,16 @@ TRUST_TESTS: tuple[TrustTestKind, ...] = (
     ),
     TrustTestKind(
         "flaw", "Flaw at one place", "lens-structure",
-        "Stars are displaced about one place of the detector", "Stars are displaced about no place of the detector", _flaw,
+        "One place of the detector displaces the stars around it", "No place of the detector displaces the stars around it", _flaw,
     ),
     TrustTestKind(
         "residual_field", "Residuals over the detector", "lens-structure",
-        "Mean residuals differ from cell to cell of the detector", "Mean residuals are alike in all cells of the detector",
+        "Mean residuals differ from cell to cell of the detector", "Mean residuals are equal in all cells of the detector",
         _of_part("residual_field", lambda part: part.after.p),
     ),
     TrustTestKind(
         "residual_spline", "Residual spline", "lens-structure",
-        "A spline of the residuals holds more than noise", "A spline of the residuals holds noise only",
+        "A spline of the residuals contains more than noise", "A spline of the residuals contains only noise",
         _of_part("residual_spline", lambda part: part.test.p),
     ),
     TrustTestKind(
@@ -264,17 +264,17 @@ TRUST_TESTS: tuple[TrustTestKind, ...] = (
     ),
     TrustTestKind(
         "exposure", "Exposures of a frame", "stability",
-        "The exposures of a frame see another camera", "All exposures of a frame see one camera",
+        "The camera differs between the exposures of a frame", "The camera is the same in all exposures of a frame",
         _of_score("exposure", stays=True),
     ),
     TrustTestKind(
         "two_halves", "Two halves", "stability",
-        "Two halves of the set, fitted apart, disagree", "Two halves of the set, fitted apart, agree",
+        "Two halves of the set, fitted separately, disagree", "Two halves of the set, fitted separately, agree",
         _of_part("two_halves", lambda part: part.chi2.p),
     ),
     TrustTestKind(
         "whiteness", "Whiteness", "stability",
-        "Residuals of successive frames follow one another", "Residuals of successive frames are independent",
+        "Residuals of successive frames are correlated", "Residuals of successive frames are independent",
         _of_part("whiteness", lambda part: part.ljung_box.p),
     ),
     TrustTestKind(
@@ -306,7 +306,7 @@ TRUST_TESTS: tuple[TrustTestKind, ...] = (
     ),
     TrustTestKind(
         "phase", "Pixel phase", "centroid-noise",
-        "Centroids depend on where in its pixel a star lies", "Centroids do not depend on where in its pixel a star lies",
+        "Centroids depend on the star's place in its pixel", "Centroids do not depend on the star's place in its pixel",
         _of_score("phase", stays=False),
     ),
     TrustTestKind(
@@ -326,7 +326,7 @@ TRUST_TESTS: tuple[TrustTestKind, ...] = (
     ),
     TrustTestKind(
         "outliers", "Single sightings", "identities",
-        "Single centroids lie farther off than noise can put them", "No centroid lies farther off than noise can put it",
+        "Single centroids are farther off than noise can put them", "No centroid is farther off than noise can put it",
         _outliers,
     ),
     TrustTestKind(
@@ -335,7 +335,7 @@ TRUST_TESTS: tuple[TrustTestKind, ...] = (
     ),
     TrustTestKind(
         "aberration", "Aberration", "identities",
-        "Directions are those of an observer with another velocity", "Directions are those of this observer",
+        "Directions do not match the satellite's velocity", "Directions match the satellite's velocity",
         _of_score("aberration", stays=False),
     ),
     TrustTestKind(

@@ -32,9 +32,9 @@ def create_key(
         raise RefusedInputError(f"There is no scope {', '.join(unknown)}; choose from {', '.join(SCOPES)}.")
     refuse_control_characters(label=label)
     if not label.strip():
-        raise RefusedInputError("The key has no label; say in it what uses the key.")
+        raise RefusedInputError("The key has no label; give one that says which program uses it.")
     if expires_days is not None and not 1 <= expires_days <= LONGEST_DAYS:
-        raise RefusedInputError(f"A key does not last {expires_days} days; give 1 to {LONGEST_DAYS}.")
+        raise RefusedInputError(f"A key cannot be valid for {expires_days} days; give 1 to {LONGEST_DAYS}.")
     prefix, random = secrets.token_hex(4), secrets.token_urlsafe(32)
     secret = f"bs_{prefix}_{random}"
     key = ApiKey(
@@ -60,7 +60,7 @@ def find_actor_of_key(session: Session, secret: str, request_id: str | None = No
     parts = secret.split("_", 2)
     key = rows.find_key_by_prefix(session, parts[1]) if len(parts) == 3 else None
     if key is None or not hmac.compare_digest(key.key_hash, _hash(secret)):
-        raise UnauthenticatedError("This API key is not known; check that it was copied whole.")
+        raise UnauthenticatedError("This API key is not known; check that it was copied completely.")
     if key.revoked_utc is not None:
         raise UnauthenticatedError(f"The API key {key.label!r} was revoked; make another one.")
     if key.expires_utc is not None and key.expires_utc <= utc_now():

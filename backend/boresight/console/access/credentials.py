@@ -113,9 +113,9 @@ class LogInCookie:
         except SignatureExpired as error:
             raise SessionEndedError("expired") from error
         except (BadData, ValueError, TypeError) as error:
-            raise UnauthenticatedError("This log-in is not known here; log in again.") from error
+            raise UnauthenticatedError("This log-in is not known to this server; log in again.") from error
         if not isinstance(token, str) or not isinstance(csrf_token, str):  # an old version's cookie
-            raise UnauthenticatedError("This log-in is not known here; log in again.")
+            raise UnauthenticatedError("This log-in is not known to this server; log in again.")
         return CookieContent(token, csrf_token, signed.timestamp() + self._max_age_s)
 
 

@@ -103,7 +103,7 @@ IsDryRun = Annotated[bool, Depends(get_dry_run)]
 async def refuse_dry_run(request: Request) -> None:
     """Refuse `validate_only` where no dry run is possible."""
     if "validate_only" in request.query_params:
-        raise RefusedInputError("Logging in and out cannot be tried with validate_only; leave it out.")
+        raise RefusedInputError("Logging in and out does not support validate_only; leave it out.")
 
 
 async def open_write_or_dry_run(request: Request, asked: IsDryRun) -> AsyncIterator[Session]:
@@ -134,7 +134,9 @@ async def csrf(request: Request) -> None:
         return  # neither is there with a log-in that has ended; it must not keep anybody from logging in anew
     given = request.headers.get(CSRF_HEADER) or await _form_token(request)
     if not hmac.compare_digest(given.encode(), request.state.csrf_token.encode()):
-        raise ForbiddenError(f"The {CSRF_HEADER} of this log-in is missing or another's; reload the page, do it again.")
+        raise ForbiddenError(
+            f"The {CSRF_HEADER} is missing or belongs to another log-in; reload the page and try again."
+        )
 
 
 async def _form_token(request: Request) -> str:
@@ -159,7 +161,7 @@ class Seen:
     def require(self, shape: type[Row], row: Any, name: str = "It") -> None:
         """Refuse a transition by someone who saw an older version of the row."""
         if self.tag is not None and self.tag != shape.etag(row):
-            raise StaleError(f"{name} has changed since you looked; read it again and send its new ETag in If-Match.")
+            raise StaleError(f"{name} has changed since you read it; read it again and send its new ETag in If-Match.")
 
 
 @refuses(412, 428)

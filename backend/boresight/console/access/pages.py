@@ -37,13 +37,13 @@ router = APIRouter(dependencies=[Depends(csrf)])
 SESSIONS_SHOWN = 200
 WHY_ENDED = {
     "logged_out": "logged out",
-    "ended": "ended by the person",
+    "ended": "ended by the user",
     "ended_by_administrator": "ended by an administrator",
     "password_changed": "the password was changed",
     "roles_changed": "the roles were changed",
-    "disabled": "the person was disabled",
-    "idle": "not used for too long",
-    "expired": "reached its greatest age",
+    "disabled": "the user was disabled",
+    "idle": "unused for too long",
+    "expired": "reached its maximum age",
 }
 WHAT_A_ROLE_MAY = {
     "viewer": "look at everything",
@@ -181,7 +181,7 @@ async def reset_password(
     def change(session: Session, prepared: NewPassword, current: PasswordProof) -> User:
         return users.change_password(session, actor, user_id, prepared, current)
 
-    said = "{.printed_name} is logged out and must set a password of their own at the next log-in."
+    said = "{.printed_name} is logged out and must set a new password at the next log-in."
     return await _change(request, actor, change, said, prepare=prepare)
 
 

@@ -152,7 +152,7 @@ class PasswordWorker:
         """Hash a password that is to follow another, and check the current one where it is one's own."""
         own = actor.user_id == user_id
         if actor.is_key or not (own or "administrator" in actor.roles):
-            return NewPassword(refusal="Only an administrator sets another's password."), NO_PROOF
+            return NewPassword(refusal="Only an administrator can set another person's password; ask one."), NO_PROOF
         names = await self._read(partial(users.get_person_names, user_id=user_id))
         if not own:
             return await self.prepare(password, *names), NO_PROOF
@@ -190,7 +190,7 @@ class PasswordWorker:
             return
         if self._held >= MOST_HELD:
             retry_s = math.ceil(wait_s)
-            raise OverloadedError(f"Too many attempts wait already; try again in {retry_s} s.", retry_s)
+            raise OverloadedError(f"Too many attempts are waiting already; try again in {retry_s} s.", retry_s)
         self._held += 1
         try:
             await asyncio.sleep(wait_s)

@@ -46,10 +46,7 @@ def describe_weakness(password: str, names: tuple[str, ...] = ()) -> str | None:
     else:
         strong = any(_guesses(end, known) >= LEAST_GUESSES for end in ends)
     if not strong:
-        return (
-            "The password is common, or made of common parts, and is guessed early; "
-            "use several words that do not belong together."
-        )
+        return "The password is common, or made of common parts, and is easy to guess; use several unrelated words."
     return None
 
 
@@ -152,7 +149,7 @@ def require_proof(session: Session, proof: PasswordProof, user_id: int | None = 
     user = None if proof.stored.user_id is None else session.get(User, proof.stored.user_id)
     stands = user is not None and _stored(user) == proof.stored and user_id in {None, user.id}
     if user is None or not (proof.fits and stands):
-        raise UnauthenticatedError("Name and password do not fit; try again or ask an administrator.")
+        raise UnauthenticatedError("Wrong name or password; try again or ask an administrator.")
     return user
 
 
@@ -194,7 +191,7 @@ def name_password_setter(session: Session, user_id: int) -> str | None:
     if newest.id == given.id:
         return f"{how}, not changed since"
     later_s = (datetime.fromisoformat(newest.at_utc) - given_at).total_seconds()
-    return f"{how}, set anew {_span(later_s)} later" if later_s < TOLD_FOR_S else None
+    return f"{how}, changed {_span(later_s)} later" if later_s < TOLD_FOR_S else None
 
 
 def _span(seconds: float) -> str:

@@ -47,7 +47,7 @@ class NewUser(Shape):
     password: SecretStr
     roles: list[str] = Field(examples=[["analyst"]])
     must_change_password: bool = Field(
-        False, description="Whether they set a password of their own at the first log-in."
+        False, description="Whether they must set their own password at the first log-in."
     )
 
 
@@ -73,7 +73,7 @@ def _require_seen(session: Session, user_id: int, seen: Seen) -> None:
 async def prepared_person(person: NewUser, actor: Who, passwords: PasswordChecks) -> NewPassword:
     """Hash the password before any transaction begins, only for an actor who may add people."""
     if "administrator" not in actor.roles or actor.is_key:
-        return NewPassword(refusal="Only an administrator adds people.")
+        return NewPassword(refusal="Only an administrator can add people.")
     return await passwords.prepare(person.password.get_secret_value(), person.name, person.printed_name)
 
 
@@ -116,21 +116,21 @@ def get_user(user_id: Id, session: Reading) -> User:
 
 @router.post("/{user_id}:change-roles", summary="Change roles", response_model=schemas.User)
 def change_roles(user_id: Id, given: Roles, actor: Who, seen: SeenTag, session: Writing) -> User:
-    """Give a person these roles instead of those held; administrators only."""
+    """Replace the roles of a person; administrators only."""
     _require_seen(session, user_id, seen)
     return users.change_roles(session, actor, user_id, given.roles)
 
 
-@router.post("/{user_id}:disable", summary="Keep a person out", response_model=schemas.User)
+@router.post("/{user_id}:disable", summary="Disable a person", response_model=schemas.User)
 def disable_user(user_id: Id, actor: Who, seen: SeenTag, session: Writing) -> User:
-    """Keep a person out and end every log-in; what they did stays."""
+    """Disable a person and end every log-in; what they did stays on record."""
     _require_seen(session, user_id, seen)
     return users.disable_user(session, actor, user_id)
 
 
-@router.post("/{user_id}:enable", summary="Let a person in again", response_model=schemas.User)
+@router.post("/{user_id}:enable", summary="Enable a person", response_model=schemas.User)
 def enable_user(user_id: Id, actor: Who, seen: SeenTag, session: Writing) -> User:
-    """Let a disabled person in again."""
+    """Enable a disabled person."""
     _require_seen(session, user_id, seen)
     return users.enable_user(session, actor, user_id)
 
@@ -145,7 +145,7 @@ def change_password(
 ) -> User:
     """Set one's own password, knowing the current one, or as an administrator another's. Every log-in then ends.
 
-    Who is given a password by an administrator must set their own before anything else.
+    A person whose password an administrator set must first set their own.
     """
     _require_seen(session, user_id, seen)
     return users.change_password(session, actor, user_id, *prepared)
@@ -165,10 +165,10 @@ class NewKey(BaseModel):
     """A key to be made for the person who asks."""
 
     model_config = ConfigDict(extra="forbid")
-    label: str = Field(description="What uses it.", examples=["nightly downlink"])
+    label: str = Field(description="The program that uses it.", examples=["nightly downlink"])
     scopes: Annotated[
         list[Annotated[str, Field(json_schema_extra={"enum": list(SCOPES)})]],
-        Field(description="What it may write. None: it only reads."),
+        Field(description="What it may write. None: read only."),
     ] = []
     expires_days: int | None = Field(90, description="Null: never.")
 
@@ -180,9 +180,9 @@ def list_api_keys(actor: Who, session: Reading, page: Paged) -> Listing[ApiKey]:
     return page.cut_whole(api_keys.list_keys(session, owner))
 
 
-@api_key_router.post("", summary="Make a key", status_code=201, response_model=schemas.NewApiKey)
+@api_key_router.post("", summary="Create a key", status_code=201, response_model=schemas.NewApiKey)
 def create_api_key(wanted: NewKey, actor: Who, session: Writing) -> Answer:
-    """Make a key. `secret` is in this answer and nowhere else."""
+    """Create a key. `secret` is in this answer and nowhere else."""
     row, secret = api_keys.create_key(session, actor, **dict(wanted))
     return Answer(Beside(row, secret=secret), headers={"Cache-Control": "no-store"}, shown_once=("secret",))
 
@@ -254,10 +254,12 @@ def list_sessions(
     session: Reading,
     settings: ServerSettings,
     page: Paged,
-    user_id: Annotated[Id | None, Query(description="Whose; one's own when left out. Administrators only.")] = None,
+    user_id: Annotated[
+        Id | None, Query(description="User id; your own when left out. Others: administrators only.")
+    ] = None,
     open: Annotated[bool | None, Query(description="Only those that are open, or only those that ended.")] = None,  # noqa: A002 - the name in the address
 ) -> Listing[LoginSession]:
-    """List one's log-ins, newest first, with where they were made and why they ended."""
+    """List one's log-ins, newest first, with where they were started and why they ended."""
     found = sessions.list_sessions(session, actor, user_id, is_open=open, **page.rows)
     return page.cut(found, lambda row: _shown(row, actor, settings))
 

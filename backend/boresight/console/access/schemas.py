@@ -22,7 +22,7 @@ class User(Row):
     roles: list[str]
     created_utc: str
     disabled_utc: str | None
-    must_change_password: bool = Field(description="Somebody else set the password; nothing else goes until it is set.")
+    must_change_password: bool = Field(description="Somebody else set the password; set your own before anything else.")
 
 
 class ApiKey(Row):
@@ -56,10 +56,10 @@ class LoginSession(Row):
     last_used_utc: str = Field(description="To the minute.")
     ended_utc: str | None
     ended_because: Literal[SESSION_ENDINGS] | None  # type: ignore[valid-type]  # the words of the table
-    address: str = Field(description="Where it was made.")
-    user_agent: str = Field(description="What the program said of itself, cut to 200 characters.")
+    address: str = Field(description="Where it was started.")
+    user_agent: str = Field(description="User agent of the program, cut to 200 characters.")
     ends_utc: str = Field(description="When it ends at the latest.")
-    current: bool = Field(description="Whether it is the one that asks.")
+    current: bool = Field(description="Whether it is the one of this request.")
 
 
 class EndedSessions(BaseModel):

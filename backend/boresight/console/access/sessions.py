@@ -70,7 +70,7 @@ def find(session: Session, token: str) -> LoginSession:
     """Return the log-in of a secret."""
     row = rows.find_log_in(session, _hash(token))
     if row is None:
-        raise UnauthenticatedError("This log-in is not known here; log in again.")
+        raise UnauthenticatedError("This log-in is not known to this server; log in again.")
     if row.ended_because is not None:
         raise SessionEndedError(row.ended_because)
     return row
@@ -100,7 +100,7 @@ def end_session(session: Session, actor: Actor, session_id: int) -> LoginSession
     row = session.get(LoginSession, session_id)
     own = row is not None and row.user_id == own_id
     if row is None or not (own or "administrator" in actor.roles):
-        raise NotFoundError(f"There is no log-in {session_id} of yours; choose one of the list.")
+        raise NotFoundError(f"There is no log-in {session_id} of yours; choose one from the list.")
     if row.ended_utc is None:
         row.ended_utc, row.ended_because = utc_now(), "ended" if own else "ended_by_administrator"
         audit.append(session, actor, "ended a log-in of", f"users/{row.user_id}", None, {"log_in": row.id})

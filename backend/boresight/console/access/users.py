@@ -54,7 +54,7 @@ def create_user(
     _require_administrator(actor)
     name = normal_name("log-in name", name, LONGEST_LOGIN_NAME)
     if not LOGIN_NAME.fullmatch(name):
-        raise RefusedInputError(f"{name!r} is no log-in name: use 1 to 64 letters, digits and . _ @ -.")
+        raise RefusedInputError(f"{name!r} is not a log-in name: use 1 to 64 letters, digits and . _ @ -.")
     printed_name = normal_name("printed name", printed_name, LONGEST_PRINTED_NAME) or name
     _refuse_taken(session, name, printed_name)
     user = User(
@@ -77,11 +77,11 @@ def _refuse_taken(session: Session, name: str, printed_name: str) -> None:
     """Refuse a name that could be mistaken for another person's or for Boresight's own, because signatures show it."""
     ours = {comparison_key(text) for own in (SYSTEM, COMMAND_LINE) for text in (own.name, own.printed_name)}
     if not ours.isdisjoint({comparison_key(name), comparison_key(printed_name)}):
-        raise ConflictError(f"{printed_name!r} is what Boresight's own records are signed with; choose another name.")
+        raise ConflictError(f"{printed_name!r} is reserved for Boresight's own records; choose another name.")
     if (other := rows.find_user(session, name, comparison_key(name))) is not None:
-        raise ConflictError(f"There is a user {other.name!r} already; choose another log-in name.")
+        raise ConflictError(f"The log-in name {other.name!r} exists already; choose another.")
     if (other := rows.find_user_by_printed_name(session, printed_name, comparison_key(printed_name))) is not None:
-        raise ConflictError(f"The printed name {other.printed_name!r} is that of {other.name!r}; print another.")
+        raise ConflictError(f"The printed name {other.printed_name!r} belongs to {other.name!r}; choose another.")
 
 
 def get_person_names(session: Session, user_id: int) -> tuple[str, ...]:
@@ -113,7 +113,7 @@ def get_actor(session: Session, user_id: int, session_id: int | None = None, *, 
 def _refuse_password_of_another(user: User) -> None:
     """Refuse a person whose password somebody else knows."""
     if user.must_change_password:
-        raise PasswordDueError("Somebody else set your password: set your own first, then go on.")
+        raise PasswordDueError("Somebody else set your password: set your own first, then continue.")
 
 
 def must_change_password(session: Session, actor: Actor) -> bool:

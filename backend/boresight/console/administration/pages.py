@@ -54,10 +54,10 @@ def roles_held(people: Sequence[User]) -> list[tuple[str, int]]:
 def warnings(people: Sequence[User], *, four_eyes: bool) -> list[str]:
     """List problems with people and roles that would hold up work."""
     held = dict(roles_held(people))
-    said = [f"Only one {role}: no deputy." for role in ALONE if held[role] == 1]
+    said = [f"Only one {role}, so there is no deputy." for role in ALONE if held[role] == 1]
     said += [f"There is no {role}." for role in ROLES[1:] if not held[role]]
     if four_eyes and held["approver"] and not any("approver" in p.roles and "analyst" not in p.roles for p in people):
-        said.append("Every approver is an analyst too: whoever submits needs another to sign.")
+        said.append("Every approver is also an analyst: whoever submits a set needs another approver to sign it.")
     return said
 
 
@@ -154,7 +154,7 @@ def gallery_page(request: Request, part: str = "figures", of: str = "one") -> HT
 def gallery_figure(name: str, of: str = "one") -> Response:
     """Send a figure of the example as Plotly JSON."""
     if of == "broken":
-        raise RefusedInputError("This figure fails on purpose, to show how its panel says why; choose another.")
+        raise RefusedInputError("This figure fails on purpose, to show an error in its panel; choose another.")
     traces = make_example_traces(_find_traces(name, of))
     return Response(figure_json(FIGURES[name].draw(traces)), media_type="application/json")
 

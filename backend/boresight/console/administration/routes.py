@@ -54,7 +54,7 @@ class Readiness(Shape):
     """Whether store, files and workers are there."""
 
     status: Literal["ready", "not ready"]
-    checks: dict[str, Check] | None = Field(None, description="For whoever is known.")
+    checks: dict[str, Check] | None = Field(None, description="For whoever is logged in or sends a key.")
 
 
 router = APIRouter(tags=["server"], generate_unique_id_function=lambda route: route.name)
@@ -75,7 +75,7 @@ async def _apart(act: Callable[..., Any], *given: Any) -> Any:
 
 @router.get("/healthz", name="health", summary="Is the process alive")
 async def health() -> Health:
-    """Say that the process answers; nothing else is looked at."""
+    """Say that the process answers; nothing else is checked."""
     return Health(status="ok")
 
 
@@ -84,12 +84,12 @@ async def health() -> Health:
     name="readiness",
     summary="Can it do its work",
     response_model=Readiness,
-    responses={503: {"model": Readiness, "description": "Not ready; `checks` says what is not."}},
+    responses={503: {"model": Readiness, "description": "Not ready; `checks` says why."}},
 )
 async def readiness(
     request: Request, engine: Database, files: FilesCheck, settings: ServerSettings, workers: Workers
 ) -> Response:
-    """Say whether store, files and workers are there: 200, or 503 with what is not.
+    """Say whether store, files and workers are available: 200, or 503 with what is not.
 
     The store must answer with the right schema, the place of the files must be reached and written, and where workers are
     expected one must have joined since the server began. `checks` is there for whoever is logged in or sends an API key,
@@ -162,7 +162,7 @@ def _workers(settings: Settings, workers: WorkerControl | None) -> dict[str, Any
 async def metrics(request: Request, counted: Annotated[Metrics, depend_on_server("metrics")]) -> Response:
     """Return the series of this server in the Prometheus exposition format.
 
-    Any API key will do, also one without scopes; on the server's own machine none is needed where it listens to nobody else.
+    Any API key is accepted, also one without scopes; on the server's own machine none is needed where it listens to nobody else.
     """
     if not is_local(request):
         await _apart(current_actor, request)
@@ -183,5 +183,5 @@ def documentation() -> HTMLResponse:
 
 @documentation_router.get("/api/v1/docs")
 def documentation_of_version() -> RedirectResponse:
-    """Redirect to the documentation from the address beside the routes."""
+    """Redirect to the documentation."""
     return RedirectResponse("/docs")

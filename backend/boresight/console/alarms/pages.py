@@ -47,7 +47,7 @@ router = APIRouter(dependencies=[Depends(csrf)])
 
 ALARMS = Table(
     "alarms",
-    "Alarms, those to be acknowledged first",
+    "Alarms, unacknowledged first",
     (
         TableColumn("alarm", "Alarm", "-alarm", "nowrap", head=True, csv=("alarm", "kind")),
         TableColumn("severity", "Severity", "severity", csv=("severity",)),
@@ -70,7 +70,7 @@ A_SHIFT_S = 8 * 3600.0
 DONE = {
     "acknowledge": "is acknowledged",
     "shelve": "is shelved",
-    "unshelve": "is taken from the shelf",
+    "unshelve": "is unshelved",
     "assign": "is assigned",
     "comment": "has your comment",
 }

@@ -21,7 +21,7 @@ router = operations("/alarms", tags=["alarms"])
 class Comment(Shape):
     """A comment on an alarm."""
 
-    text: str = Field("", examples=["Seen; a pass for calibration is asked for."])
+    text: str = Field("", examples=["Seen; a pass for calibration is requested."])
 
 
 class Shelf(Shape):
@@ -34,7 +34,7 @@ class Shelf(Shape):
 class Assignee(Shape):
     """The person whom an alarm is assigned to."""
 
-    user_id: Id | None = Field(description="Null: nobody in particular.")
+    user_id: Id | None = Field(description="Null: nobody.")
 
 
 def _shown(row: Alarm) -> Beside:
@@ -58,41 +58,41 @@ def list_alarms(
 
 @router.get("/{alarm_id}", summary="Read an alarm", response_model=schemas.Alarm)
 def get_alarm(alarm_id: Id, session: Reading) -> Beside:
-    """Read an alarm with the figures behind it; the ETag is for handling it."""
+    """Read an alarm with its evidence; the ETag is needed to handle it."""
     return _shown(session.get_known(Alarm, alarm_id))
 
 
-@router.get("/{alarm_id}/events", summary="Read what became of it", response_model=Page[schemas.AlarmEvent])
+@router.get("/{alarm_id}/events", summary="Read its steps", response_model=Page[schemas.AlarmEvent])
 def list_alarm_events(alarm_id: Id, session: Reading) -> Listing[AlarmEvent]:
     """Read every step of an alarm, in order."""
     return Listing(alarms.list_alarm_events(session, alarm_id))
 
 
-@router.post("/{alarm_id}:acknowledge", summary="Say that you have seen it", response_model=schemas.Alarm)
+@router.post("/{alarm_id}:acknowledge", summary="Acknowledge an alarm", response_model=schemas.Alarm)
 def acknowledge_alarm(alarm_id: Id, comment: Comment, actor: Who, seen: SeenVersion, session: Writing) -> Beside:
-    """Acknowledge an alarm; one that has returned to normal is closed by it."""
+    """Acknowledge an alarm; if it has returned to normal, this closes it."""
     return _shown(alarms.acknowledge(session, actor, alarm_id, comment.text, seen))
 
 
-@router.post("/{alarm_id}:shelve", summary="Let it wait until a time", response_model=schemas.Alarm)
+@router.post("/{alarm_id}:shelve", summary="Shelve an alarm", response_model=schemas.Alarm)
 def shelve_alarm(alarm_id: Id, shelf: Shelf, actor: Who, seen: SeenVersion, session: Writing) -> Beside:
     """Shelve an alarm until a time, with the reason; it is not counted meanwhile."""
     return _shown(alarms.shelve(session, actor, alarm_id, shelf.until_utc, shelf.reason, seen))
 
 
-@router.post("/{alarm_id}:unshelve", summary="Take it from the shelf", response_model=schemas.Alarm)
+@router.post("/{alarm_id}:unshelve", summary="Unshelve an alarm", response_model=schemas.Alarm)
 def unshelve_alarm(alarm_id: Id, actor: Who, seen: SeenVersion, session: Writing) -> Beside:
-    """Take an alarm from the shelf before its time."""
+    """Unshelve an alarm before its time."""
     return _shown(alarms.unshelve(session, actor, alarm_id, seen))
 
 
-@router.post("/{alarm_id}:assign", summary="Ask a person to take care of it", response_model=schemas.Alarm)
+@router.post("/{alarm_id}:assign", summary="Assign an alarm", response_model=schemas.Alarm)
 def assign_alarm(alarm_id: Id, assignee: Assignee, actor: Who, seen: SeenVersion, session: Writing) -> Beside:
     """Assign an alarm to a person, or remove its assignee."""
     return _shown(alarms.assign(session, actor, alarm_id, assignee.user_id, seen))
 
 
-@router.post("/{alarm_id}:comment", summary="Say something about it", response_model=schemas.Alarm)
+@router.post("/{alarm_id}:comment", summary="Comment on an alarm", response_model=schemas.Alarm)
 def comment_on_alarm(alarm_id: Id, comment: Comment, actor: Who, seen: SeenVersion, session: Writing) -> Beside:
-    """Add a comment to an open alarm; it is never edited."""
+    """Add a comment to an open alarm; comments cannot be edited."""
     return _shown(alarms.comment(session, actor, alarm_id, comment.text, seen))

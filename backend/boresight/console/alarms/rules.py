@@ -92,9 +92,7 @@ def check_files(bad: Sequence[BadFile]) -> AlarmCause | None:
     if not bad:
         return None
     more = f", and {len(bad) - 1} more" if len(bad) > 1 else ""
-    sentence = (
-        f"The stored file {bad[0]}{more}: nothing is made of it; bring it back from a backup, and look at the disk."
-    )
+    sentence = f"The stored file {bad[0]}{more}: it is not used; restore it from a backup, and check the disk."
     details = {
         "files": [{"sha256": one.sha256, "what": one.what, "used_by": list(one.used_by)} for one in bad[:FILES_NAMED]]
     }
@@ -112,7 +110,9 @@ def _check_age(sensor: Any, baseline: Any) -> Iterator[AlarmCause]:
     if baseline is None or baseline.baseline_from_utc is None or age_d is None or age_d <= OLD_DAYS:
         return
     due_utc = utc_text(datetime.fromisoformat(baseline.baseline_from_utc) + timedelta(days=OLD_DAYS))
-    sentence = f"{baseline.name} of {sensor.name} is over its {OLD_DAYS:.0f} days since {due_utc[:10]}: recalibrate."
+    sentence = (
+        f"{baseline.name} of {sensor.name} has been older than {OLD_DAYS:.0f} days since {due_utc[:10]}: recalibrate."
+    )
     details = {"parameter_set_id": baseline.id, "due_utc": due_utc}
     yield AlarmCause(name_source(sensor.id, "AGE"), sensor.id, "AGE", "caution", sentence, details)
 
@@ -121,7 +121,7 @@ def _check_mismatches(sensor: Any, onboard: Sequence[Any]) -> Iterator[AlarmCaus
     bad = [row for row in onboard if row.onboard_state == "MISMATCH"]
     if bad:
         names = ", ".join(row.name for row in bad)
-        sentence = f"The read-back of {names} does not match what was sent: look at the difference, then send it again."
+        sentence = f"The read-back of {names} does not match what was sent: check the difference, then send it again."
         details = {"parameter_set_ids": [row.id for row in bad]}
         yield AlarmCause(name_source(sensor.id, "MISMATCH"), sensor.id, "MISMATCH", "critical", sentence, details)
 
@@ -246,7 +246,7 @@ def _unshelve_overdue(session: Session) -> int:
     overdue = queries.list_overdue_shelves(session)
     for row in overdue:
         row.shelved_until_utc = None
-        record_step(session, SYSTEM, row, "UNSHELVED", "Its time on the shelf is over.")
+        record_step(session, SYSTEM, row, "UNSHELVED", "Its shelving has ended.")
     return len(overdue)
 
 
@@ -306,12 +306,12 @@ def check_clock(seen_s: float | None) -> AlarmCause | None:
     if OURS.has_jumped():
         moved_s = OURS.moved_s()
         way = "forward" if moved_s > 0 else "back"
-        sentence = f"The clock was set {way} by {abs(moved_s):.0f} s, and says {now}: no request expires until you acknowledge it."
+        sentence = f"The clock was set {way} by {abs(moved_s):.0f} s, and shows {now}: no request expires until you acknowledge it."
         return AlarmCause(CLOCK, None, "CLOCK", "serious", sentence, {"moved_s": round(moved_s), "now_utc": now})
     if seen_s is not None and abs(OURS.now_s() - seen_s) > AWAY_S:
         seen = _text(seen_s)
         sentence = (
-            f"The clock says {now}, and a server ran last at {seen}: no request expires until you acknowledge it."
+            f"The clock shows {now}, but a server last ran at {seen}: no request expires until you acknowledge it."
         )
         return AlarmCause(CLOCK, None, "CLOCK", "serious", sentence, {"seen_utc": seen, "now_utc": now})
     return None

@@ -16,7 +16,7 @@ class Alarm(Row):
 
     id: int
     source: str = Field(
-        description="What it is of; one alarm of a source is open at a time.", examples=["sensors/3/DRIFT"]
+        description="What it is about; only one alarm per source is open at a time.", examples=["sensors/3/DRIFT"]
     )
     sensor_id: int | None
     kind: Literal["DRIFT", "AGE", "MISMATCH", "CHAIN", "FILES", "HEAD", "CLOCK"]
@@ -27,12 +27,12 @@ class Alarm(Row):
     )
     active: bool
     acknowledged: bool
-    evidence: Document = Field(description="The figures behind the sentence.")
+    evidence: Document = Field(description="The evidence behind the sentence.")
     raised_utc: str
     returned_utc: str | None
     shelved_until_utc: str | None
     assigned_to: int | None
-    version: int = Field(description='Counts its steps; the ETag is `"v<version>"`.')
+    version: int = Field(description='Counts its changes; the ETag is `"v<version>"`.')
     closed_utc: str | None
 
 

@@ -47,7 +47,7 @@ def close_if_over(session: Session, actor: Actor, row: Alarm) -> None:
     """Close an alarm that is over and was acknowledged."""
     if not row.active and row.acknowledged:
         row.closed_utc = utc_now()
-        record_step(session, actor, row, "CLOSED", "It is over and was acknowledged.")
+        record_step(session, actor, row, "CLOSED", "It has returned to normal and was acknowledged.")
 
 
 def record_step(session: Session, actor: Actor, row: Alarm, event: str, text: str, **told: Any) -> None:
@@ -94,10 +94,10 @@ def shelve(session: Session, actor: Actor, alarm_id: int, until: str, reason: st
     until_utc = read_time(until)
     if not utc_now() < until_utc <= utc_after(MOST_DAYS * DAY_S):
         raise RefusedInputError(
-            f"An alarm is shelved until a time to come; give one at most {MOST_DAYS:.0f} days from now."
+            f"An alarm can only be shelved until a future time; give one at most {MOST_DAYS:.0f} days from now."
         )
     row.shelved_until_utc = until_utc
-    record_step(session, actor, row, "SHELVED", _said(reason, needed="reason why it may wait"), until_utc=until_utc)
+    record_step(session, actor, row, "SHELVED", _said(reason, needed="reason why it can wait"), until_utc=until_utc)
     return row
 
 
@@ -116,7 +116,7 @@ def assign(session: Session, actor: Actor, alarm_id: int, user_id: int | None, s
     row = _take_to_handle(session, actor, alarm_id, seen_version, "assign an alarm")
     person = None if user_id is None else session.get(User, user_id)
     if user_id is not None and (person is None or person.disabled_utc is not None):
-        raise NotFoundError(f"There is no user {user_id} who could take care of it; choose a person from the list.")
+        raise NotFoundError(f"There is no user {user_id} who could handle it; choose a person from the list.")
     row.assigned_to = None if person is None else person.id
     record_step(session, actor, row, "ASSIGNED", "to nobody" if person is None else f"to {person.printed_name}")
     return row
@@ -135,7 +135,7 @@ def _take_to_handle(session: Session, actor: Actor, alarm_id: int, seen_version:
     row = session.get_known(Alarm, alarm_id)
     require_seen(session, row, seen_version)
     if row.closed_utc is not None:
-        raise ConflictError(f"Alarm {row.id} is closed since {row.closed_utc}; write a note on its sensor instead.")
+        raise ConflictError(f"Alarm {row.id} was closed at {row.closed_utc}; write a note on its sensor instead.")
     return row
 
 

@@ -35,7 +35,7 @@ from boresight.verdicts.gates.assessment import ground_set, of_result
 DEFAULT = gates.parse_profile({}).document()
 DEFAULT_SHA256 = compute_sha256(DEFAULT)
 RUNS_TRIED = 40
-NO_VALIDATION = "The run had no validation set: nothing outside the fitted frames was measured."
+NO_VALIDATION = "The run had no validation set: only the fitted frames were measured."
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def _default(sensor: Sensor) -> GateProfile:
         number=0,
         document=DEFAULT,
         sha256=DEFAULT_SHA256,
-        reason="The default, until another is set.",
+        reason="The default, until other limits are set.",
         created_utc=sensor.created_utc,
         created_by=None,
     )

@@ -137,7 +137,7 @@ def _choose_validation_frames(
 NO_SET = (
     "There are no validation frames: upload a validation set that neither this set nor the incumbent was fitted to."
 )
-NOT_SEEN = "The validation frames were not seen under this set and the incumbent: assess the set."
+NOT_SEEN = "The validation frames were not matched with this set and the incumbent: assess the set."
 ASSESSORS = ("analyst", "approver", "operator", "administrator")
 
 
@@ -225,7 +225,9 @@ def _record(session: Session, actor: Actor, assessment: GateAssessment) -> GateR
     moved = [_word(name) for name, now in compute_bound_hashes(session, row).items() if bound[name] != now]
     if moved:
         since = describe_baseline(session, row.sensor_id)
-        raise StaleError(f"The {' and the '.join(moved)} moved while {row.name} was assessed.{since} Do it again.")
+        raise StaleError(
+            f"The {' and the '.join(moved)} changed while {row.name} was assessed.{since} Assess it again."
+        )
     sha256 = compute_sha256(assessment.document)
     newest = rows.find_newest_report(session, row.id)
     if newest is not None and newest.sha256 == sha256:
@@ -264,7 +266,7 @@ def get_report(session: Session, parameter_set_id: int, sha256: str | None = Non
             f"{row.name} (parameter set {row.id}) has no gate report {sha256}; leave sha256 out for the newest."
         )
     if report is None:
-        raise NotFoundError(f"{row.name} (parameter set {row.id}) has no gate report; ask for one with POST :assess.")
+        raise NotFoundError(f"{row.name} (parameter set {row.id}) has no gate report; make one with POST :assess.")
     return report
 
 
@@ -319,7 +321,7 @@ CODES = {
     "known-cause": "The cause is known and does no harm",
     "limit-too-tight": "The limit is tighter than this case needs",
     "data-limited": "No better data can be had in time",
-    "mission-need": "The mission needs the set in spite of it",
+    "mission-need": "The mission needs the set despite this",
     "other": "Another reason",
 }
 LEAST_LETTERS = 20
@@ -372,25 +374,25 @@ def _checked(gate: str, code: str, reason: str, expires_utc: str) -> str:
     if code not in CODES:
         raise RefusedInputError(f"There is no reason code {code!r}; choose from {', '.join(CODES)}.")
     if len(reason.strip()) < LEAST_LETTERS:
-        raise RefusedInputError(f"Give the reason in at least {LEAST_LETTERS} letters: the approvers must judge it.")
+        raise RefusedInputError(
+            f"Give the reason in at least {LEAST_LETTERS} letters, so that the approvers can judge it."
+        )
     until = read_time(expires_utc)
     if not utc_now() < until <= utc_after(LONGEST_DAYS * DAY_S):
-        raise RefusedInputError(
-            f"The waiver cannot expire at {until}; give a time to come, within {LONGEST_DAYS} days."
-        )
+        raise RefusedInputError(f"The waiver cannot expire at {until}; give a future time within {LONGEST_DAYS} days.")
     return until
 
 
 def _get_blocking_report(session: Session, parameter_set_id: int, name: str, gate: str) -> GateReport:
     report = find_valid_report(session, parameter_set_id)
     if report is None:
-        raise ConflictError(f"{name} has no gate report that holds now: assess it, then waive what blocks it.")
+        raise ConflictError(f"{name} has no up-to-date gate report: assess it, then waive what blocks it.")
     document = read_with_waivers(session, report)
     answer = next(one for one in document["gates"] if one["name"] == gate)
     if gate not in document["blocking"]:
         how = "waived already" if answer["waived"] else answer["status"]
         raise ConflictError(f"The gate {gate} does not block {name}: it is {how}. There is nothing to waive.")
     if answer["critical"] or not answer["waivable"]:
-        why = "it is critical" if answer["critical"] else "the gate profile does not let it be waived"
+        why = "it is critical" if answer["critical"] else "the gate profile does not allow it to be waived"
         raise ForbiddenError(f"Nobody can waive the gate {gate}: {why}. Calibrate again.")
     return report

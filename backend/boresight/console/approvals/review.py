@@ -134,8 +134,8 @@ def warn_of_shifts(
         shift = abs(found.parameters[name] - old[name]) / scale
         if shift > FAR_TYPICAL_SIGMAS:
             said[f"shift-{name}"] = (
-                f"{name} moves by {shift:.1f} typical sigmas, more than {FAR_TYPICAL_SIGMAS:g}: look at the matches before "
-                "believing it."
+                f"{name} moves by {shift:.1f} typical sigmas, more than {FAR_TYPICAL_SIGMAS:g}: check the matches before "
+                "trusting it."
             )
     return said
 
@@ -152,7 +152,7 @@ def answer_points(points: Sequence[Point], given: Sequence[Acknowledgement]) -> 
                 f"This request has no point {one.kind} {one.name[:64]!r}; read its points and choose one of them."
             )
         if key in reasons:
-            raise RefusedInputError(f"The {one.kind} {one.name!r} is acknowledged twice; leave one of the two out.")
+            raise RefusedInputError(f"The {one.kind} {one.name!r} is acknowledged twice; leave one out.")
         if not reason or len(reason) > LONGEST_REASON:
             raise RefusedInputError(
                 f"The {one.kind} {one.name!r} is ticked without a usable reason; write 1 to {LONGEST_REASON} characters."
@@ -168,9 +168,11 @@ def refuse_open_points(points: Sequence[Point]) -> None:
         return
     first, more = left[0], f" {len(left) - 1} more are open." if len(left) > 1 else ""
     if first.kind == EVIDENCE:
-        raise RefusedInputError(f"{first.title} was not opened: open it, or say why you sign without it.{more}")
+        raise RefusedInputError(
+            f"{first.title} was not opened: open it, or give a reason for signing without it.{more}"
+        )
     what = f"{first.title} is {first.status}" if first.kind == GATE else f"A warning says: {first.said}"
-    raise RefusedInputError(f"{what.rstrip('.')}. Acknowledge it with the reason why you accept it.{more}")
+    raise RefusedInputError(f"{what.rstrip('.')}. Acknowledge it, with the reason why you accept it.{more}")
 
 
 def write_points(points: Sequence[Point]) -> list[dict[str, Any]]:

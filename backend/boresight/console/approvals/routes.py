@@ -54,7 +54,7 @@ from boresight.platform.web.paging import Id, Listing, Page, Paged
 gate_profile_router = operations("/sensors", tags=["gates"])
 
 GATES = Field(
-    description="One object a gate that differs from the default; keys that are left out are the default's.",
+    description="One object per gate that differs from the default; missing keys take the default.",
     examples=[[{"name": "validation-rms", "limit": 2.0, "marginal": 1.3, "must_have_data": True}]],
 )
 
@@ -77,7 +77,7 @@ class NewProfile(Limits):
     response_model=Page[schemas.GateProfile],
 )
 def list_gate_profiles(sensor_id: Id, session: Reading, page: Paged) -> Answer:
-    """List every version of a sensor's limits, newest first; the first is in force, and its ETag is for setting another."""
+    """List every version of a sensor's limits, newest first; the first is in force, and its ETag is needed to set another."""
     found = gate_profiles.list_profiles(session, sensor_id)
     return Answer(page.cut_whole(found), headers={"ETag": schemas.GateProfile.etag(found[0])})
 
@@ -92,9 +92,9 @@ def list_gate_profiles(sensor_id: Id, session: Reading, page: Paged) -> Answer:
 def set_gate_profile(
     sensor_id: Id, profile: NewProfile, actor: Who, seen: SeenVersion, policy: ServerPolicy, session: Writing
 ) -> GateProfile | TableDefinition | Answer:
-    """Put other limits into force. The sensor's undecided requests become STALE, for their verdict may be another.
+    """Put other limits into force. The sensor's open requests become STALE, because their verdict may change.
 
-    Where the setting `second_person` is on, the change is proposed, answered with 202, and moves nothing until another
+    Where the setting `second_person` is on, the change is proposed, answered with 202, and changes nothing until another
     administrator confirms it.
     """
     document = {"gates": profile.gates}
@@ -131,13 +131,13 @@ class Waiving(Shape):
     code: str = Field(description=f"One of {', '.join(gates.CODES)}.", examples=["data-limited"])
     reason: str = Field(
         description=f"In at least {gates.LEAST_LETTERS} letters.",
-        examples=["One corner was in eclipse all month; the arcs there are extrapolated and we know it."],
+        examples=["One corner was in eclipse all month; the arcs there are known to be extrapolated."],
     )
     expires_utc: str = Field(
         description=f"ISO 8601, within {gates.LONGEST_DAYS} days; the gate then blocks again.",
         examples=["2026-12-01T00:00:00Z"],
     )
-    password: SecretStr = Field(description="Your own, given again.")
+    password: SecretStr = Field(description="Your own password again.")
 
 
 ProvenWaiver = Annotated[PasswordProof, own_password(Waiving)]
@@ -167,7 +167,7 @@ def _shown(session: Session, row: GateReport) -> Beside:
 
 @gate_report_router.post(
     "/{parameter_set_id}:assess",
-    summary="Hold it against its gates",
+    summary="Assess its gates",
     status_code=201,
     response_model=schemas.GateReport,
 )
@@ -177,19 +177,19 @@ def assess_parameter_set(
     examined: Examined,
     session: Writing,
 ) -> Beside:
-    """Match the validation frames under this set and the incumbent, judge every gate, and keep the report.
+    """Match the validation frames with this set and with the incumbent, judge every gate, and store the report.
 
-    The same evidence gives the same report, which is then the one that is there. Where the evidence moved while the frames
+    The same evidence gives the same report, which is then not stored again. If the evidence changed while the frames
     were matched the answer is 412: assess it again. An open request that binds another report is STALE at its next signature.
     """
     return _shown(session, gates.record_report(session, actor, examined))
 
 
 @gate_report_router.get(
-    "/{parameter_set_id}/gate-report", summary="Read what its gates found", response_model=schemas.GateReport
+    "/{parameter_set_id}/gate-report", summary="Read its gate report", response_model=schemas.GateReport
 )
 def get_gate_report(parameter_set_id: Id, session: Reading, sha256: Hash | None = None) -> Beside:
-    """Read the newest report, or the one that a request binds, with the waivers; `holds` says whether its evidence moved since."""
+    """Read the newest report, or the one that a request binds, with its waivers; `holds`: whether its evidence is unchanged."""
     return _shown(session, gates.get_report(session, parameter_set_id, sha256))
 
 
@@ -199,7 +199,7 @@ def get_gate_report(parameter_set_id: Id, session: Reading, sha256: Hash | None 
 def waive_gate(
     parameter_set_id: Id, signed: Waiving, actor: Who, seen: SeenVersion, proof: ProvenWaiver, session: Writing
 ) -> Waiver:
-    """Let this set pass in spite of a gate that blocks it, in person. The next request then needs two approvals."""
+    """Let this set pass despite a gate that blocks it, in person. The next request then needs two approvals."""
     return gates.waive(
         session, actor, parameter_set_id, signed.gate, signed.code, signed.reason, signed.expires_utc, proof, seen
     )
@@ -222,8 +222,8 @@ class Signing(Shape):
     """A signature: what it means, and the password again."""
 
     meaning: str = Field(examples=["I reviewed the evidence and approve this set for baseline."])
-    password: SecretStr = Field(description="The signer's own, given again.")
-    comment: str = Field("", description="Needed to refuse.")
+    password: SecretStr = Field(description="The signer's own password again.")
+    comment: str = Field("", description="Required to refuse.")
     acknowledged: list[Acknowledged] | None = Field(
         None,
         max_length=200,
@@ -243,7 +243,7 @@ class Signing(Shape):
 class SigningByName(Signing):
     """A second person's signature at another's console: who it is, and the decision, beside the rest."""
 
-    name: str = Field(description="Log-in name of who signs.", examples=["alan"])
+    name: str = Field(description="Log-in name of the signer.", examples=["alan"])
     decision: Literal["APPROVE", "REFUSE"]
 
 
@@ -276,13 +276,13 @@ def list_approvals(
 
 @router.get("/{approval_id}", summary="Read a request", response_model=schemas.Approval)
 def get_approval(approval_id: Id, session: Reading) -> Approval:
-    """Read a request with its signatures; the ETag is for signing."""
+    """Read a request with its signatures; the ETag is needed to sign."""
     return session.get_known(Approval, approval_id)
 
 
 @router.get("/{approval_id}/signers", summary="List who may sign", response_model=Page[schemas.Signer])
 def list_signers(approval_id: Id, policy: ServerPolicy, session: Reading) -> Listing[Beside]:
-    """List every approver with whether they may sign this request, and if not, which part in the set excludes them."""
+    """List every approver with whether they may sign this request, and if not, which action on the set excludes them."""
     found = approvals.list_signers_of(session, approval_id, policy=policy)
     return Listing(
         [
@@ -294,7 +294,7 @@ def list_signers(approval_id: Id, policy: ServerPolicy, session: Reading) -> Lis
     )
 
 
-@router.post("/{approval_id}:approve", summary="Sign for it", response_model=schemas.Approval)
+@router.post("/{approval_id}:approve", summary="Approve a request", response_model=schemas.Approval)
 def approve(
     approval_id: Id,
     signed: Signing,
@@ -304,11 +304,11 @@ def approve(
     policy: ServerPolicy,
     session: Writing,
 ) -> Approval:
-    """Approve, as a second person: neither who submitted or created the set nor who launched its run; no administrator, no key."""
+    """Approve as a second person, who did not submit or create the set or launch its run; not an administrator, not by API key."""
     return approvals.sign(session, actor, approval_id, signed.decided("APPROVE"), proof, seen, policy=policy).approval
 
 
-@router.post("/{approval_id}:refuse", summary="Sign against it", response_model=schemas.Approval)
+@router.post("/{approval_id}:refuse", summary="Refuse a request", response_model=schemas.Approval)
 def refuse(
     approval_id: Id,
     signed: Signing,
@@ -334,7 +334,7 @@ def sign_over_the_shoulder(
     policy: ServerPolicy,
     session: Writing,
 ) -> Approval:
-    """Approve or refuse as a second person who gives name and password where another is logged in."""
+    """Approve or refuse as a second person, who gives name and password while another person is logged in."""
     decided = signed.decided(signed.decision)
     return approvals.sign_over_the_shoulder(session, actor, approval_id, decided, proof, seen, policy=policy).approval
 
@@ -345,7 +345,7 @@ discussion_router = operations("/approvals/{approval_id}", tags=["approvals"])
 class Assignment(Shape):
     """Who is asked to decide."""
 
-    user_id: Id | None = Field(description="Null: nobody in particular.")
+    user_id: Id | None = Field(description="Null: nobody.")
 
 
 class NewRemark(Shape):
@@ -361,11 +361,11 @@ class NewThread(NewRemark):
     name: str = Field(max_length=200, examples=["coverage"])
 
 
-@discussion_router.post(":assign", summary="Ask a person to decide", response_model=schemas.Approval)
+@discussion_router.post(":assign", summary="Assign to a person", response_model=schemas.Approval)
 def assign_approval(
     approval_id: Id, assignment: Assignment, actor: Who, seen: SeenVersion, policy: ServerPolicy, session: Writing
 ) -> Approval:
-    """Ask a person who may sign it to decide on an open request."""
+    """Assign an open request to a person who may sign it."""
     return approvals.assign(session, actor, approval_id, assignment.user_id, seen, policy=policy)
 
 
@@ -375,9 +375,9 @@ def list_remarks(approval_id: Id, session: Reading) -> Listing[Remark]:
     return Listing(approvals.list_remarks(session, approval_id))
 
 
-@discussion_router.post("/remarks", summary="Say something about it", status_code=201, response_model=schemas.Remark)
+@discussion_router.post("/remarks", summary="Add a remark", status_code=201, response_model=schemas.Remark)
 def remark(approval_id: Id, new: NewRemark, actor: Who, session: Writing) -> Remark:
-    """Add a remark to a request, be it decided or not; it is never edited."""
+    """Add a remark to a request, open or decided; remarks cannot be edited."""
     return threads.add_remark(session, actor, approval_id, new.text)
 
 
@@ -420,7 +420,7 @@ def open_figure(
     request: Request,
     seen: Seen,
 ) -> Response:
-    """Read a figure of the run behind a request. While it is open the server keeps that you, a person, were given it."""
+    """Read a figure of the run behind a request. While the request is open, the server records that you received it."""
     approval = session.get_known(Approval, approval_id)
     row = session.get_one(ParameterSet, approval.parameter_set_id)
     if row.run_id is None:
@@ -444,7 +444,7 @@ def open_thread(approval_id: Id, new: NewThread, actor: Who, session: Writing) -
 
 @discussion_router.get("/threads/{thread_id}", summary="Read a thread", response_model=schemas.Thread)
 def get_thread(approval_id: Id, thread_id: Id, session: Reading) -> Thread:
-    """Read a thread; the ETag is for resolving it."""
+    """Read a thread; the ETag is needed to resolve it."""
     return threads.get_thread(session, approval_id, thread_id)
 
 
@@ -452,7 +452,7 @@ def get_thread(approval_id: Id, thread_id: Id, session: Reading) -> Thread:
     "/threads/{thread_id}/remarks", summary="Answer in a thread", status_code=201, response_model=schemas.Remark
 )
 def answer_thread(approval_id: Id, thread_id: Id, new: NewRemark, actor: Who, session: Writing) -> Remark:
-    """Add a comment to a thread, open or resolved; it is never edited."""
+    """Add a comment to a thread, open or resolved; comments cannot be edited."""
     return threads.add_remark(session, actor, approval_id, new.text, thread_id)
 
 

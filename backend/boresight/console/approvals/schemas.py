@@ -13,7 +13,7 @@ class Point(Row):
     """Something that a signature answers for: a gate that is not PASS, a warning, or a figure to be opened."""
 
     kind: Literal["gate", "warning", "evidence"]
-    name: str = Field(description="With the kind it tells the point from others of the request.")
+    name: str = Field(description="Identifies the point within the request, together with the kind.")
     title: str
     said: str = Field(description="What the gate or the warning says.")
     status: str = Field(description="The gate's answer; empty otherwise.")
@@ -36,7 +36,7 @@ class Signature(Row):
     comment: str
     shown_sha256: str = Field(description="Hash of what was shown when this was signed.")
     signed_utc: str
-    console: str | None = Field(description="At whose console it was signed over the shoulder; null at one's own.")
+    console: str | None = Field(description="At whose console a second person signed it; null at the signer's own.")
     password_by: str | None = Field(
         description="Who else gave the password that it was signed with, and when; null where the signer chose it, a day "
         "or more after anybody else had given one."
@@ -59,12 +59,12 @@ class Approval(Row):
     reason: str
     bound: Document = Field(
         description="What the request binds: hashes of set, run result, gate report, gate profile, table definition and "
-        "incumbent, and the waivers in force. If one of them moves, the request is STALE."
+        "incumbent, and the waivers in force. If one of them changes, the request is STALE."
     )
     kind: Literal["PROMOTION", "ROLLBACK"]
     needed: int = Field(description="Approvals that make it APPROVED; one refusal blocks.")
     expires_utc: str | None
-    assigned_to: int | None = Field(description="The person who is asked to decide.")
+    assigned_to: int | None = Field(description="The person it is assigned to.")
     version: int = Field(description='Counts transitions; the ETag is `"v<version>"`.')
     submitted_utc: str
     submitted_by: int
@@ -79,10 +79,10 @@ class Signer(Shape):
     printed_name: str
     may_sign: bool
     excluded_as: list[Literal["SUBMITTER", "LAUNCHER", "CREATOR"]] = Field(
-        description="The part in the set that keeps this person from signing: who submitted it, who launched its run or "
+        description="What this person did to the set that keeps them from signing: who submitted it, who launched its run or "
         "campaign, who created it."
     )
-    refusal: str | None = Field(description="Why they may not, a sentence; null when they may.")
+    refusal: str | None = Field(description="Why they may not sign; null when they may.")
 
 
 class Remark(Row):
@@ -94,7 +94,7 @@ class Remark(Row):
     printed_name: str
     text: str
     made_utc: str
-    thread_id: int | None = Field(description="The thread that it stands in; null where it is about the whole request.")
+    thread_id: int | None = Field(description="The thread it belongs to; null where it is about the whole request.")
     mentions: list[str] | None = Field(description="Log-in names that the text mentions by `@name`.")
 
 
@@ -138,10 +138,10 @@ class GateProfile(Row):
     versioned_by = ("number",)
     location = "/sensors/{row.sensor_id}/gate-profiles"
 
-    id: int | None = Field(description="Null of the default that nobody has needed yet.")
+    id: int | None = Field(description="Null for the default that nobody has needed yet.")
     sensor_id: int
     number: int = Field(description='The version; the ETag is `"v<number>"` of the one in force.')
-    document: Document = Field(description="`gates`: one object a gate, every key present.")
+    document: Document = Field(description="`gates`: one object per gate, every key present.")
     sha256: str
     reason: str
     created_utc: str
@@ -175,7 +175,7 @@ class Waiver(Row):
     gate: str
     code: str
     reason: str
-    expires_utc: str = Field(description="From then on the gate blocks again.")
+    expires_utc: str = Field(description="From this time on the gate blocks again.")
     made_utc: str
     made_by: int
     printed_name: str
@@ -192,11 +192,13 @@ class GateReport(Row):
     verdict: Verdict = Field(description="The worst answer that counts and that nobody waived.")
     words: str = Field(description="The verdict with how many gates were ever waived: `PASS (2 gates waived)`.")
     blocking: list[str] = Field(description="Gates that stop approval and promotion now.")
-    waived: list[str] = Field(description="Gates with a waiver that holds now.")
-    gates: list[Document] = Field(description="One answer a gate: status, value, interval, limit, margin, sentence.")
-    held_out: Document | None = Field(description="The frames that were looked at: name and SHA-256.")
-    bound: Document = Field(description="Hashes of all that the report rests on.")
-    holds: bool = Field(description="Whether all that it rests on is as it was; a promotion moves the incumbent.")
+    waived: list[str] = Field(description="Gates with a waiver in force.")
+    gates: list[Document] = Field(description="One answer per gate: status, value, interval, limit, margin, sentence.")
+    held_out: Document | None = Field(description="The frames that were used: name and SHA-256.")
+    bound: Document = Field(description="Hashes of everything that the report is based on.")
+    holds: bool = Field(
+        description="Whether everything that it is based on is unchanged; a promotion changes the incumbent."
+    )
     sha256: str = Field(description="SHA-256 of the report as it was stored, without waivers.")
     created_utc: str
     created_by: int | None

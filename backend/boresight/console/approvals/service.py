@@ -90,9 +90,9 @@ class Decision:
         if self.decision not in DECISIONS:
             raise RefusedInputError(f"There is no decision {self.decision!r}; choose APPROVE or REFUSE.")
         if not self.meaning.strip():
-            raise RefusedInputError("Say what your signature means, such as: I approve this set for baseline.")
+            raise RefusedInputError("Say what your signature means, for example: I approve this set for baseline.")
         if self.decision == "REFUSE" and not self.comment.strip():
-            raise RefusedInputError("Say why you refuse: the comment is what the submitter learns from.")
+            raise RefusedInputError("Say why you refuse: the submitter needs the comment.")
 
 
 def find_signatory(session: Session, actor: Actor, *, policy: Policy = POLICY) -> Signatory | None:
@@ -157,7 +157,7 @@ def sign_over_the_shoulder(
     approval = session.get_known(Approval, approval_id)
     actor = users.authenticate(session, proof, console.request_id)
     if actor.user_id == owner_id:
-        raise ForbiddenError("This is your own console; sign without a name, or have another approver give theirs.")
+        raise ForbiddenError("This is your own console; sign without a name, or have another approver enter theirs.")
     refuse_signer(session, actor, approval, policy)
     return _sign(session, actor, approval, decided, policy, console)
 
@@ -284,7 +284,7 @@ def assign(
         )
     named = None if user_id is None else _get_signer(session, approval, user_id, policy)
     approval.assigned_to = None if named is None else named.id
-    asked = "nobody in particular" if named is None else named.printed_name
+    asked = "nobody" if named is None else named.printed_name
     move(session, actor, approval, "OPEN", "assigned", assigned_to=asked)
     return approval
 
@@ -296,7 +296,7 @@ def _get_signer(session: Session, approval: Approval, user_id: int, policy: Poli
     found = next((one for one in list_signers(session, approval, policy) if one.user.id == user_id), None)
     if found is None:
         raise ConflictError(
-            f"{user.printed_name} cannot sign this request, having no role approver; ask another person."
+            f"{user.printed_name} cannot sign this request without the role approver; ask another person."
         )
     if found.refusal is not None:
         raise ConflictError(f"{found.refusal} Ask another approver.")
@@ -384,7 +384,7 @@ def _refuse_lone(session: Session, approval: Approval, policy: Policy) -> None:
     if signed < approval.needed:
         raise ConflictError(
             f"Request {approval.id} has {signed} of {approval.needed} approvals by a second person: it was signed "
-            "while four-eyes was off, or by who created the set. Withdraw it and submit the set again."
+            "while four-eyes was off, or by the person who created the set. Withdraw it and submit the set again."
         )
 
 
@@ -407,7 +407,7 @@ def submit(  # noqa: PLR0913 - who asks for what and why, with the evidence
     require_role(actor, "analyst", *(["operator"] if back else []))
     row = _get_submittable(session, actor, parameter_set_id, reason, seen_version)
     if back and row.baseline_from_utc is None:
-        raise ConflictError(f"{row.name} was never baseline, so there is nothing to roll back to; submit it instead.")
+        raise ConflictError(f"{row.name} was never baseline, so you cannot roll back to it; submit it instead.")
     if not reason.strip():
         what = "the sensor should go back to this set" if back else "this set should become the baseline"
         raise RefusedInputError(f"Give the reason why {what}.")

@@ -62,7 +62,7 @@ def refuse_who_never_signs(session: Session, actor: Actor) -> int:
     """Refuse whoever may sign no request at all, with the reason; returns the person's number."""
     user_id = require_person(actor, "sign")
     if "administrator" in actor.roles:
-        raise ForbiddenError("An administrator cannot sign; ask an approver who is no administrator.")
+        raise ForbiddenError("An administrator cannot sign; ask an approver who is not an administrator.")
     require_role(actor, "approver")
     if session.get_one(User, user_id).must_change_password:
         raise ForbiddenError("Somebody else set your password; set your own first, then sign.")
@@ -102,7 +102,7 @@ def _signer(user: User, own: Sequence[SetPart], signed_utc: str | None) -> Signe
     if "administrator" in user.roles:
         return Signer(user, roles, f"{name} is an administrator, who cannot sign.")
     if user.must_change_password:
-        return Signer(user, roles, f"Somebody else set the password of {name}, who must set another first.")
+        return Signer(user, roles, f"Somebody else set the password of {name}, who must set their own first.")
     if own:
         return Signer(user, roles, f"{name} {_listed(own)}.")
     return Signer(user, roles, None if signed_utc is None else f"{name} signed it already, at {signed_utc}.")

@@ -132,9 +132,9 @@ def refuse_changed_binding(session: Session, actor: Actor, approval: Approval, r
     if not names:
         return
     since = describe_baseline(session, row.sensor_id)
-    _make_stale(session, actor, approval, f"the {' and the '.join(names)} moved")
+    _make_stale(session, actor, approval, f"the {' and the '.join(names)} changed")
     keep_despite_refusal(session)
-    raise StaleError(f"The {' and the '.join(names)} moved since {row.name} was submitted.{since} Submit it again.")
+    raise StaleError(f"The {' and the '.join(names)} changed since {row.name} was submitted.{since} Submit it again.")
 
 
 def is_expired(approval: Approval) -> bool:

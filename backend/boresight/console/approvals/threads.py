@@ -35,7 +35,7 @@ def add_remark(session: Session, actor: Actor, approval_id: int, text: str, thre
     refuse_control_characters(remark=text)
     if not text.strip() or len(text) > LONGEST_REMARK:
         raise RefusedInputError(
-            f"A remark of {len(text.strip())} characters cannot be kept; write 1 to {LONGEST_REMARK}."
+            f"A remark of {len(text.strip())} characters cannot be stored; write 1 to {LONGEST_REMARK}."
         )
     row = Remark(
         approval_id=approval.id,
@@ -102,7 +102,7 @@ def get_thread(session: Session, approval_id: int, thread_id: int) -> Thread:
     """Return a thread of a request."""
     row = session.get_known(Thread, thread_id)
     if row.approval_id != approval_id:
-        raise NotFoundError(f"Request {approval_id} has no thread {thread_id}; choose one of its list.")
+        raise NotFoundError(f"Request {approval_id} has no thread {thread_id}; choose one from its list.")
     return row
 
 
@@ -130,7 +130,7 @@ def open_thread(session: Session, actor: Actor, approval_id: int, kind: str, nam
 def _refuse_unknown(row: ParameterSet, kind: str, name: str) -> None:
     known = {"gate": list(GATES), "parameter": list(row.document["parameters"]), "figure": list(VIEWS)}
     if kind not in known:
-        raise RefusedInputError(f"A thread is about no {kind[:64]!r}; choose one of {', '.join(known)}.")
+        raise RefusedInputError(f"A thread cannot be about {kind[:64]!r}; choose one of {', '.join(known)}.")
     if name not in known[kind]:
         raise RefusedInputError(f"There is no {kind} {name[:64]!r}; choose one of {', '.join(known[kind])}.")
 

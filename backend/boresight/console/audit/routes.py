@@ -52,12 +52,12 @@ def verify_audit(
     session: Reading,
     stored: Blobs,
     expected_head: Annotated[str | None, Query(description="A head from an earlier export.")] = None,
-    blobs: Annotated[bool, Query(description="Whether to look at the stored files too.")] = True,
+    blobs: Annotated[bool, Query(description="Whether to check the stored files too.")] = True,
 ) -> ChainReport:
-    """Walk the whole chain, every row that it seals, and the stored files; say whether all is as it was written, else what is not.
+    """Check the whole chain, every row that it seals, and the stored files; say which are not as they were written.
 
-    A file that this server has seen to be intact is read again when anything about it has changed; the server's maintenance
-    reads all of them again, some a minute.
+    A file that this server has checked is read again only if anything about it has changed; the server's maintenance
+    reads all of them again, a few each minute.
     """
     return audit.verify(session, expected_head, stored if blobs else None, again=False)
 

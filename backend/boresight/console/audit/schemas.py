@@ -36,6 +36,6 @@ class ChainReport(Row):
     head: str
     first_broken_id: int | None
     first_broken_row: str | None
-    files: int = Field(description="Stored files that were held against their addresses.")
-    bad_files: list[str] = Field(description="What is wrong with which, the first twenty.")
+    files: int = Field(description="Stored files that were compared with their addresses.")
+    bad_files: list[str] = Field(description="Which files are wrong and how; the first twenty.")
     sentence: str

@@ -148,7 +148,7 @@ async def cancel(request: Request, actor: Who, campaign_id: int) -> Response:
     reason = (await read_texts(request)).get("reason", "")
     change = partial(campaigns.cancel_campaign, actor=actor, campaign_id=campaign_id, reason=reason)
     return await make_change(
-        request, change, f"/campaigns/{campaign_id}", "Every run that had not ended was asked to stop."
+        request, change, f"/campaigns/{campaign_id}", "Every run that had not ended is being cancelled."
     )
 
 

@@ -35,7 +35,7 @@ class Campaign(Row):
         description="`UNDER WAY`, `CANCELLING`, `CANCELLED`, `SUCCEEDED`, or `ENDED` where a run did not succeed."
     )
     sensors: int
-    ended: int = Field(description="Sensors that need no more waiting for.")
+    ended: int = Field(description="Sensors whose run has ended or was not launched.")
     fraction: float = Field(description="0 to 1.")
     counts: dict[str, int] = Field(description="Sensors by the state of their run, or `NOT LAUNCHED`.")
 
@@ -76,7 +76,7 @@ class DryRunOfCampaign(BaseModel):
     settings: Document
     sensors: int
     runs: int
-    predicted_s: float = Field(description="Of all runs together, seconds of computing.")
+    predicted_s: float = Field(description="Computing time of all runs together, seconds.")
     refused: list[RefusedMember]
 
 
@@ -107,14 +107,12 @@ class CampaignLaunch(BaseModel):
         },
     )
     label: str
-    preset: str | None = Field(None, description="Key of a preset; `settings` go over its own.")
+    preset: str | None = Field(None, description="Key of a preset; `settings` override its own.")
     settings: console_schemas.Settings = Field(default_factory=dict)
     sensors: list[CampaignMember] | None = Field(
-        None, max_length=MOST_SENSORS, description="Left out, every sensor of the fleet."
+        None, max_length=MOST_SENSORS, description="Every sensor of the fleet when left out."
     )
-    validate_only: bool = Field(
-        default=False, description="Check everything, change nothing, and say what it would be."
-    )
+    validate_only: bool = Field(default=False, description="Check everything, change nothing, and describe the result.")
 
     def members(self) -> list[MemberRequest] | None:
         """Return the sensors as the service takes them."""
@@ -171,14 +169,14 @@ def get_campaign(campaign_id: Id, session: Reading) -> Beside:
     return _shown(campaigns.read_campaign(session, campaign_id))
 
 
-@router.get("/{campaign_id}/results", summary="List what the sensors came to", response_model=Page[CampaignResult])
+@router.get("/{campaign_id}/results", summary="List the results", response_model=Page[CampaignResult])
 def list_campaign_results(campaign_id: Id, session: Reading, page: Paged) -> Listing[MemberStatus]:
-    """List the newest run of every sensor with its cause or its figures, in the order of launch."""
+    """List the newest run of every sensor with its result or its cause of failure, in the order of launch."""
     found = campaigns.list_results(session, campaign_id, **page.rows)
     return page.cut(found, make_result_line)
 
 
-@router.post("/{campaign_id}:cancel", summary="Stop a campaign", response_model=Campaign)
+@router.post("/{campaign_id}:cancel", summary="Cancel a campaign", response_model=Campaign)
 def cancel_campaign(
     campaign_id: Id,
     actor: Who,
@@ -186,7 +184,7 @@ def cancel_campaign(
     session: Writing,
     cancellation: CampaignCancellation | None = None,
 ) -> Beside:
-    """Stop every run of a campaign that has not ended."""
+    """Cancel every run of a campaign that has not ended."""
     _require_seen(session, campaign_id, seen)
     campaigns.cancel_campaign(session, actor, campaign_id, cancellation.reason if cancellation else "")
     return _shown(campaigns.read_campaign(session, campaign_id))
@@ -194,7 +192,7 @@ def cancel_campaign(
 
 @router.post(
     "/{campaign_id}:launch-failed",
-    summary="Launch again what failed",
+    summary="Launch the failed again",
     status_code=202,
     response_model=Campaign,
 )

@@ -72,7 +72,7 @@ def plan_members(
     ]
     del held
     if all(planned.request is None for planned in plans):
-        raise RefusedInputError(f"No sensor of the campaign can have a run. {plans[0].refusal}")
+        raise RefusedInputError(f"No sensor of the campaign can get a run. {plans[0].refusal}")
     return plans
 
 
@@ -81,7 +81,9 @@ def _refuse_members(ids: Sequence[int]) -> None:
     if not ids:
         raise RefusedInputError("A campaign needs at least one sensor; choose some.")
     if len(ids) > MOST_SENSORS:
-        raise RefusedInputError(f"A campaign holds at most {MOST_SENSORS} sensors, not {len(ids)}; launch several.")
+        raise RefusedInputError(
+            f"A campaign takes at most {MOST_SENSORS} sensors, not {len(ids)}; launch several campaigns."
+        )
     if len(set(ids)) < len(ids):
         raise RefusedInputError("A sensor is in the campaign twice; name each once.")
 
@@ -265,7 +267,7 @@ def cancel_campaign(session: Session, actor: Actor, campaign_id: int, reason: st
     why = f"campaign {row.id} was cancelled by {actor.printed_name}" + (f": {reason.strip()}" if reason.strip() else "")
     stopped = rows.cancel_all(session, row.id, why)
     if not stopped:
-        raise ConflictError(f"No run of campaign {row.id} waits or computes; there is nothing to stop.")
+        raise ConflictError(f"No run of campaign {row.id} is queued or running; there is nothing to cancel.")
     row.cancelled_utc = utc_now()
     audit.append(session, actor, "cancelled", _subject(row), None, {"runs": len(stopped)}, reason.strip() or None)
     for run_id, state in stopped:

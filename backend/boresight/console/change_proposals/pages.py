@@ -31,14 +31,14 @@ PROPOSALS = Table(
         TableColumn("by", "Proposed by", "by"),
         TableColumn("reason", "Reason", "", "words"),
         TableColumn("expires", "Expires", "expires", "tight"),
-        TableColumn("part", "Your part"),
+        TableColumn("part", "Your action"),
     ),
     {"show": accept_one(("open", "all"))},
     "-proposal",
 )
 PLACES = {"gate-profile": "gates", "table-definition": "table-definition"}
 EFFECTS = {
-    "confirm": "Confirmed: the change is in force; undecided requests of the sensor are STALE.",
+    "confirm": "Confirmed: the change is in force; open requests of the sensor are STALE.",
     "refuse": "Refused: nothing changes.",
     "withdraw": "Withdrawn: nothing changes.",
 }

@@ -31,7 +31,7 @@ PROPOSED: dict[int | str, dict[str, Any]] = {
 class ProposalComment(Shape):
     """A comment for the proposer."""
 
-    comment: str = Field("", max_length=4000, description="Needed to refuse.")
+    comment: str = Field("", max_length=4000, description="Required to refuse.")
 
 
 def _shown(session: Session, row: ChangeProposal) -> Beside:
@@ -64,30 +64,30 @@ def list_change_proposals(
 
 @router.get("/{proposal_id}", summary="Read a proposed change", response_model=schemas.ChangeProposal)
 def get_change_proposal(proposal_id: Id, session: Reading) -> Beside:
-    """Read a proposal with what it changes; the ETag is for deciding on it."""
+    """Read a proposal with what it changes; the ETag is needed to decide on it."""
     return _shown(session, session.get_known(ChangeProposal, proposal_id))
 
 
-@router.post("/{proposal_id}:confirm", summary="Put it into force", response_model=schemas.ChangeProposal)
+@router.post("/{proposal_id}:confirm", summary="Confirm a change", response_model=schemas.ChangeProposal)
 def confirm_change(
     proposal_id: Id, actor: Who, seen: SeenVersion, session: Writing, said: ProposalComment | None = None
 ) -> Beside:
-    """Confirm a change as a second person: one who may make it, did not propose it, and is logged in; no API key.
+    """Confirm a change as a second person, who may make it and did not propose it; not by API key.
 
-    The sensor's undecided requests for approval become STALE, as with every such change. A proposal that was made against a
-    version which is in force no more is STALE too, and answers 412.
+    The sensor's open requests for approval become STALE, as with every such change. A proposal that was made against a
+    version that is no longer in force is STALE too, and the answer is 412.
     """
     comment = "" if said is None else said.comment
     return _shown(session, proposals.confirm(session, actor, proposal_id, seen, comment))
 
 
-@router.post("/{proposal_id}:refuse", summary="Refuse it", response_model=schemas.ChangeProposal)
+@router.post("/{proposal_id}:refuse", summary="Refuse a change", response_model=schemas.ChangeProposal)
 def refuse_change(proposal_id: Id, said: ProposalComment, actor: Who, seen: SeenVersion, session: Writing) -> Beside:
     """Refuse a change as a second person, with a comment."""
     return _shown(session, proposals.refuse(session, actor, proposal_id, seen, said.comment))
 
 
-@router.post("/{proposal_id}:withdraw", summary="Take it back", response_model=schemas.ChangeProposal)
+@router.post("/{proposal_id}:withdraw", summary="Withdraw a proposal", response_model=schemas.ChangeProposal)
 def withdraw_change(proposal_id: Id, actor: Who, seen: SeenVersion, session: Writing) -> Beside:
-    """Take a proposal back, as who made it or as an administrator."""
+    """Withdraw a proposal, as its proposer or as an administrator."""
     return _shown(session, proposals.withdraw(session, actor, proposal_id, seen))

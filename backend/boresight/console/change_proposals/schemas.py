@@ -12,7 +12,7 @@ from boresight.console.schemas import Document, Row
 class Difference(Row):
     """An entry that a proposal changes."""
 
-    place: str = Field(description="Where it is in the document.", examples=["gates[coverage].limit"])
+    place: str = Field(description="Path in the document.", examples=["gates[coverage].limit"])
     before: bool | int | float | str | None = Field(
         description="In the version that it was made against; null where there was nothing."
     )
@@ -33,7 +33,7 @@ class ProposedChange(Row):
     sha256: str
     reason: str
     proposed_utc: str
-    proposed_by: int = Field(description="Who cannot confirm it; of an API key, its owner.")
+    proposed_by: int = Field(description="The person who cannot confirm it; for an API key, its owner.")
     expires_utc: str
     state: Literal["OPEN", "CONFIRMED", "REFUSED", "WITHDRAWN", "STALE", "EXPIRED"]
     version: int = Field(description='Counts transitions; the ETag is `"v<version>"`.')

@@ -77,7 +77,7 @@ def change(
     complete = _check_document(session, actor, kind, sensor_id, document, reason, seen_number)
     same = [row for row in list_open_proposals(session, sensor_id, kind) if row.sha256 == compute_sha256(complete)]
     if same:
-        raise ConflictError(f"Proposal {same[0].id} asks for this change already: have another person confirm it.")
+        raise ConflictError(f"Proposal {same[0].id} already contains this change: have another person confirm it.")
     row = ChangeProposal(
         sensor_id=sensor_id,
         kind=kind,
@@ -120,7 +120,7 @@ def confirm(
         keep_despite_refusal(session)
         raise StaleError(
             f"Proposal {row.id} was made against version {row.base_number} of the {TITLES[row.kind]}, and version "
-            f"{number} is in force by now. Propose the change anew."
+            f"{number} is in force now. Propose the change again."
         )
     refuse_control_characters(comment=comment)
     told = name_password_setter(session, require_person(actor, "confirm a change"))
@@ -139,7 +139,7 @@ def refuse(session: Session, actor: Actor, proposal_id: int, seen_version: int |
     require_seen(session, row, seen_version)
     _require_open(session, row)
     if not comment.strip():
-        raise RefusedInputError("Say why you refuse: the comment is what the proposer learns from.")
+        raise RefusedInputError("Say why you refuse: the proposer needs the comment.")
     told = name_password_setter(session, require_person(actor, "refuse a change"))
     _close(session, actor, row, "REFUSED", "refused", comment=comment, password_by=told)
     return row
@@ -160,9 +160,9 @@ def withdraw(session: Session, actor: Actor, proposal_id: int, seen_version: int
 def _explain_closed(session: Session, row: ChangeProposal) -> str | None:
     """Say why nobody can decide on a proposal any more; None while somebody can."""
     if row.state != "OPEN":
-        return f"Proposal {row.id} is {row.state}: {describe_last_change(session, row)}. Propose the change anew."
+        return f"Proposal {row.id} is {row.state}: {describe_last_change(session, row)}. Propose the change again."
     if row.expires_utc <= utc_now() and not alarm_rules.is_held(session):
-        return f"Proposal {row.id} expired at {row.expires_utc}. Propose the change anew."
+        return f"Proposal {row.id} expired at {row.expires_utc}. Propose the change again."
     return None
 
 
@@ -232,7 +232,7 @@ def list_proposals(
     """Return proposals, newest first: all, or a page, the next of which starts before the last one's id."""
     for asked, known in ((kind, PROPOSAL_KINDS), (state, PROPOSAL_STATES)):
         if asked is not None and asked not in known:
-            raise RefusedInputError(f"{asked!r} cannot be asked for; choose from {', '.join(known)}.")
+            raise RefusedInputError(f"{asked!r} is not a state of a proposal; choose from {', '.join(known)}.")
     return lists.list_newest(
         session, ChangeProposal, before_id=before_id, limit=limit, sensor=sensor_id, kind=kind, state=state
     )

@@ -64,7 +64,7 @@ def register_sensor(document: SensorFile, actor: Who, session: Writing) -> Senso
 
 @router.get("/{sensor_id}", summary="Read a sensor", response_model=schemas.Sensor, dependencies=[SAME_FOR_ALL])
 def get_sensor(sensor_id: Id, session: Reading, request: Request) -> Sensor:
-    """Read a sensor with its file; the ETag is for `PUT`."""
+    """Read a sensor with its file; the ETag is needed for `PUT`."""
     cover_with_tag(request)
     return session.get_known(Sensor, sensor_id)
 
@@ -77,7 +77,7 @@ def edit_sensor(sensor_id: Id, document: SensorFile, actor: Who, seen: SeenVersi
 
 @router.get(
     "/{sensor_id}/history",
-    summary="What held at a time",
+    summary="What was in force at a time",
     response_model=schemas.SensorAt,
     dependencies=[SAME_FOR_ALL],
 )
@@ -100,7 +100,7 @@ Time = Annotated[str | None, Query(description="ISO 8601, UTC; now when left out
 
 @router.get(
     "/{sensor_id}/as-of",
-    summary="What held at a time, and who said so",
+    summary="What was in force at a time, with sources",
     response_model=uplink_schemas.AsOf,
 )
 def get_sensor_as_of(sensor_id: Id, session: Reading, time: Time = None) -> Beside:
@@ -143,7 +143,7 @@ trend_router = operations("/sensors/{sensor_id}/trend", tags=["sensors"])
 
 MODELS = ", ".join(CAMERA_MODELS)
 Model = Annotated[str | None, Query(description=f"A camera model; the baseline's when left out. One of {MODELS}.")]
-IN_CSV: dict[int | str, dict[str, Any]] = {200: {"description": "One row a calibration, numbers in SI."}}
+IN_CSV: dict[int | str, dict[str, Any]] = {200: {"description": "One row per calibration, numbers in SI."}}
 
 
 def _known(model: str | None) -> str | None:
@@ -152,12 +152,12 @@ def _known(model: str | None) -> str | None:
     return model
 
 
-@trend_router.get("", summary="A sensor over the mission", response_model=schemas.Trend)
+@trend_router.get("", summary="Read a sensor's trend", response_model=schemas.Trend)
 def get_sensor_trend(sensor_id: Id, session: Reading) -> Response:
     """Read every calibration at the time of its data, with the baselines and the records on board.
 
-    `drift` says whether the baseline still holds, at 0.1 % false alarms for each look, and whether the parameters move with
-    time; `advice` whether to recalibrate now. What takes no part in the tests says why in `left_out`.
+    `drift` says whether the baseline is still valid, at 0.1 % false alarms for each test, and whether the parameters change with
+    time; `advice` whether to recalibrate now. A calibration that the tests do not use says why in `left_out`.
     """
     return json_response(make_trend_document(session, sensor_id))
 

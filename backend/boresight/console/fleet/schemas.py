@@ -35,9 +35,9 @@ class Sensor(Row):
     name: str
     version: int = Field(description='Counts edits; the ETag is `"v<version>"`.')
     document: Document = Field(
-        description="The sensor file; `readout`, `declared` and, on the ground, `site` stand in it as far as they are declared.",
+        description="The sensor file; `readout`, `declared` and, on the ground, `site` are in it if they are declared.",
     )
-    simulated: bool = Field(description="Whether its telemetry was made here.")
+    simulated: bool = Field(description="Whether its telemetry was simulated here.")
     truth: Document | None = Field(description="True parameters of a simulated sensor.")
     created_utc: str
     created_by: int | None
@@ -91,7 +91,7 @@ class TrendPoint(Shape):
     begins_utc: str
     at_utc: str
     ends_utc: str
-    timed: bool = Field(description="Whether the times are the telemetry's own, and not the upload's.")
+    timed: bool = Field(description="Whether the times are those of the telemetry, not of the upload.")
     temperature_c: float | None
     parameters: Values
     sigma: Values

@@ -39,10 +39,10 @@ def register_sensor(
     description = parse_sensor(document)
     if not NAME.fullmatch(description.name):
         raise RefusedInputError(
-            f"{description.name!r} is no sensor name: use up to 64 letters, digits, spaces and . _ -."
+            f"{description.name!r} is not a sensor name: use up to 64 letters, digits, spaces and . _ -."
         )
     if rows.find_sensor(session, description.name) is not None:
-        raise ConflictError(f"There is a sensor {description.name} already; edit it, or choose another name.")
+        raise ConflictError(f"A sensor {description.name} exists already; edit it, or choose another name.")
     row = Sensor(
         name=description.name,
         document=sensor_document(description),

@@ -239,7 +239,7 @@ def list_findings(known: SensorFacts) -> Iterator[tuple[str, str]]:
     if known.telemetry_sets == 0:
         yield "off", "There is no telemetry yet; upload a set."
     elif known.last_run is None:
-        yield "standby", "There is telemetry and no calibration yet; launch a run."
+        yield "standby", "There is telemetry but no calibration yet; launch a run."
 
 
 def _onboard_findings(known: SensorFacts) -> Iterator[tuple[str, str]]:
@@ -266,7 +266,7 @@ def _run_findings(run: Any) -> Iterator[tuple[str, str]]:
 def _result_finding(run_id: int, summary: RunSummary) -> tuple[str, str]:
     """Return the finding from a finished calibration; critical is reserved for what is on board."""
     level = judge_result(summary)
-    status, advice = summary.status or "converged", summary.advice or "look at its page."
+    status, advice = summary.status or "converged", summary.advice or "see its page."
     if level == "normal":
         return level, f"Run {run_id} converged."
     if status == "converged":

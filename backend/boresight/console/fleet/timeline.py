@@ -111,7 +111,7 @@ def _profile(reader: TimelineReader, row: GateProfile) -> EventText:  # noqa: AR
 def _request(reader: TimelineReader, row: Approval) -> EventText:
     name = reader.name(row.parameter_set_id)
     asked = f"rolling back to {name}" if row.kind == "ROLLBACK" else f"making {name} the baseline"
-    told = EventText("request", f"Request {row.id} asked for {asked}; it is {row.state}.", row.parameter_set_id)
+    told = EventText("request", f"Request {row.id} for {asked}; it is {row.state}.", row.parameter_set_id)
     return replace(told, person=row.submitted_by, said=row.reason, subject=f"approvals/{row.id}")
 
 
@@ -277,7 +277,7 @@ def _find_key(session: Session, sensor_id: int, event_id: int) -> sensor_rows.Ke
     """Return the key of an event."""
     row_id, kind = divmod(event_id, len(sensor_rows.KINDS))
     if (key := sensor_rows.find_event_key(session, sensor_id, kind, row_id)) is None:
-        raise RefusedInputError("This sensor has no event to go on from; begin again without a cursor.")
+        raise RefusedInputError("This sensor has no event at this cursor; start again without a cursor.")
     return key
 
 
@@ -287,5 +287,5 @@ def happened_on(time: str | None) -> dict[str, str]:
         return {}
     happened_utc = read_time(time)
     if happened_utc > utc_now():
-        raise RefusedInputError(f"{time.strip()} is still to come; record what has happened, with its time in UTC.")
+        raise RefusedInputError(f"{time.strip()} is in the future; give a past time in UTC.")
     return {"happened_utc": happened_utc}

@@ -233,7 +233,7 @@ def _comparable(point: TrendPoint, sensor: Sensor, baseline: ParameterSet | None
     odd = [name for name in sorted(known.symmetric_difference(point.names)) if not _same(point, held, typical, name)]
     if not odd:
         return point
-    return replace(point, left_out=f"it has {', '.join(odd)} free or held otherwise than the baseline has")
+    return replace(point, left_out=f"its {', '.join(odd)} is free or held differently from the baseline")
 
 
 def _same(point: TrendPoint, held: Mapping[str, float], typical: Mapping[str, float], name: str) -> bool:
@@ -248,7 +248,7 @@ def _counted_once(points: Sequence[TrendPoint]) -> Iterator[TrendPoint]:
     for point in sorted(points, key=lambda one: (one.ends_utc, one.method == "batch", one.run_id), reverse=True):
         twin = next((other for other in counted if point.overlaps(other)), None)
         if not point.left_out and twin is not None:
-            yield replace(point, left_out=f"its data overlap those of run {twin.run_id}, which is counted")
+            yield replace(point, left_out=f"its data overlap those of run {twin.run_id}, which is used")
             continue
         if not point.left_out:
             counted.append(point)
@@ -271,7 +271,7 @@ def _periods(promoted: Sequence[tuple[str, ParameterSet]]) -> Iterator[BaselineP
 
 
 DAY_S = 86400.0
-GROUND_SHIFTED = "The ground calibration does not hold any more: promote a calibration made on orbit."
+GROUND_SHIFTED = "The ground calibration is no longer valid: promote a calibration made on orbit."
 EPOCH = "2000-01-01T12:00:00+00:00"  # days are counted from J2000, an arbitrary origin
 
 
@@ -309,7 +309,7 @@ def judge_drift(trend: Trend, alpha: float = FALSE_ALARM_RATE) -> DriftResult:
     """Test a sensor for drift."""
     if trend.baseline is None:
         return DriftResult(
-            "NOT TESTED", "There is no baseline to hold a calibration against; register the sensor again."
+            "NOT TESTED", "There is no baseline to compare a calibration with; register the sensor again."
         )
     own = trend.of_run(trend.baseline.run_id)
     since = [point for point in trend.independent if _is_since(point, own, trend.baseline)]
@@ -365,7 +365,7 @@ def _is_since(point: TrendPoint, own: TrendPoint | None, baseline: ParameterSet)
 def _nothing_newer(trend: Trend) -> str:
     name = trend.baseline.name if trend.baseline else "the baseline"
     left = sum(bool(point.left_out) for point in trend.points)
-    more = f" {left} of {len(trend.points)} calibrations take no part; the table says why." if left else ""
+    more = f" {left} of {len(trend.points)} calibrations are not used; the table says why." if left else ""
     return f"Drift cannot be tested: no newer telemetry since {name}. Upload newer telemetry and calibrate it.{more}"
 
 
@@ -402,21 +402,21 @@ def _of_the_baseline(found: DriftResult, baseline: ParameterSet) -> str:
     name, worth = found.largest
     numbers = f"χ² {number(found.holds.statistic, 3)} of {found.holds.dof}, limit {number(found.holds.limit, 3)}"
     if found.holds.rejects:
-        moved = f"{quantity(name).symbol} moved most, {fixed(worth, 1)} σ"
+        moved = f"{quantity(name).symbol} changed most, {fixed(worth, 1)} σ"
         return f"Run {found.newest.run_id} does not agree with {baseline.name} ({numbers}); {moved}."
     return f"Run {found.newest.run_id} agrees with {baseline.name} ({numbers})."
 
 
 def _of_the_slope(found: DriftResult) -> list[str]:
     if found.slope is None or found.line is None:
-        return ["Too few calibrations since the baseline for a slope: three of different times show one."]
-    said = "move with time" if found.slope.rejects else "do not move with time"
+        return ["Too few calibrations since the baseline for a slope: it takes three at different times."]
+    said = "change with time" if found.slope.rejects else "do not change with time"
     numbers = f"χ² {number(found.slope.statistic, 3)} of {found.slope.dof}, limit {number(found.slope.limit, 3)}"
     sentences = [f"{found.counted} calibrations since the baseline {said} ({numbers})."]
     if found.line.inflation > 1.0:
         factor = fixed(found.line.inflation**0.5, 2)
         sentences.append(
-            f"They scatter {factor} times as much as their sigmas say; the slope's sigmas are widened by that."
+            f"They scatter {factor} times as much as their sigmas predict; the slope's sigmas are widened by that factor."
         )
     return sentences
 
@@ -428,7 +428,7 @@ def _of_temperature(found: DriftResult) -> list[str]:
     if statistic is None:
         return []
     test = tests.chi_square_test(statistic, len(found.names), FALSE_ALARM_RATE)
-    return ["They move with temperature; the slope is what is left."] if test.rejects else []
+    return ["They change with temperature; the slope is what remains."] if test.rejects else []
 
 
 def document(found: DriftResult) -> dict[str, Any]:

@@ -75,26 +75,26 @@ def _rules(
     """Yield the answers that fit, the gravest first; there is always one."""
     name, ratio = baseline.name, data.ratio
     if drift.verdict == "DRIFT":
-        yield "YES", f"Recalibrate: {name} does not hold any more."
+        yield "YES", f"Recalibrate: {name} is no longer valid."
     if drift.verdict == "GROUND SHIFT":
         yield "YES", GROUND_SHIFTED
     if not data.sets:
-        yield "MORE DATA NEEDED", f"No telemetry is newer than what {name} was made of: upload a pass for calibration."
+        yield "MORE DATA NEEDED", f"No telemetry is newer than that of {name}: upload a pass for calibration."
     if baseline.run_id is None:
         yield "YES", f"Recalibrate: {name} was made on the ground, and there is telemetry to replace it."
     if ratio is not None and ratio > TOO_COARSE:
-        coarse = f"With the {count(data.stars)} stars at hand a sigma would be {fixed(ratio, 1)} times the baseline's"
+        coarse = f"With the {count(data.stars)} stars available a sigma would be {fixed(ratio, 1)} times the baseline's"
         yield "MORE DATA NEEDED", f"{coarse}: wait for more frames."
     if age_d is not None and age_d > OLD_DAYS:
-        yield "YES", f"Recalibrate: {name} is older than {OLD_DAYS:.0f} days and newer data are here."
+        yield "YES", f"Recalibrate: {name} is older than {OLD_DAYS:.0f} days and newer data are available."
     if ratio is not None and ratio <= HALVED:
         yield (
             "YES",
-            f"Recalibrate: with the data at hand every sigma would be {fixed(ratio, 2)} times the baseline's or less.",
+            f"Recalibrate: with the data available every sigma would be {fixed(ratio, 2)} times the baseline's or less.",
         )
     if drift.verdict == "NOT TESTED":
-        yield "YES", f"Calibrate {data.sets[-1].name}: nothing newer than {name} was looked at yet."
-    yield "NOT YET", f"{name} holds, and newer data would not sharpen it much."
+        yield "YES", f"Calibrate {data.sets[-1].name}: it is newer than {name} and not calibrated yet."
+    yield "NOT YET", f"{name} is still valid, and newer data would not improve it much."
 
 
 def find_unseen_telemetry(trend: Trend) -> UnseenTelemetry:
@@ -138,7 +138,7 @@ def _reasons(drift: DriftResult, data: UnseenTelemetry, baseline: ParameterSet, 
         untried = f", {len(data.untried)} not calibrated yet" if data.untried else ""
         said.append(f"Newer than the baseline's data: {kinds}{untried}.")
     if data.ratio is not None:
-        said.append(f"With them a sigma is foretold at {fixed(data.ratio, 2)} times the baseline's at most.")
+        said.append(f"With them every sigma is predicted to be at most {fixed(data.ratio, 2)} times the baseline's.")
     if age_d is not None:
         said.append(f"{baseline.name} became baseline {age_d:.0f} days ago; the limit is {OLD_DAYS:.0f}.")
     return said

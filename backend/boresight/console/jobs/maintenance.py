@@ -158,7 +158,7 @@ class Maintenance:
         self._pause_s = max(ROUND_S, REST * (self._looked_s - began_s))
         state = "verified" if report.ok else "broken"
         if state != self._found.state and not report.ok:
-            log.critical("The audit log does not hold: %s", report.sentence)
+            log.critical("The audit log is broken: %s", report.sentence)
         self._found = ChainStatus(state, report.last_id, utc_now(), report.sentence)
 
     def _read_head(self) -> tuple[ExternalHead | None, Path | None]:
@@ -270,7 +270,7 @@ class Maintenance:
         found = self._found
         if found.state == "verified" and time.monotonic() - self._looked_s > LATE * self._pause_s:
             return ChainStatus(
-                "stale", found.last_id, found.at_utc, f"{found.sentence} It was not verified again since."
+                "stale", found.last_id, found.at_utc, f"{found.sentence} It has not been verified since."
             )
         return found
 

@@ -63,7 +63,7 @@ class _Wish:
         return event.wire(cursor, with_history=event.data.get("run_id") == self.history)
 
 
-@router.get("", summary="Follow what happens", response_class=EventStream)
+@router.get("", summary="Follow the event feed", response_class=EventStream)
 async def stream_events(
     actor: Who,
     request: Request,
@@ -71,17 +71,17 @@ async def stream_events(
     database: Database,
     run: Annotated[int | None, Query(description="Only what concerns this run.")] = None,
     history: Annotated[
-        int | None, Query(description="Let the progress of this run carry the new points of its history.")
+        int | None, Query(description="Include new points of the history in this run's progress events.")
     ] = None,
     last_event_id: Annotated[
-        str | None, Header(description="The last `id` heard; what came after is told first.")
+        str | None, Header(description="The last `id` received; later events are sent first.")
     ] = None,
 ) -> EventStream:
     """Follow the feed: `run` (a change of state), `log` (another line of a run's log), `progress`, `audit`.
 
-    Every event carries an id and is told again after a break. Progress is kept for a short time only: after `missed` some of
-    it was lost, so read the run again. A listener that falls too far behind gets `dropped` and the stream ends; come back
-    with `Last-Event-ID` and nothing is missed. When the log-in or the key ends, the stream says `logged-out` and ends.
+    Every event has an id and is sent again after a reconnection. Progress is kept for a short time only: after `missed` some of
+    it was lost, so read the run again. A listener that falls too far behind gets `dropped` and the stream ends; reconnect
+    with `Last-Event-ID` to miss nothing. When the log-in or the key ends, the stream says `logged-out` and ends.
     """
     return EventStream(_stream(request, actor, (feed, database), _Wish(run, history), last_event_id), headers=HEADERS)
 

@@ -86,7 +86,7 @@ class WebhookSender:
         except RefusedInputError as error:
             return None, f"Not sent: {error}"
         except TimeoutError:
-            return None, f"No whole answer within {TIMEOUT_S:g} s."
+            return None, f"No complete answer within {TIMEOUT_S:g} s."
         except (OSError, httpx.HTTPError, httpx.InvalidURL, UnicodeError) as error:
             return None, f"No answer: {str(error) or type(error).__name__}."
         if httpx.codes.is_success(status):

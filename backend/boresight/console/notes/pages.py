@@ -57,4 +57,4 @@ async def add(request: Request, actor: Who, kind: str, subject_id: int, text: An
     """Add a note."""
     change = partial(notes.add_note, actor=actor, kind=kind, subject_id=subject_id, text=text)
     again = partial(_page, request, kind, subject_id, text)
-    return await make_change(request, change, get_notes_address(kind, subject_id), "Your note is kept.", again=again)
+    return await make_change(request, change, get_notes_address(kind, subject_id), "Your note is added.", again=again)

@@ -29,7 +29,7 @@ def list_run_notes(run_id: Id, session: Reading) -> Listing[Note]:
 
 @router.post("/runs/{run_id}/notes", summary="Write a note on a run", status_code=201, response_model=schemas.Note)
 def add_run_note(run_id: Id, new: NewNote, actor: Who, session: Writing) -> Note:
-    """Add a note to a run; it is never edited."""
+    """Add a note to a run; notes cannot be edited."""
     return notes.add_note(session, actor, "runs", run_id, new.text)
 
 
@@ -43,7 +43,7 @@ def list_sensor_notes(sensor_id: Id, session: Reading) -> Listing[Note]:
     "/sensors/{sensor_id}/notes", summary="Write a note on a sensor", status_code=201, response_model=schemas.Note
 )
 def add_sensor_note(sensor_id: Id, new: NewNote, actor: Who, session: Writing) -> Note:
-    """Add a note to a sensor; it is never edited."""
+    """Add a note to a sensor; notes cannot be edited."""
     return notes.add_note(session, actor, "sensors", sensor_id, new.text)
 
 
@@ -64,5 +64,5 @@ def list_parameter_set_notes(parameter_set_id: Id, session: Reading) -> Listing[
     response_model=schemas.Note,
 )
 def add_parameter_set_note(parameter_set_id: Id, new: NewNote, actor: Who, session: Writing) -> Note:
-    """Add a note to a parameter set; it is never edited."""
+    """Add a note to a parameter set; notes cannot be edited."""
     return notes.add_note(session, actor, "parameter-sets", parameter_set_id, new.text)

@@ -38,7 +38,7 @@ def add_note(session: Session, actor: Actor, kind: str, subject_id: int, text: s
     refuse_control_characters(note=text)
     said = text.strip()
     if not said or len(said) > LONGEST_NOTE:
-        raise RefusedInputError(f"A note of {len(said)} characters cannot be kept; write 1 to {LONGEST_NOTE}.")
+        raise RefusedInputError(f"A note of {len(said)} characters cannot be stored; write 1 to {LONGEST_NOTE}.")
     row = Note(
         subject_kind=kind,
         subject_id=subject_id,
@@ -57,4 +57,4 @@ def _require_subject(session: Session, kind: str, subject_id: int) -> None:
         raise NotFoundError(f"There are no notes on {kind}; choose from {', '.join(NOTE_SUBJECTS)}.")
     table, word = TABLES[kind]
     if session.get(table, subject_id) is None:
-        raise NotFoundError(f"There is no {word} {subject_id}; choose one of the list.")
+        raise NotFoundError(f"There is no {word} {subject_id}; choose one from the list.")

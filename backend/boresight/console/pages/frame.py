@@ -57,7 +57,7 @@ def find_worst_status(standings: Sequence[fleet.SensorStatus]) -> FleetStatus:
         return FleetStatus("off", "NO SENSORS", "No sensors yet: register one.")
     worst = max(standings, key=lambda one: LEVELS.index(one.status))
     alike = sum(one.status == worst.status for one in standings)
-    more = f" {alike - 1} more alike." if alike > 1 else ""
+    more = f" {alike - 1} more like this." if alike > 1 else ""
     return FleetStatus(worst.status, WORD_OF_LEVEL[worst.status], f"{worst.name}: {worst.sentence}{more}")
 
 
@@ -199,11 +199,11 @@ KEYS = (
     (("c",), "compare what is selected"),
     (("[", "]"), "previous, next: run, or page of the list"),
     (("1", "…", "9"), "tab of the page"),
-    (("d",), "only what differs, or everything"),
-    (("e",), "the list or the run as a file"),
+    (("d",), "only differences, or all rows"),
+    (("e",), "download the list or the run"),
     (("Ctrl+k",), "find anything"),
     (("y",), "copy the address of this view"),
-    (("Esc",), "close what is open, leave a field"),
+    (("Esc",), "close a dialog, leave a field"),
     (("?",), "this list"),
 )
 

@@ -238,7 +238,7 @@ def seen_version(form: Mapping[str, str]) -> int:
     """Return the version that the page showed."""
     version = parse_row_id(form.get("version", ""))
     if version is None:
-        raise RefusedInputError("The form does not say which version you saw; reload the page and do it again.")
+        raise RefusedInputError("The form does not say which version you saw; reload the page and try again.")
     return version
 
 
@@ -251,7 +251,7 @@ async def check_numbers(request: Request) -> None:
     """Refuse an address with a number too large for a row."""
     for text in _numbers(request):
         if len(text) > MOST_DIGITS or int(text) > GREATEST_NUMBER:
-            raise NotFoundError("There is nothing of this number; choose one of the list.")
+            raise NotFoundError("Nothing has this number; choose one from the list.")
 
 
 def _numbers(request: Request) -> Iterator[str]:
@@ -264,21 +264,21 @@ def _numbers(request: Request) -> Iterator[str]:
 log = logging.getLogger(__name__)
 
 FORBIDDEN = HTTPStatus.FORBIDDEN
-NOBODY = "No administrator is left to give one; boresight user add on the server makes one."
-SENTENCE = {404: "There is no page at this address.", 405: "This address does not take what was sent."}
+NOBODY = "No administrator is left to give you a role; create one with boresight user add on the server."
+SENTENCE = {404: "There is no page at this address.", 405: "This address does not accept what was sent."}
 ADVICE = {
-    400: "Go back, reload the page and send its form again.",
-    403: "Go back; if it is a role that you lack, ask for it.",
-    404: "It may have another number, or the address was copied incompletely: find it by the navigation.",
+    400: "Go back, reload the page and submit the form again.",
+    403: "Go back; if you lack a role, ask for it.",
+    404: "It may have another number, or the address was copied incompletely: use the navigation to find it.",
     405: "Open the page by a link or by the navigation, and use its buttons.",
-    409: "Read the thing again to see its state now, then decide anew.",
-    412: "Somebody changed it after you opened the page. Go back, reload, and look at what is there now.",
+    409: "Reload to see its current state, then decide again.",
+    412: "Somebody changed it after you opened the page. Go back, reload, and check the current state.",
     413: "Split the file, or ask an administrator to raise the limit.",
-    422: "Nothing was stored. Go back, correct what is named here, and send it again.",
+    422: "Nothing was stored. Go back, correct what is named here, and submit it again.",
     428: "Go back, reload the page and do it from there.",
-    429: "Wait as long as the sentence says; nothing of this request was stored.",
-    500: "Nothing of this request was stored. Try again; if it fails again, report the request id below.",
-    503: "Wait a moment and try again; if it stays so, tell whoever keeps the server, with the request id below.",
+    429: "Wait as long as the sentence says; nothing was stored.",
+    500: "Nothing was stored. Try again; if it fails again, report the request id below.",
+    503: "Wait a moment and try again; if it fails again, tell your administrator, with the request id below.",
 }
 ADVICE_OF_ANY = "Go back and try again; if it fails again, report the request id below."
 

@@ -75,7 +75,7 @@ SETS = Table(
         TableColumn("gates", "Gates", "", "verdict-words", csv=("verdict",)),
         TableColumn("run", "From run", "-run", csv=("run",)),
         TableColumn("hash", "SHA-256", csv=("sha256",)),
-        TableColumn("by", "Made by", "by", "named", csv=("created_by", "created_utc")),
+        TableColumn("by", "Created by", "by", "named", csv=("created_by", "created_utc")),
         TableColumn("baseline", "Baseline since", "-baseline", csv=("baseline_from_utc", "baseline_to_utc")),
     ),
     {
@@ -173,7 +173,7 @@ def list_set_actions(row: ParameterSet, actor: Actor, request: Approval | None) 
             submittable and was_baseline,
             None
             if actor.roles.intersection({"analyst", "operator"})
-            else "Only an analyst or an operator may ask for a roll-back; ask an administrator for the role.",
+            else "Only an analyst or an operator may request a roll-back; ask an administrator for the role.",
         ),
         "submit": SetAction(
             submittable and not was_baseline,
@@ -185,7 +185,7 @@ def list_set_actions(row: ParameterSet, actor: Actor, request: Approval | None) 
             submitted,
             None
             if submitter or "administrator" in actor.roles
-            else "Only who submitted the set, or an administrator, may withdraw it.",
+            else "Only the submitter or an administrator may withdraw it.",
         ),
         "promote": SetAction(
             submitted,
@@ -368,5 +368,5 @@ async def promote(request: Request, session: Reading, actor: Who, set_id: int) -
     if outcome.value is None:
         page = partial(_page, request, session, actor, set_id, refusal=outcome.refusal, reason=reason, act="promote")
         return await run_in_threadpool(page)
-    words = f"{outcome.value.name} is the baseline now; nothing on board has changed."
+    words = f"{outcome.value.name} is now the baseline; nothing on board has changed."
     return redirect(f"/parameter-sets/{set_id}", flash=words)

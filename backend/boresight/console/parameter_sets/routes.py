@@ -41,14 +41,14 @@ class Submission(Shape):
 class RollBack(Shape):
     """Why the sensor should go back to this set."""
 
-    reason: str = Field(examples=["PS-ST-1-4 loses stars at the rim since the pass of this morning."])
+    reason: str = Field(examples=["PS-ST-1-4 has lost stars near the edge since this morning's pass."])
 
 
 class PromotionRequest(Shape):
     """Why this set becomes the baseline now."""
 
     reason: str = Field(
-        "", description="Needed where the installation asks for it.", examples=["Loaded with the pass of tonight."]
+        "", description="Required if the installation demands it.", examples=["To be loaded in tonight's pass."]
     )
 
 
@@ -69,9 +69,9 @@ def list_parameter_sets(
     return page.cut(lists.list_newest(session, ParameterSet, **page.rows, sensor=sensor_id, state=ground_state))
 
 
-@router.post("", summary="Make a candidate of a run", status_code=201, response_model=schemas.ParameterSet)
+@router.post("", summary="Create a candidate from a run", status_code=201, response_model=schemas.ParameterSet)
 def create_parameter_set(source: FromRun, actor: Who, session: Writing, blobs: Blobs) -> ParameterSet:
-    """Make an immutable candidate of a finished run; asked again for that run, the same one comes back."""
+    """Create an immutable candidate from a finished run; repeated for that run, the same one is returned."""
     return service.create_from_run(session, actor, blobs, source.run_id)
 
 
@@ -82,7 +82,7 @@ def create_parameter_set(source: FromRun, actor: Who, session: Writing, blobs: B
     dependencies=[SAME_FOR_ALL],
 )
 def get_parameter_set(parameter_set_id: Id, session: Reading) -> ParameterSet:
-    """Read a parameter set; the ETag is for its transitions."""
+    """Read a parameter set; the ETag is needed for its transitions."""
     return session.get_known(ParameterSet, parameter_set_id)
 
 
@@ -106,7 +106,7 @@ def convert_parameter_set(
     *,
     residual: WithResidual = False,
 ) -> Response:
-    """Write this set in another camera model: values, covariance and misfit, or the reason why it cannot be. Nothing is kept."""
+    """Write this set in another camera model: values, covariance and misfit, or why that is impossible. Nothing is stored."""
     return json_response(
         conversions.convert_parameter_set(session, parameter_set_id, to, allow_px, with_residual=residual)
     )
@@ -147,13 +147,13 @@ def submit_parameter_set(
     session: Writing,
     blobs: Blobs,
 ) -> Approval:
-    """Ask that this set become the baseline. It is held against its gates, and the request binds what was found."""
+    """Request that this set become the baseline. Its gates are assessed, and the request binds the report."""
     return approvals.submit(session, actor, blobs, parameter_set_id, submission.reason, seen, measured, policy=policy)
 
 
 @router.post(
     "/{parameter_set_id}:roll-back",
-    summary="Ask to go back to a former baseline",
+    summary="Request a roll-back",
     status_code=201,
     response_model=approval_schemas.Approval,
 )
@@ -167,20 +167,20 @@ def roll_back_parameter_set(
     session: Writing,
     blobs: Blobs,
 ) -> Approval:
-    """Ask that a superseded set become the baseline again; it is signed and promoted like any other, in less time."""
+    """Request that a superseded set become the baseline again; it is signed and promoted like any other, but sooner."""
     return approvals.roll_back(session, actor, blobs, parameter_set_id, back.reason, seen, measured, policy=policy)
 
 
-@router.post("/{parameter_set_id}:withdraw", summary="Take the request back", response_model=schemas.ParameterSet)
+@router.post("/{parameter_set_id}:withdraw", summary="Withdraw the request", response_model=schemas.ParameterSet)
 def withdraw_parameter_set(
     parameter_set_id: Id, actor: Who, seen: SeenVersion, session: Writing, withdrawal: Withdrawal | None = None
 ) -> ParameterSet:
-    """Take the request for a submitted or approved set back."""
+    """Withdraw the request for a submitted or approved set."""
     reason = withdrawal.reason if withdrawal else ""
     return approvals.withdraw(session, actor, parameter_set_id, seen, reason)
 
 
-@router.post("/{parameter_set_id}:promote", summary="Make it the baseline", response_model=schemas.ParameterSet)
+@router.post("/{parameter_set_id}:promote", summary="Promote to baseline", response_model=schemas.ParameterSet)
 def promote_parameter_set(
     parameter_set_id: Id,
     actor: Who,

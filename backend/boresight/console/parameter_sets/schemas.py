@@ -42,4 +42,6 @@ class Conversion(Shape):
     units: dict[str, str]
     sigma: Values
     covariance: Covariance | None
-    conversion: Document = Field(description="From what, and how far the two differ over the detector.")
+    conversion: Document = Field(
+        description="What it was converted from, and how far the two differ over the detector."
+    )

@@ -77,7 +77,7 @@ def create_ground_calibration(
         },
         "method": None,
         "status": "ground calibration",
-        "advice": ["Declared, not measured: the typical spread from unit to unit stands for the sigma."],
+        "advice": ["Declared, not measured: the typical spread between sensors of this kind is used as the sigma."],
         "run_id": None,
         "result_sha256": None,
         "inputs": None,
@@ -117,7 +117,7 @@ def _get_succeeded_run(session: Session, run_id: int) -> Run:
     refuse_choice(run)
     if run.state != "SUCCEEDED" or run.result_sha256 is None:
         why = f": {run.reason}" if run.reason else ""
-        raise ConflictError(f"Run {run_id} is {run.state}{why}; make a parameter set of a run that SUCCEEDED.")
+        raise ConflictError(f"Run {run_id} is {run.state}{why}; make a parameter set from a run that SUCCEEDED.")
     return run
 
 
@@ -125,12 +125,14 @@ def _refuse_unusable(run_id: int, result: Calibration) -> None:
     """Refuse a result that did not converge or has no complete set of finite parameters."""
     if result.status not in USABLE_STATUSES:
         advice = " ".join(result.advice)
-        raise RefusedInputError(f"Run {run_id} ended {result.status}, which makes no parameter set. {advice}".rstrip())
+        raise RefusedInputError(
+            f"Run {run_id} ended {result.status}, so no parameter set can be made from it. {advice}".rstrip()
+        )
     names = CAMERA_MODELS[result.camera_model].parameter_names
     known = {name for name, value in result.parameters.items() if value is not None and math.isfinite(value)}
     if bad := [name for name in names if name not in known]:
         raise RefusedInputError(
-            f"Run {run_id} has no number for {', '.join(bad)}, which makes no parameter set; calibrate again."
+            f"Run {run_id} has no number for {', '.join(bad)}, so no parameter set can be made from it; calibrate again."
         )
 
 

@@ -59,13 +59,13 @@ def request_choice(session: Session, actor: Actor, blobs: BlobStore, run_id: int
 def find_obstacle(session: Session, run: Run) -> str | None:
     """Say why no camera is chosen for a run's data now; None where one can be."""
     if run.choice_of is not None:
-        return f"Run {run.id} chooses a camera itself, for run {run.choice_of}; ask for a calibration's."
+        return f"Run {run.id} is itself the choice of a camera for run {run.choice_of}; choose a calibration run."
     if run.state not in TERMINAL_RUN_STATES:
-        return f"Run {run.id} is {run.state}; ask for its camera when it has ended."
+        return f"Run {run.id} is {run.state}; choose its camera when it has ended."
     for set_id in (run.telemetry_set_id, run.validation_set_id):
         used = None if set_id is None else session.get_known(TelemetrySet, set_id)
         if used is not None and used.archived_utc is not None:
-            return f"{used.name} was archived on {used.archived_utc[:10]}; upload it again to take it into use, and ask then."
+            return f"{used.name} was archived on {used.archived_utc[:10]}; upload it again to use it, then choose."
     return None
 
 
@@ -80,16 +80,18 @@ def get_choice(session: Session, blobs: BlobStore, run_id: int) -> Choice:
     asked = find_choice_run(session, run_id)
     if asked is None:
         raise NotFoundError(
-            f"Nobody has asked for a camera for the data of run {run_id}: ask on its page, under Choice."
+            f"No camera has been chosen for the data of run {run_id} yet: choose one on its page, under Distortion."
         )
     if asked.result_sha256 is not None:
         return read_choice(blobs, asked.result_sha256, run_id)
     if asked.state in TERMINAL_RUN_STATES:
         why = f" ({asked.reason.rstrip('.')})" if asked.reason else ""
         raise ConflictError(
-            f"Run {asked.id}, which chooses a camera for run {run_id}, ended {asked.state}{why}; ask for the camera again."
+            f"Run {asked.id}, which chooses a camera for run {run_id}, ended {asked.state}{why}; choose the camera again."
         )
-    raise ConflictError(f"Run {asked.id}, which chooses a camera for run {run_id}, is {asked.state}; wait for its end.")
+    raise ConflictError(
+        f"Run {asked.id}, which chooses a camera for run {run_id}, is {asked.state}; wait until it ends."
+    )
 
 
 def _is_answered(blobs: BlobStore, asked: Run) -> bool:

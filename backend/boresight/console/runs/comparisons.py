@@ -41,7 +41,7 @@ COLUMNS = {
     "separation": "separations",
 }
 ASSUMPTION = (
-    "The sigma of a difference takes the data into account that two runs share. Runs of separate data: the variances add up."
+    "The sigma of a difference takes into account which data two runs share. Runs of separate data: the variances add up."
     " A run within the other's data, or the same data with another method or other free parameters: the larger variance minus"
     " the smaller (Hausman), which holds where the smaller sigma is that of an efficient estimate. Partly shared data: each"
     " variance counts by the share of exposures that the other run has not. Same data and equal sigmas: what differs is not"
@@ -111,9 +111,9 @@ def read_run_ids(asked: Sequence[str]) -> list[int]:
     """Read run numbers from `1,2,3` or from repeated fields, each once, in their order."""
     texts = [text.strip() for part in asked for text in part.split(",") if text.strip()]
     if strange := [text for text in texts if not text.isdecimal()]:
-        raise RefusedInputError(f"{strange[0][:20]!r} is no run number; give them as ?runs=1,2,3.")
+        raise RefusedInputError(f"{strange[0][:20]!r} is not a run number; give them as ?runs=1,2,3.")
     if any(len(text.lstrip("0")) > LONGEST_NUMBER for text in texts):
-        raise NotFoundError("There is no run of so great a number; choose from the list.")
+        raise NotFoundError("There is no run with so large a number; choose from the list.")
     found = list(dict.fromkeys(int(text) for text in texts))
     if len(found) > MOST_RUNS:
         raise RefusedInputError(
@@ -126,7 +126,7 @@ def read_runs(session: Session, run_ids: Sequence[int]) -> list[Run]:
     """Read the rows of several runs in one query, in the order asked for."""
     found = {run.id: run for run in lists.list_newest(session, Run, among=list(run_ids), limit=MOST_RUNS)}
     if missing := [run_id for run_id in run_ids if run_id not in found]:
-        raise NotFoundError(f"There is no run {missing[0]}; choose one of the list.")
+        raise NotFoundError(f"There is no run {missing[0]}; choose one from the list.")
     return [found[run_id] for run_id in run_ids]
 
 
@@ -139,7 +139,7 @@ def read_compared(session: Session, blobs: BlobStore, run_ids: Sequence[int]) ->
         sets = [row for one in found if (row := parameter_sets.find_set_of_run(session, one.run.id)) is not None]
         raise UnlikeModelsError(
             f"Run #{first_id} uses the camera model {first} and run #{second_id} uses {second}: their parameters are not"
-            " the same quantities. Compare runs of one model, or make a parameter set of a run and open its page: it has the"
+            " the same quantities. Compare runs of one model, or make a parameter set from a run and open its page: it shows the"
             " set converted to the other model.",
             [(row.id, row.name) for row in sets],
         )
@@ -151,7 +151,7 @@ def compare(session: Session, blobs: BlobStore, run_ids: Sequence[int], referenc
     if len(run_ids) < 2:
         raise RefusedInputError("A comparison needs two runs or more; give them as ?runs=1,2.")
     if reference_id is not None and reference_id not in run_ids:
-        raise RefusedInputError(f"Run #{reference_id} is none of those compared; choose the reference among them.")
+        raise RefusedInputError(f"Run #{reference_id} is not among those compared; choose the reference among them.")
     compared = read_compared(session, blobs, run_ids)
     place = 0 if reference_id is None else run_ids.index(reference_id)
     base = compared[place]
@@ -169,18 +169,20 @@ def compare(session: Session, blobs: BlobStore, run_ids: Sequence[int], referenc
 def _describe_shared(session: Session, blobs: BlobStore, run: Run, reference: Run) -> tuple[SharedData, str]:
     """Return the data that a run shares with the reference, in numbers and in words."""
     if run.sensor_id != reference.sensor_id:
-        return SharedData(0, 0), "another sensor: the difference holds what one sensor has and the other has not"
+        return SharedData(0, 0), "another sensor: the difference includes how the two sensors differ"
     one, other = (session.get_one(TelemetrySet, row.telemetry_set_id) for row in (run, reference))
     if one.table_sha256 == other.table_sha256:
         return SharedData(1, 1), f"the same data, {one.name}"
     try:
         shares = shared_exposures(table_path(blobs, one.table_sha256), table_path(blobs, other.table_sha256))
     except (NotFoundError, RefusedInputError):
-        return SharedData(0, 0), f"{one.name} and {other.name}, taken as separate data: a file of theirs cannot be read"
+        return SharedData(
+            0, 0
+        ), f"{one.name} and {other.name}, treated as separate data: one of their files cannot be read"
     shared = SharedData(*shares)
     words = {
         "same": f"the same exposures in {one.name} and {other.name}",
-        "inside": f"{one.name} lies within {other.name}",
+        "inside": f"{one.name} is part of {other.name}",
         "around": f"{one.name} contains {other.name}",
         "partly": f"{shares[0]:.0%} of the exposures of {one.name} are in {other.name}",
         "disjoint": f"separate data, {one.name} and {other.name}",

@@ -69,7 +69,9 @@ def check_run_request(
     telemetry = _get_set(session, sensor, telemetry_set_id)
     validation = None if validation_set_id is None else _get_set(session, sensor, validation_set_id)
     if validation is not None and validation.id == telemetry.id:
-        raise RefusedInputError(f"{telemetry.name} cannot validate a calibration made from itself; choose another set.")
+        raise RefusedInputError(
+            f"{telemetry.name} cannot validate a calibration that was made from it; choose another set."
+        )
     refuse_label(label)
     parsed = CalibrationSettings.parse(settings)
     known = CAMERA_MODELS[sensor.document["camera_model"]].parameter_names
@@ -234,7 +236,7 @@ def _warnings(request: RunRequest, free: Sequence[str], pairs: int | None) -> li
     """What to know before a run; `pairs` is None where names do not tell how many arcs there are."""
     warnings = []
     if pairs is not None and pairs < 10 * len(free):
-        warnings.append(f"About {pairs} arcs for {len(free)} parameters is little; free fewer or use a longer set.")
+        warnings.append(f"About {pairs} arcs are few for {len(free)} parameters; free fewer or use a longer set.")
     if request.validation is None:
-        warnings.append("Without a validation set nothing independent will say whether the result is better.")
+        warnings.append("Without a validation set nothing independent can show whether the result is better.")
     return warnings

@@ -38,7 +38,7 @@ router = operations("/runs", tags=["runs"])
 
 MOST_OVERLAID = 20
 FigureName = Annotated[str, Path(description=f"One of {', '.join(FIGURES)}.")]
-Compare = Annotated[str, Query(description="Other runs to show with it: `2,3`.", examples=["2,3"])]
+Compare = Annotated[str, Query(description="Other runs to draw with it: `2,3`.", examples=["2,3"])]
 
 
 @dataclass(frozen=True)
@@ -47,29 +47,29 @@ class View:
 
     align: Annotated[
         Literal["frame", "time", "update"],
-        Query(description="What the axis of frames counts: frames, hours since each run's first frame, or updates."),
+        Query(description="Unit of the frame axis: frames, hours since each run's first frame, or updates."),
     ] = "frame"
     overlay: Annotated[
         Literal["lines", "band"],
         Query(description="Draw every run, or the first and the span from the lowest to the highest of the others."),
     ] = "lines"
-    x_from: Annotated[float | None, Query(description="Show this part of the x axis in full: where it begins.")] = None
-    x_to: Annotated[float | None, Query(description="Show this part of the x axis in full: where it ends.")] = None
+    x_from: Annotated[float | None, Query(description="Start of the part of the x axis that is shown in full.")] = None
+    x_to: Annotated[float | None, Query(description="End of the part of the x axis that is shown in full.")] = None
     tail_from: Annotated[
-        float | None, Query(description="Where the tail of the RMS begins; by default where the run had settled.")
+        float | None, Query(description="Where the tail of the RMS begins; by default where the run settled.")
     ] = None
 
     size: Annotated[
         Literal["large", "narrow", "small"],
         Query(
-            description="Draw the figure of a page, the same for a phone, or, of the four views of a result, the small one."
+            description="Draw the figure of a page, the same for a phone, or, for the four views of a result, the small one."
         ),
     ] = "large"
 
     def draw(self, figure: Figure, traces: list[Trace]) -> bytes:
         """Draw a figure in this view."""
         if (self.x_from is None) != (self.x_to is None):
-            raise RefusedInputError("Give both ends of the window, x_from and x_to, or none.")
+            raise RefusedInputError("Give both ends of the window, x_from and x_to, or neither.")
         with thinning(whole=self.x_from is not None) as watched:
             drawing = figure.forms.get(self.size) or (None if self.size == "small" else figure.draw)
             if self.size == "narrow":
@@ -108,7 +108,7 @@ def get_figure(
     seen: Seen,
     compare: Compare = "",
 ) -> Response:
-    """Read a figure as Plotly JSON, of one run or of several over one another."""
+    """Read a figure as Plotly JSON, of one run or of several overlaid."""
     figure, ids = _figure(name), [run_id, *_others(compare, run_id)]
     asked = comparisons.read_runs(session, ids)
     labels, sources = [make_label(session, run) for run in asked], [get_figure_source(session, run) for run in asked]
@@ -185,14 +185,14 @@ def _stacked(tables: Mapping[int, Table]) -> Table:
 
 Asked = Annotated[str, Query(alias="runs", description="The runs, 2 to 20: `1,2,3`.", examples=["1,2,3"])]
 ReferenceRun = Annotated[
-    str, Query(alias="reference", description="The run the others are set against; the first if left out.")
+    str, Query(alias="reference", description="The run that the others are compared with; the first if left out.")
 ]
-CSV: dict[int | str, dict[str, Any]] = {200: {"description": "One row a run and item, numbers in SI."}}
+CSV: dict[int | str, dict[str, Any]] = {200: {"description": "One row per run and item, numbers in SI."}}
 
 
 @comparison_router.get("/compare", summary="Compare runs", response_model=schemas.Comparison)
 def compare_runs(session: Reading, blobs: Blobs, asked: Asked, reference: ReferenceRun = "") -> Response:
-    """Set runs of one camera model against one of them: parameters in sigmas of the difference, correlations, radial curves.
+    """Compare runs of one camera model with one of them: parameters in sigmas of the difference, correlations, radial curves.
 
     `assumption` and each run's `shared_data` say how the sigma of a difference was made from data that runs share.
     """
@@ -201,7 +201,7 @@ def compare_runs(session: Reading, blobs: Blobs, asked: Asked, reference: Refere
 
 @comparison_router.get("/compare/data", summary="Read a comparison's table", response_class=CsvFile, responses=CSV)
 def compare_runs_data(session: Reading, blobs: Blobs, asked: Asked, reference: ReferenceRun = "") -> Response:
-    """Read the comparison of the parameters as CSV: one row a parameter and run."""
+    """Read the comparison of the parameters as CSV: one row per parameter and run."""
     table = comparisons.table(_compared(session, blobs, asked, reference))
     return csv_response(table, f"compare-{_name(asked)}.csv")
 

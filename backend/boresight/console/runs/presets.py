@@ -41,40 +41,40 @@ BUILT_IN = (
     _own(
         "first-calibration",
         "First calibration",
-        "For a new sensor or a new set: all frames at once by least squares, stars matched again as parameters improve.",
+        "For a new sensor or a new set: all frames at once by least squares, with stars matched again as the parameters improve.",
     ),
     _own(
         "drift-tracking",
         "Drift tracking",
-        "When parameters move with temperature or age: frame by frame, with room for a small drift between frames.",
+        "When parameters change with temperature or age: frame by frame, allowing a small drift between frames.",
         method="sqrf",
         variant="q",
     ),
     _own(
         "quick-look",
         "Quick look",
-        "Minutes after a pass: the file's own matches, verified, and few iterations say whether a set is worth a full run.",
+        "Soon after a pass: the file's own matches, verified, and few iterations, to see whether a set is worth a full run.",
         match="given",
         max_iterations=10,
     ),
     _own(
         "suspect-matches",
         "Suspect matches",
-        "When false stars are likely, after a radiation storm or a bright field: a star that lies far off says nothing.",
+        "When false stars are likely, after a radiation storm or a bright field: stars that are far off are ignored.",
         robust="stars",
         leave_out_doubles=True,
     ),
     _own(
         "enright",
         "Paper's settings (Enright)",
-        "To compare with the paper: its square-root filter without process noise, one linearisation a frame, over-confident.",
+        "To compare with the paper: its square-root filter without process noise, one linearisation per frame, over-confident.",
         method="sqrf",
         linearisations=1,
     ),
     _own(
         "wu",
         "Wu's singular values",
-        "To compare with Wu et al.: singular values of star combinations under Model 4, one linearisation a frame.",
+        "To compare with Wu et al.: singular values of star combinations under Model 4, one linearisation per frame.",
         method="svd",
         linearisations=1,
     ),
@@ -102,7 +102,7 @@ def get_offer(session: Session, key: str) -> OfferedPreset:
         return _BY_KEY[key]
     if key.isdecimal() and len(key) < 10:
         return make_offer(get_preset(session, int(key)))
-    raise NotFoundError(f"There is no preset {key!r}; choose one of the list.")
+    raise NotFoundError(f"There is no preset {key!r}; choose one from the list.")
 
 
 def get_preset(session: Session, preset_id: int) -> Preset:
@@ -130,7 +130,7 @@ def save_preset(session: Session, actor: Actor, name: str, sentence: str, settin
         and before.archived_utc is None
         and (before.document, before.sentence) == (document, sentence)
     ):
-        raise ConflictError(f"Version {before.number} of {name} says the same already; choose it from the list.")
+        raise ConflictError(f"Version {before.number} of {name} is identical; choose it from the list.")
     row = Preset(
         name=name,
         number=1 if before is None else before.number + 1,
@@ -151,7 +151,7 @@ def _refuse_words(name: str, sentence: str) -> None:
     if not sentence or len(sentence) > SENTENCE_LENGTH:
         raise RefusedInputError(f"Say in a sentence of up to {SENTENCE_LENGTH} characters when to use {name}.")
     if name.casefold() in {offer.name.casefold() for offer in BUILT_IN}:
-        raise RefusedInputError(f"{name} comes with Boresight; choose another name.")
+        raise RefusedInputError(f"{name} is a built-in preset; choose another name.")
     refuse_control_characters(sentence=sentence)
 
 

@@ -405,7 +405,7 @@ def give_up_expired(session: Session, max_attempts: int) -> list[HeldRun]:
     )
     lapsed = session.execute(query.with_for_update(skip_locked=True)).all()
     for run_id, attempt, owner in lapsed:
-        cause = f"its server {owner} was not heard of any more"
+        cause = f"its server {owner} stopped reporting"
         give_up_attempt(session, run_id, attempt, cause, max_attempts, end_state="LOST")
     return [(run_id, attempt) for run_id, attempt, _ in lapsed]
 

@@ -27,7 +27,7 @@ def read_result(blobs: BlobStore, sha256: str, run_id: int | None = None) -> dic
         return document
     whose = "" if run_id is None else f" of run {run_id}"
     raise ConflictError(
-        f"The stored result {sha256[:12]}{whose} is no calibration that can be read: launch the run again, or restore the "
+        f"The stored result {sha256[:12]}{whose} cannot be read as a calibration: launch the run again, or restore the "
         "store from a backup."
     )
 
@@ -39,7 +39,7 @@ def read_choice(blobs: BlobStore, sha256: str, run_id: int | None = None) -> Cho
     except (ValueError, RefusedInputError, NotFoundError):
         whose = "" if run_id is None else f" of run {run_id}"
         raise ConflictError(
-            f"The stored choice {sha256[:12]}{whose} is no choice that can be read: ask for it again, or restore the store from "
+            f"The stored choice {sha256[:12]}{whose} cannot be read as a choice: choose again, or restore the store from "
             "a backup."
         ) from None
 
@@ -48,7 +48,7 @@ def refuse_choice(run: Run) -> None:
     """Refuse a run that chooses a camera where a calibration is wanted."""
     if run.choice_of is not None:
         raise ConflictError(
-            f"Run {run.id} chooses a camera and has no calibration: read the choice of run {run.choice_of} instead."
+            f"Run {run.id} is the choice of a camera and has no calibration: read the choice of run {run.choice_of} instead."
         )
 
 

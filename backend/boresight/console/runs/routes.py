@@ -43,7 +43,7 @@ from boresight.platform.web.paging import GREATEST_ID, Id, Listing, Page, Paged
 from boresight.platform.web.response_cache import cover_with_tag
 
 router = operations("/runs", tags=["runs"])
-IN_CSV: dict[int | str, dict[str, Any]] = {200: {"description": "One row a candidate, numbers in SI."}}
+IN_CSV: dict[int | str, dict[str, Any]] = {200: {"description": "One row per candidate, numbers in SI."}}
 
 
 class Launch(BaseModel):
@@ -62,11 +62,11 @@ class Launch(BaseModel):
     settings: console_schemas.Settings = Field(
         default_factory=dict, description="Method, variant, free parameters and so on."
     )
-    validation_set_id: Id | None = Field(None, description="A validation set: only judged with, never fitted.")
-    label: str = ""
-    validate_only: bool = Field(
-        default=False, description="Check everything, change nothing, and say what it would be."
+    validation_set_id: Id | None = Field(
+        None, description="A validation set: never fitted, only used to judge the result."
     )
+    label: str = ""
+    validate_only: bool = Field(default=False, description="Check everything, change nothing, and describe the result.")
 
 
 class Cancellation(Shape):
@@ -101,7 +101,7 @@ def list_runs(
 def launch_run(
     launch: Launch, actor: Who, session: Writing, asked: IsDryRun, forecast_sources: DryRunSources
 ) -> Run | Answer:
-    """Queue a calibration; `Location` is where to follow it. With `validate_only` only say what it would be and would know."""
+    """Queue a calibration; `Location` is where to follow it. With `validate_only` only describe the run and predict its sigmas."""
     made = runs.launch(
         session,
         actor,
@@ -124,33 +124,33 @@ def get_run(run_id: Id, session: Reading, request: Request) -> Run:
     return row
 
 
-@router.post("/{run_id}:cancel", summary="Stop a run", response_model=schemas.Run)
+@router.post("/{run_id}:cancel", summary="Cancel a run", response_model=schemas.Run)
 def cancel_run(
     run_id: Id, actor: Who, seen: SeenTag, session: Writing, cancellation: Cancellation | None = None
 ) -> Run:
-    """Stop a run: one that waits ends at once, one that computes as soon as it notices. The ETag is that of the run."""
+    """Cancel a run: a queued one ends at once, a running one as soon as it notices. The ETag is that of the run."""
     seen.require(schemas.Run, runs.get_run(session, run_id), f"Run {run_id}")
     return runs.cancel(session, actor, run_id, cancellation.reason if cancellation else "")
 
 
 @router.get("/{run_id}/result", summary="Read the calibration", response_model=Calibration | schemas.NoResult)
 def get_run_result(run_id: Id, session: Reading, blobs: Blobs) -> Response:
-    """Read the calibration JSON; while the run computes, what there is so far with status `running`."""
+    """Read the calibration JSON; while the run computes, the partial result with status `running`."""
     return json_response(result_so_far(session, blobs, run_id))
 
 
 @router.post("/{run_id}/choice", summary="Choose a camera", status_code=202, response_model=schemas.Run)
 def choose_camera(run_id: Id, actor: Who, session: Writing, blobs: Blobs) -> Run:
-    """Queue the choice of the least camera model that suffices for the data of a run that has ended.
+    """Queue the choice of the simplest camera model that suffices for the data of a run that has ended.
 
-    The choice is a run of its own; `Location` is where to follow it. Asked again, it is the one that is there, unless it failed.
+    The choice is a run of its own; `Location` is where to follow it. Repeated, it returns the existing one, unless that failed.
     """
     return choices.request_choice(session, actor, blobs, run_id)
 
 
 @router.get("/{run_id}/choice", summary="Read the choice of a camera", response_model=Choice)
 def get_run_choice(run_id: Id, session: Reading, blobs: Blobs) -> Response:
-    """Read which camera model, with which free parameters, the data of a run ask for, and why; 404 before anybody has asked."""
+    """Read which camera model, with which free parameters, the data of a run need, and why; 404 before a choice was launched."""
     return json_response(choices.get_choice(session, blobs, run_id).to_dict())
 
 
@@ -171,7 +171,7 @@ def get_run_choice_data(run_id: Id, session: Reading, blobs: Blobs) -> Response:
     "/{run_id}/removed/data",
     summary="Read the removed stars",
     response_class=CsvFile,
-    responses={200: {"description": "One row a proposed star that does not stand; the first 10,000."}},
+    responses={200: {"description": "One row per removed star; the first 10,000."}},
 )
 def get_run_removed_data(run_id: Id, session: Reading, blobs: Blobs) -> Response:
     """Read which proposed stars were removed from a run that has ended, and why, as CSV."""
@@ -251,7 +251,7 @@ def list_presets(session: Reading, page: Paged, archived: bool = False) -> Listi
 
 @preset_router.post("", summary="Save a preset", status_code=201, response_model=schemas.Preset)
 def save_preset(preset: NewPreset, actor: Who, session: Writing) -> Beside:
-    """Keep settings under a name; a name that is there gets its next version."""
+    """Save settings under a name; an existing name gets its next version."""
     return _saved(presets.save_preset(session, actor, preset.name, preset.sentence, preset.settings))
 
 
@@ -263,16 +263,16 @@ def get_preset(preset_id: Id, session: Reading) -> Beside:
 
 @preset_router.post("/{preset_id}:archive", summary="Archive a preset", response_model=schemas.Preset)
 def archive_preset(preset_id: Id, actor: Who, seen: SeenTag, session: Writing) -> Beside:
-    """Take a version out of the choice; nothing is deleted."""
+    """Stop offering a version; nothing is deleted."""
     seen.require(schemas.Preset, presets.get_preset(session, preset_id), f"Preset {preset_id}")
     return _saved(presets.archive_preset(session, actor, preset_id))
 
 
 Order = Annotated[
     Literal["frame", "worst"],
-    Query(description="`worst`: those that the result explains worst, at most a few hundred, first."),
+    Query(description="`worst`: those with the worst fit first, at most a few hundred."),
 ]
-FrameNumber = Annotated[int, Path(ge=-GREATEST_ID, le=GREATEST_ID, description="As the telemetry numbers it.")]
+FrameNumber = Annotated[int, Path(ge=-GREATEST_ID, le=GREATEST_ID, description="Its number in the telemetry.")]
 
 
 @router.get("/{run_id}/frames", summary="List the frames", response_model=Page[schemas.FrameLine])

@@ -18,7 +18,7 @@ class RunProgress(Row):
 
     fraction: float | None = Field(None, description="0 to 1.")
     message: str | None = None
-    elapsed_s: float | None = Field(None, description="Since its worker began.")
+    elapsed_s: float | None = Field(None, description="Since its worker started.")
     at_utc: str | None = Field(None, description="When the worker last reported.")
 
 
@@ -43,9 +43,9 @@ class Run(Row):
     settings: Document
     state: RunState
     reason: str | None = Field(description="Why it failed, was lost or was cancelled.")
-    attempt: int = Field(description="Grows when a worker or server was lost under it.")
+    attempt: int = Field(description="Grows each time a worker or server is lost.")
     progress: Annotated[RunProgress | None, BeforeValidator(_read_progress)]
-    summary: Document | None = Field(description="The figures of a finished run that lists show.")
+    summary: Document | None = Field(description="The numbers of a finished run that lists show.")
     result_sha256: str | None
     choice_of: int | None = Field(description="The run for whose data it chooses a camera; null of a calibration.")
     launched_utc: str
@@ -65,9 +65,7 @@ class LogLine(Row):
     state: str | None = Field(description="The run's new state, where this line changed it.")
     cause: str | None = Field(description="Why the state changed, or why an attempt ended without a result.")
     level: Literal["info", "warning", "error"]
-    numbers: dict[str, float] | None = Field(
-        description="What the sentence counts: `fraction`, `elapsed_s`, `seconds`."
-    )
+    numbers: dict[str, float] | None = Field(description="Numbers in the sentence: `fraction`, `elapsed_s`, `seconds`.")
 
 
 class DryRun(BaseModel):
@@ -82,9 +80,9 @@ class DryRun(BaseModel):
     free: list[str]
     predicted_s: float
     predicted_range_s: tuple[float, float] = Field(
-        description="Four of five past runs of the method would lie between."
+        description="Four of five past runs of the method are within this range."
     )
-    paced_by: int = Field(description="Past runs that the time follows from; 0 is a guess.")
+    paced_by: int = Field(description="Past runs that the time is based on; 0: a guess.")
     forecast: Forecast | None
     warnings: list[str]
 
@@ -103,7 +101,7 @@ class FrameLine(Row):
     id: int = Field(description="Its place in this list, from 1.")
     frame: int = Field(description="Its number in the telemetry.")
     detections: int
-    chi2_per_dof: float | None = Field(description="Of the run's best fit; null where the result does not keep it.")
+    chi2_per_dof: float | None = Field(description="Of the run's best fit; null where the result does not contain it.")
     deviation: float | None = Field(description="The same as a normal deviate: above 3 is bad.")
 
 
@@ -154,7 +152,7 @@ class FrameAttitude(Shape):
     dof: int
     worst_row: int | None = Field(description="Star with the largest normalised residual.")
     from_telemetry_arcsec: list[float] | None = Field(
-        description="Turn about x, y, z from the quaternion that the telemetry gives to this one."
+        description="Rotation about x, y, z from the telemetry's quaternion to this one."
     )
 
 
@@ -183,7 +181,7 @@ class FrameExposure(Shape):
     matched: int
     used: int = Field(description="Of them in the fit.")
     start: str = Field(description="Where matching began.")
-    why_invalid: str | None = Field(description="Why matching does not call it valid.")
+    why_invalid: str | None = Field(description="Why matching rejects it.")
     why_no_attitude: str | None
     attitude: BothAttitudes
     stars: list[FrameStar]
@@ -209,7 +207,7 @@ class RunFrame(Shape):
     next: int | None
     rows: int
     columns: int
-    partial: bool = Field(description="Whether the new parameters are those of a run that still computes.")
+    partial: bool = Field(description="Whether the new parameters are those of a run that is still computing.")
     frame: int
     time_utc: str | None
     temperature_c: float | None
@@ -228,8 +226,8 @@ class Preset(Row):
     versioned_by = ("id", "archived_utc")
     location = "/presets/{row.id}"
 
-    key: str = Field(description="What a launch names as its `preset`.")
-    id: int | None = Field(description="Of a saved version; null for those that come with Boresight.")
+    key: str = Field(description="The value of `preset` in a launch.")
+    id: int | None = Field(description="Of a saved version; null for built-in ones.")
     name: str
     number: int | None = Field(description="Version.")
     sentence: str = Field(description="When to use it.")
@@ -318,7 +316,7 @@ class Comparison(Shape):
     document_schema: Literal["boresight.comparison/1"] = Field(alias="schema")
     camera_model: str
     reference: int
-    assumption: str = Field(description="How the sigma of a difference is made from data that runs share.")
+    assumption: str = Field(description="How the sigma of a difference takes shared data into account.")
     runs: list[ComparedRun]
     parameters: list[ComparedParameter]
     correlations: list[ComparedCorrelation]

@@ -53,7 +53,7 @@ def cancel(session: Session, actor: Actor, run_id: int, reason: str = "") -> Run
     refuse_control_characters(reason=reason)
     before = get_run(session, run_id).state
     if before in TERMINAL_RUN_STATES:
-        raise ConflictError(f"Run {run_id} is {before} already; there is nothing to stop.")
+        raise ConflictError(f"Run {run_id} is {before} already; there is nothing to cancel.")
     said = f"Cancelled by {actor.printed_name}" + (f": {reason.strip()}" if reason.strip() else ".")
     queries.request_cancel(session, run_id, said)
     after = get_run(session, run_id)
@@ -68,7 +68,7 @@ def get_run(session: Session, run_id: int) -> Run:
     """Return a run."""
     run = queries.find_run(session, run_id)
     if run is None:
-        raise NotFoundError(f"There is no run {run_id}; choose one of the list.")
+        raise NotFoundError(f"There is no run {run_id}; choose one from the list.")
     return run
 
 
@@ -85,7 +85,7 @@ def list_runs(
     """Return a page of runs, newest first; the next page starts before the last one's id."""
     asked = [state] if isinstance(state, str) else list(state or ())
     if strange := [word for word in asked if word not in RUN_STATES]:
-        raise RefusedInputError(f"{', '.join(strange)} is no state of a run; choose from {', '.join(RUN_STATES)}.")
+        raise RefusedInputError(f"{', '.join(strange)} is not a state of a run; choose from {', '.join(RUN_STATES)}.")
     return lists.list_newest(
         session,
         Run,
@@ -128,7 +128,7 @@ def get_final_result(session: Session, blobs: BlobStore, run_id: int) -> dict[st
     run = get_run(session, run_id)
     document = find_result(session, blobs, run_id)
     if run.result_sha256 is None or document is None:
-        raise ConflictError(f"Run {run_id} is {run.state} and has no result; wait for its end, or launch it again.")
+        raise ConflictError(f"Run {run_id} is {run.state} and has no result; wait until it ends, or launch it again.")
     return document
 
 

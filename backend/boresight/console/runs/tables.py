@@ -95,7 +95,7 @@ def parse_progress(document: Mapping[str, Any] | None) -> RecordedProgress:
     try:
         return parse_part(RecordedProgress, document or {}, RefusedInputError)
     except RefusedInputError as error:
-        return RecordedProgress(message=f"What its worker told last cannot be read ({error}).")
+        return RecordedProgress(message=f"The last report of its worker cannot be read ({error}).")
 
 
 class RunEvent(Base):

@@ -32,7 +32,7 @@ from boresight.platform.web.paging import parse_row_id
 from boresight.platform.web.text_validation import normal_name
 from boresight.settings import Settings
 
-HOW = "Send multipart/form-data with the fields sensor_id, purpose and file; of images several files."
+HOW = "Send multipart/form-data with the fields sensor_id, purpose and file; images may be several files."
 LONGEST_FIELD_BYTES = 4096
 MOST_FIELDS = 20
 
@@ -92,9 +92,7 @@ class _Form(MultiPartParser):
             path, name = self._folder / f"upload-{len(self.files)}", spooled.filename or ""
             self.files.append((path, name))
             if len(self.files) > 1 and not all(is_image(Path(one)) for _, one in self.files):
-                raise RefusedInputError(
-                    "One file at a time: send each telemetry file by itself; only images may be several."
-                )
+                raise RefusedInputError("Send one telemetry file at a time; only images may be several.")
             self._current_part.file = _OnDisk(path, spooled.filename)
 
     def on_end(self) -> None:
@@ -146,7 +144,7 @@ async def _receive(request: Request, folder: Path, most_images: int) -> Upload:
     except MultiPartException as error:
         raise RefusedInputError(f"The upload is not a form that can be read ({error.message}). {HOW}") from error
     if not parser.is_whole:
-        raise RefusedInputError("The upload broke off before its end; send it again.")
+        raise RefusedInputError("The upload was interrupted; send it again.")
     fields = {name: value for name, value in form.items() if isinstance(value, str)}
     if not parser.files:
         return Upload(fields, None, "")
@@ -198,7 +196,7 @@ def require_meant(request: Request, upload: Upload) -> None:
     """Refuse a form without this log-in's CSRF token, which is checked here because the streamed body is read only once."""
     given, expected = upload.fields.get(CSRF_FIELD, ""), getattr(request.state, CSRF_FIELD, None)
     if expected is not None and not hmac.compare_digest(given.encode(), expected.encode()):
-        raise ForbiddenError("This form is of another log-in; reload the page and choose the file again.")
+        raise ForbiddenError("This form belongs to another log-in; reload the page and choose the file again.")
 
 
 Uploaded = Annotated[Upload, Depends(uploaded, scope="function")]

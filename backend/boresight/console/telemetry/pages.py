@@ -96,7 +96,7 @@ SETS = Table(
             "Temperature",
             "",
             "num",
-            "Least and greatest of the set",
+            "Lowest and highest of the set",
             "°C",
             optional=True,
             csv=("smallest_temperature_c", "largest_temperature_c"),
@@ -247,9 +247,9 @@ def _prepared(
 ) -> Iterator[PreparedUpload]:
     require_role(actor, "analyst")
     if parse_row_id(upload.fields.get("sensor_id", "")) is None:
-        raise RefusedInputError("Choose the sensor that the telemetry is of.")
+        raise RefusedInputError("Choose the sensor of this telemetry.")
     if upload.path is None or not upload.file_name:
-        raise RefusedInputError("No file was chosen: choose the telemetry, images, or what a mapping profile reads.")
+        raise RefusedInputError("No file was chosen: choose telemetry, images, or a file that a mapping profile reads.")
     with hold_upload(upload, settings, forecast_sources, engine) as prepared:
         yield prepared
 
@@ -314,7 +314,7 @@ def _parsed_profile(text: str) -> dict[str, Any]:
     except ValueError as error:
         raise RefusedInputError(f"The profile is not JSON ({error}): correct it.") from error
     if not isinstance(document, dict):
-        raise RefusedInputError("The profile is no JSON object: begin with a brace.")
+        raise RefusedInputError("The profile is not a JSON object: begin with a brace.")
     return document
 
 
@@ -322,7 +322,7 @@ def _parsed_profile(text: str) -> dict[str, Any]:
 async def archive_version(request: Request, actor: Who, profile_id: int) -> Response:
     """Archive a version."""
     change = partial(archive_profile, actor=actor, profile_id=profile_id)
-    return await make_change(request, change, "/import-profiles", "Archived: it is not offered any more.")
+    return await make_change(request, change, "/import-profiles", "Archived: it is no longer offered.")
 
 
 RUNS_SHOWN = 100
@@ -491,7 +491,7 @@ async def accept_sensor(request: Request, actor: Who, set_id: int) -> Response:
     if outcome.refusal is not None:
         raise outcome.refusal.error
     flash = (
-        f"{outcome.made.name} is mended; runs launched from now on start from it. Diagnose the set again to see it fit."
+        f"{outcome.made.name} is corrected; new runs start from it. Diagnose the set again to check that it matches."
     )
     return redirect(f"/telemetry/{set_id}", flash=flash)
 
@@ -519,7 +519,9 @@ async def accept_mapping(
     if outcome.refusal is not None:
         raise outcome.refusal.error
     row = outcome.made
-    return redirect(f"/telemetry/{row.id}", flash=f"{row.name} is telemetry set {row.id}, read as the diagnosis says.")
+    return redirect(
+        f"/telemetry/{row.id}", flash=f"{row.name} is telemetry set {row.id}, corrected as the diagnosis says."
+    )
 
 
 @contextmanager
@@ -545,4 +547,4 @@ async def archive(request: Request, actor: Who, set_id: int) -> Response:
     outcome = await attempt(request, change)
     if outcome.refusal is not None:
         raise outcome.refusal.error
-    return redirect("/telemetry", flash=f"{outcome.made.name} is archived; runs that used it keep it.")
+    return redirect("/telemetry", flash=f"{outcome.made.name} is archived; runs that used it still have it.")

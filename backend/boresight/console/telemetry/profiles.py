@@ -55,7 +55,7 @@ def find_profile(session: Session, key: str) -> Profile:
         return make_profile(get_profile(session, int(key)))
     found = rows.find_newest_profile(session, key[:NAME_LENGTH])
     if found is None or found.archived_utc is not None:
-        raise NotFoundError(f"There is no mapping profile {key[:NAME_LENGTH]!r}; choose one of the list.")
+        raise NotFoundError(f"There is no mapping profile {key[:NAME_LENGTH]!r}; choose one from the list.")
     return make_profile(found)
 
 
@@ -79,10 +79,10 @@ def save_profile(session: Session, actor: Actor, document: Mapping[str, Any]) ->
     require_scope(actor, "telemetry-sets")
     given = parse_profile(document)
     if given.name in BUILT_IN:
-        raise RefusedInputError(f"{given.name} comes with Boresight; choose another name.")
+        raise RefusedInputError(f"{given.name} is a built-in profile; choose another name.")
     before = rows.find_newest_profile(session, given.name)
     if before is not None and before.archived_utc is None and before.sha256 == given.sha256:
-        raise ConflictError(f"Version {before.number} of {given.name} says the same already; choose it from the list.")
+        raise ConflictError(f"Version {before.number} of {given.name} is identical; choose it from the list.")
     profile = replace(given, version=1 if before is None else before.number + 1)
     row = ImportProfile(
         name=profile.name,

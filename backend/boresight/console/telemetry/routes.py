@@ -47,7 +47,7 @@ FORM = {
                 "type": "object",
                 "required": ["sensor_id", "file"],
                 "properties": {
-                    "sensor_id": {"type": "integer", "description": "Whose telemetry it is."},
+                    "sensor_id": {"type": "integer", "description": "The sensor of the telemetry."},
                     "purpose": {"type": "string", "enum": ["calibration", "validation"], "default": "calibration"},
                     "file": {
                         "type": "string",
@@ -57,14 +57,14 @@ FORM = {
                     },
                     "profile": {
                         "type": "string",
-                        "description": "Mapping profile to import the file by: a built-in name, the key of a saved version, or a "
+                        "description": "Mapping profile to import the file with: a built-in name, the key of a saved version, or a "
                         "saved name. With `validate_only` the answer is the preview.",
                     },
                     "time": {
                         "type": "string",
-                        "description": "When the file was taken, where it does not say it (ISO 8601).",
+                        "description": "When the file was taken, if it does not contain the time (ISO 8601).",
                     },
-                    "elements": {"type": "string", "description": "Two-line elements to take velocities from."},
+                    "elements": {"type": "string", "description": "Two-line elements to compute velocities from."},
                 },
             }
         }
@@ -107,10 +107,10 @@ def list_telemetry_sets(
     openapi_extra={"requestBody": FORM},
 )
 def upload_telemetry_set(actor: Who, upload: Uploaded, prepared: Prepared, session: Writing, blobs: Blobs) -> Beside:
-    """Store a file with its quality report; a refused one leaves nothing behind and says row and column.
+    """Store a file with its quality report. Nothing of a refused file is stored; the refusal names row and column.
 
-    The same bytes again for the same sensor are the set that is there already. With a mapping profile the file may be what
-    another program wrote; its first rows come beside the cells they were made of.
+    The same bytes for the same sensor give the existing set. With a mapping profile the file may come from
+    another program; the answer shows its first rows next to the cells they were made from.
     """
     purpose = upload.fields.get("purpose", "calibration")
     row = telemetry_sets.store_prepared(session, actor, blobs, upload.number("sensor_id"), prepared, purpose)
@@ -156,15 +156,15 @@ Diagnosed = Annotated[Diagnosis, Depends(_diagnose, scope="function")]
 def diagnose_telemetry_set(telemetry_set_id: Id, actor: Who, found: Diagnosed, session: Writing) -> TelemetrySet:
     """Find why a set does not match its sensor file, on up to 40 exposures; the answer is `diagnosis` of its `quality`.
 
-    `causes` are named best first, each with how many exposures match once it is mended; `sensor_document` is the mended sensor
-    file and `mapping` how the telemetry is to be read. Nothing but the quality report is changed.
+    `causes` are named best first, each with how many exposures match once corrected; `sensor_document` is the corrected sensor
+    file and `mapping` how to read the telemetry. Only the quality report is changed.
     """
     return telemetry_sets.record_diagnosis(session, actor, telemetry_set_id, found)
 
 
 @router.post("/{telemetry_set_id}:archive", summary="Archive a telemetry set", response_model=schemas.TelemetrySet)
 def archive_telemetry_set(telemetry_set_id: Id, actor: Who, seen: SeenTag, session: Writing) -> TelemetrySet:
-    """Put a set out of sight; nothing is deleted. Uploading the same bytes brings it back."""
+    """Hide a set; nothing is deleted. Uploading the same bytes brings it back."""
     row = session.get_known(TelemetrySet, telemetry_set_id)
     seen.require(schemas.TelemetrySet, row, row.name)
     return telemetry_sets.archive_telemetry_set(session, actor, telemetry_set_id)
@@ -203,7 +203,7 @@ def list_import_profiles(session: Reading, page: Paged, archived: bool = False) 
 
 @profile_router.post("", summary="Save a mapping profile", status_code=201, response_model=schemas.ImportProfile)
 def save_import_profile(document: Document, actor: Who, session: Writing) -> Beside:
-    """Keep a profile under the name that it says; a name that is there gets its next version."""
+    """Save a profile under its name; an existing name gets its next version."""
     return _saved(profiles.save_profile(session, actor, document))
 
 
@@ -215,6 +215,6 @@ def get_import_profile(profile_id: Id, session: Reading) -> Beside:
 
 @profile_router.post("/{profile_id}:archive", summary="Archive a mapping profile", response_model=schemas.ImportProfile)
 def archive_import_profile(profile_id: Id, actor: Who, seen: SeenTag, session: Writing) -> Beside:
-    """Take a version out of the choice; nothing is deleted."""
+    """Stop offering a version; nothing is deleted."""
     seen.require(schemas.ImportProfile, profiles.get_profile(session, profile_id), f"Mapping profile {profile_id}")
     return _saved(profiles.archive_profile(session, actor, profile_id))

@@ -21,17 +21,17 @@ class TelemetrySet(Row):
     purpose: Literal["calibration", "validation"]
     frames: int
     stars: int
-    quality: Document = Field(description="What the file is good for: counts, gaps, coverage, warnings.")
+    quality: Document = Field(description="Quality of the file: counts, gaps, coverage, warnings.")
     original_sha256: str = Field(description="SHA-256 of the bytes that were uploaded.")
     table_sha256: str = Field(description="SHA-256 of the table that runs work on.")
     uploaded_utc: str
     uploaded_by: int | None
     archived_utc: str | None
     source_sha256: str | None = Field(
-        description="SHA-256 of the file it was imported from; null of telemetry as such."
+        description="SHA-256 of the file it was imported from; null for telemetry that was not imported."
     )
     import_record: Document | None = Field(
-        description="How it was imported: sources, profile, what each column means, notes; of an upload the first rows too."
+        description="How it was imported: sources, profile, what each column means, notes; for an upload also the first rows."
     )
 
 
@@ -41,12 +41,12 @@ class ImportProfile(Row):
     versioned_by = ("id", "archived_utc")
     location = "/import-profiles/{row.id}"
 
-    key: str = Field(description="What an upload names as its `profile`.")
-    id: int | None = Field(description="Of a saved version; null for those that come with Boresight.")
+    key: str = Field(description="The value of `profile` in an upload.")
+    id: int | None = Field(description="Of a saved version; null for built-in ones.")
     name: str
     number: int | None = Field(description="Version.")
-    document: Document = Field(description="What it says; `docs/import-profile.schema.json` is its schema.")
-    sha256: str = Field(description="Hash of what it says but its version.")
+    document: Document = Field(description="The profile; `docs/import-profile.schema.json` is its schema.")
+    sha256: str = Field(description="Hash of the profile without its version.")
     created_utc: str | None
     created_by: int | None
     archived_utc: str | None

@@ -144,7 +144,7 @@ def _import(
     """Make telemetry of what another program wrote."""
     if len(images.sources) > 1:
         raise RefusedInputError(
-            "A mapping profile imports one file; several images are extracted: choose no profile for them."
+            "A mapping profile imports one file; choose no profile to extract stars from several images."
         )
     orbit = None
     if wanted.elements:
@@ -239,7 +239,7 @@ def get_diagnosis(row: TelemetrySet) -> Diagnosis:
     """Return the diagnosis of a set; raises ConflictError where it has none that names a mend."""
     found = find_diagnosis(row.quality)
     if found is None or found.sensor_document is None:
-        raise ConflictError(f"{row.name} has no diagnosis that mends anything; diagnose it first.")
+        raise ConflictError(f"{row.name} has no diagnosis that corrects anything; diagnose it first.")
     return found
 
 
@@ -264,11 +264,11 @@ def hold_mapped(
     """Read a set as its diagnosis says that it is to be read, checked like an upload, without the database."""
     found = get_diagnosis(row)
     if found.mapping is None:
-        raise ConflictError(f"{row.name} is to be read as it stands; mend the sensor file.")
+        raise ConflictError(f"{row.name} can be read as it is; correct the sensor file instead.")
     table = StoredTable(table_path(sources.blobs, row.table_sha256), row.table_sha256)
     if table.large():
         raise RefusedInputError(
-            f"{row.name} is too large to be rewritten here: have `boresight diagnose --out-telemetry` do it."
+            f"{row.name} is too large to be rewritten here: use `boresight diagnose --out-telemetry`."
         )
     mapped = parse_mapping(found.mapping).apply(table.read(), parse_sensor(document))
     with tempfile.TemporaryDirectory() as folder:
@@ -379,7 +379,7 @@ def _use_again(session: Session, actor: Actor, row: TelemetrySet) -> TelemetrySe
     """Restore a set if it is archived."""
     if row.archived_utc is not None:
         row.archived_utc = None
-        audit.append(session, actor, "took out of the archive", _subject(row))
+        audit.append(session, actor, "restored from the archive", _subject(row))
     return row
 
 

@@ -58,13 +58,15 @@ def describe_four_eyes(session: Session, row: ParameterSet, policy: Policy) -> d
     second = None if approval is None else list_second_persons(session, approval, Policy())
     kept = None if approval is None or second is None else len(second) >= approval.needed
     if not policy.four_eyes:
-        sentence = "FOUR EYES ARE OFF: this installation lets one person submit, sign and export alone."
+        sentence = "FOUR EYES ARE OFF: on this installation one person can submit, sign and export alone."
     elif kept is None:
         sentence = "Nobody signed this set: it is the ground calibration."
     elif kept:
-        sentence = "Four eyes: it was approved by who neither submitted nor created it, nor launched its run."
+        sentence = "Four eyes: it was approved by a person who did not submit it, create it or launch its run."
     else:
-        sentence = "FOUR EYES WERE NOT KEPT: it was approved by who submitted or created it, or launched its run."
+        sentence = (
+            "FOUR EYES WERE NOT KEPT: it was approved by a person who submitted it, created it or launched its run."
+        )
     return {"enforced": policy.four_eyes, "kept": kept, "sentence": sentence}
 
 

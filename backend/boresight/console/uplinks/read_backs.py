@@ -73,7 +73,7 @@ def get_sent_table(session: Session, blobs: BlobStore, parameter_set: ParameterS
     row = row or history.find_in_force_at(session, TableDefinition, parameter_set.sensor_id, utc_now())
     if row is None:
         raise RefusedInputError(
-            f"There is no table definition to read {parameter_set.name} back with: "
+            f"There is no table definition to compare a read-back of {parameter_set.name} with: "
             "have an analyst or an administrator set one."
         )
     definition = parse_stored(session, row)
@@ -126,7 +126,7 @@ def read_back(
 def choose_dump_or_crc(dump: bytes | None, crc: str) -> bytes | str:
     """Return whichever was given, the dump or the CRC."""
     if (dump is None) == (not crc.strip()):
-        raise RefusedInputError("Give the dump or the CRC that the spacecraft told: one of them.")
+        raise RefusedInputError("Give either the dump or the CRC that the spacecraft reported.")
     if dump is not None and len(dump) > MOST_DUMP_BYTES:
         raise RefusedInputError(f"The dump is over {MOST_DUMP_BYTES:,} bytes; upload the dump of this table alone.")
     return crc if dump is None else dump
@@ -146,11 +146,13 @@ def _compare_crc(reference: SentTable, told: str) -> tuple[bool, dict[str, Any]]
     """Compare a typed CRC with that of the sent table."""
     checksum, expected = reference.definition.crc, reference.crc
     if checksum is None or expected is None:
-        raise RefusedInputError("The table definition names no CRC, so a typed one says nothing; upload the dump.")
+        raise RefusedInputError(
+            "The table definition contains no CRC, so a typed one cannot be compared; upload the dump."
+        )
     digits = -(-checksum.width // 4)  # the expected one is no example: nobody copies it
     match = HEXADECIMAL.fullmatch(told.strip())
     if match is None or int(match[1], 16) >> checksum.width:
-        raise RefusedInputError(f"{told.strip()!r} is no {checksum.name}; write it in hexadecimal, {digits} digits.")
+        raise RefusedInputError(f"{told.strip()!r} is not a {checksum.name}; write it in hexadecimal, {digits} digits.")
     found = checksum.text(int(match[1], 16))
     same = found == expected
     sentence = (

@@ -52,9 +52,9 @@ class Record(Shape):
         description="The pass, the procedure or the read-back file.", examples=["Pass 4711, TC log line 88"]
     )
     package_id: Id | None = Field(None, description="The uplink package that was sent, where one was built.")
-    happened_utc: str | None = Field(None, description="When it happened, where that is earlier than now.")
-    meaning: str | None = Field(None, description="Of ACTIVE: what the signature means.")
-    password: SecretStr | None = Field(None, description="Of ACTIVE: once more, for the signature is of the person.")
+    happened_utc: str | None = Field(None, description="When it happened, if earlier than now.")
+    meaning: str | None = Field(None, description="For ACTIVE: what the signature means.")
+    password: SecretStr | None = Field(None, description="For ACTIVE: your password again, because a person signs.")
 
     @property
     def signed(self) -> bool:
@@ -78,7 +78,7 @@ def _entry(session: Session, actor: Actor, record: Record, proof: PasswordProof,
         )
     if record.onboard_state != "ACTIVE" or record.package_id is not None:
         raise RefusedInputError(
-            "Only ACTIVE is signed, and of a package that was named before; leave out password and meaning, or the package."
+            "Only ACTIVE is signed, and its package was named before; leave out password and meaning, or the package."
         )
     return uplinks.activate(session, actor, set_id, record.source, record.meaning or "", proof, seen, happened=happened)
 
@@ -101,8 +101,8 @@ def record_uplink(
 ) -> Uplink:
     """Record the next on-board state of a set by statement: SENT, LOADED, MISMATCH or UNKNOWN.
 
-    `If-Match` is the ETag of the parameter set. VERIFIED comes only of `:read-back` of the set, which compares; ACTIVE only
-    of a signed entry: `:activate`, or this with the password and the meaning of a person.
+    `If-Match` is the ETag of the parameter set. VERIFIED comes only from `:read-back` of the set, which compares; ACTIVE only
+    from a signed entry: `:activate`, or this with a person's password and meaning.
     """
     return _entry(session, actor, signed, proof, seen)
 
@@ -133,8 +133,8 @@ FORM = {
                 "properties": {
                     "source": {"type": "string", "description": "The pass, the procedure or the packet."},
                     "file": {"type": "string", "format": "binary", "description": "The dump of the table."},
-                    "crc": {"type": "string", "description": "Or the CRC that was told, in hexadecimal."},
-                    "happened_utc": {"type": "string", "description": "When it was read, where that is earlier."},
+                    "crc": {"type": "string", "description": "Or the CRC that was reported, in hexadecimal."},
+                    "happened_utc": {"type": "string", "description": "When it was read, if earlier than now."},
                 },
             }
         }
@@ -192,7 +192,7 @@ def read_back(
     session: Writing,
     blobs: Blobs,
 ) -> Uplink:
-    """Hold the dump of the table, or the CRC that the spacecraft told, against what was sent.
+    """Compare the dump of the table, or the CRC that the spacecraft reported, with what was sent.
 
     Records VERIFIED (`method` says by what), or MISMATCH with the differing bytes and fields in `evidence`.
     """
@@ -203,10 +203,10 @@ def read_back(
 class Activation(Shape):
     """The signed entry that a set is what the sensor runs with."""
 
-    source: str = Field(description="Where it is known from.", examples=["TM page STR-2, pass 4711"])
+    source: str = Field(description="Source of the statement.", examples=["TM page STR-2, pass 4711"])
     meaning: str = Field(description="What the signature means.", examples=["I saw this table active in telemetry."])
-    password: SecretStr = Field(description="Once more: the signature is of the person, not of the log-in.")
-    happened_utc: str | None = Field(None, description="When it became active, where that is earlier.")
+    password: SecretStr = Field(description="Your password again: the person signs, not the log-in.")
+    happened_utc: str | None = Field(None, description="When it became active, if earlier than now.")
 
 
 @onboard_router.post(
@@ -258,7 +258,7 @@ def export_parameter_set(
     blobs: Blobs,
     export: Export | None = None,
 ) -> Package:
-    """Build the package of an approved set or the baseline; built again of the same, it is the one that exists."""
+    """Build the package for an approved set or the baseline; the same inputs give the existing one."""
     said = {} if export is None else export.model_dump()
     return packages.build(session, actor, blobs, parameter_set_id, policy=policy, **said)
 
@@ -273,7 +273,7 @@ def list_packages(
 
 @package_router.get("/packages/{package_id}", summary="Read a package's entry", response_model=schemas.Package)
 def get_package(package_id: Id, session: Reading) -> Package:
-    """Read whose package it is and what it is for; `/content` is the file."""
+    """Read the entry of a package: its set and purpose; `/content` is the file."""
     return session.get_known(Package, package_id)
 
 
@@ -304,9 +304,9 @@ class NewTableDefinition(Shape):
     """A definition to put into force, and why."""
 
     document: console_schemas.Document = Field(
-        description="Every parameter of the camera model lies in one field.", examples=[EXAMPLE]
+        description="Every parameter of the camera model needs one field.", examples=[EXAMPLE]
     )
-    reason: str = Field(examples=["Flight software 4.2.1 holds the focal length in millimetres."])
+    reason: str = Field(examples=["Flight software 4.2.1 stores the focal length in millimetres."])
 
 
 @table_definition_router.get(
@@ -315,7 +315,7 @@ class NewTableDefinition(Shape):
     response_model=Page[schemas.TableDefinition],
 )
 def list_table_definitions(sensor_id: Id, session: Reading, page: Paged) -> Answer:
-    """List every version, newest first; the first is in force, and the ETag is for setting another, `"v0"` for none."""
+    """List every version, newest first; the first is in force, and the ETag is needed to set another, `"v0"` for none."""
     found = table_definitions.list_definitions(session, sensor_id)
     tag = schemas.TableDefinition.etag(found[0]) if found else '"v0"'
     return Answer(page.cut_whole(found), headers={"ETag": tag})
@@ -336,9 +336,9 @@ def set_table_definition(
     policy: ServerPolicy,
     session: Writing,
 ) -> GateProfile | TableDefinition | Answer:
-    """Put another layout into force. The sensor's undecided requests become STALE, for they would be other bytes.
+    """Put another layout into force. The sensor's open requests become STALE, because their bytes would change.
 
-    Where the setting `second_person` is on, the change is proposed, answered with 202, and moves nothing until another
+    Where the setting `second_person` is on, the change is proposed, answered with 202, and changes nothing until another
     analyst or administrator confirms it.
     """
     made = proposals.change(

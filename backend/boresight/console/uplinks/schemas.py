@@ -22,9 +22,9 @@ class Uplink(Row):
     source: str
     recorded_utc: str
     recorded_by: int
-    method: Literal["bytes", "crc"] | None = Field(description="How a read-back was compared; null of a statement.")
+    method: Literal["bytes", "crc"] | None = Field(description="How a read-back was compared; null for a statement.")
     evidence: Document | None = Field(description="Package, dump, CRC, differing bytes and fields, when it happened.")
-    printed_name: str | None = Field(description="Of who signed that the set is active.")
+    printed_name: str | None = Field(description="The person who signed that the set is active.")
     meaning: str | None = Field(description="What the signature means.")
 
 
@@ -43,10 +43,10 @@ class Promotion(Row):
 
     id: int
     parameter_set_id: int
-    approval_id: int | None = Field(description="Null of a ground calibration.")
+    approval_id: int | None = Field(description="Null for a ground calibration.")
     at_utc: str
     promoted_by: int | None
-    reason: str | None = Field(description="Why it was promoted then; null where nobody said.")
+    reason: str | None = Field(description="Why it was promoted; null where no reason was given.")
 
 
 class OnBoard(BaseModel):
@@ -66,9 +66,9 @@ class AsOf(BaseModel):
     differs: bool = Field(description="Whether another set was active on board than was baseline.")
     baseline: ParameterSet | None
     promotion: Promotion | None
-    approval: Approval | None = Field(description="The request that was carried out, with its signatures.")
-    on_board: list[OnBoard] = Field(description="Of every set the newest record by then.")
-    learned_later: list[OnBoard] = Field(description="Recorded after the time, of what had happened by then.")
+    approval: Approval | None = Field(description="The request behind it, with its signatures.")
+    on_board: list[OnBoard] = Field(description="The newest record of every set by then.")
+    learned_later: list[OnBoard] = Field(description="Recorded after the time, about what had happened by then.")
     gate_profile: Version | None
     table_definition: Version | None
 
@@ -87,9 +87,9 @@ class Event(Row):
     parameter_set: str | None
     who: str | None
     sentence: str
-    said: str | None = Field(description="Reason, meaning, comment or source, in the person's words.")
+    said: str | None = Field(description="Reason, meaning, comment or source, as the person wrote it.")
     sha256: str | None
-    happened_utc: str | None = Field(description="When it happened, where its source puts that earlier.")
+    happened_utc: str | None = Field(description="When it happened, if earlier than recorded.")
     subject: str | None = Field(description="Its address: `approvals/3`.")
 
 
@@ -116,7 +116,7 @@ class Package(Row):
 
     id: int
     parameter_set_id: int
-    table_definition_id: int | None = Field(description="Null where none was in force: the package holds no table.")
+    table_definition_id: int | None = Field(description="Null where none was in force: the package contains no table.")
     flight_software_version: str | None
     table_id: str | None
     sha256: str = Field(description="SHA-256 of the ZIP.")

@@ -60,7 +60,7 @@ def get_set_for_entry(
     if seen_version is not None:
         require_seen(session, row, seen_version)
     if not source.strip():
-        raise RefusedInputError("Say where this is known from: the pass, the procedure or the read-back file.")
+        raise RefusedInputError("Give the source: the pass, the procedure or the read-back file.")
     return row
 
 
@@ -157,7 +157,7 @@ def activate(
     """Record that a verified set is what the sensor runs with: an entry signed by a person who gives the password again."""
     require_person(actor, "sign that a set is active")
     if "administrator" in actor.roles:
-        raise ForbiddenError("An administrator cannot sign; ask an operator who is no administrator.")
+        raise ForbiddenError("An administrator cannot sign; ask an operator who is not an administrator.")
     if users.must_change_password(session, actor):
         raise ForbiddenError("Somebody else set your password; set your own first, then sign.")
     row = get_set_for_entry(session, actor, parameter_set_id, source, seen_version)
@@ -166,7 +166,7 @@ def activate(
     _refuse_unread(session, row)
     refuse_control_characters(meaning=meaning)
     if not meaning.strip():
-        raise RefusedInputError("Say what your signature means, such as: I saw this table active in telemetry.")
+        raise RefusedInputError("Say what your signature means, for example: I saw this table active in telemetry.")
     details = happened_on(happened) | {"shown_sha256": compute_shown_sha256(session, row)}
     users.require_password(session, actor, proof)
     _retire_active(session, actor, row, source.strip())
@@ -205,7 +205,7 @@ def _refuse_unread(session: Session, row: ParameterSet) -> None:
     """Refuse to activate a set that was recorded as VERIFIED by statement alone, which earlier versions allowed."""
     newest = rows.find_newest_record(session, row.id)
     if newest is None or newest.method is None:
-        raise ConflictError(f"{row.name} is VERIFIED by statement alone; read it back by dump or CRC, then sign.")
+        raise ConflictError(f"{row.name} is VERIFIED only by statement; read it back by dump or CRC, then sign.")
 
 
 def _refuse_step(row: ParameterSet, onboard_state: str) -> None:
@@ -215,7 +215,7 @@ def _refuse_step(row: ParameterSet, onboard_state: str) -> None:
     if onboard_state not in NEXT[row.onboard_state]:
         steps = ", ".join(NEXT[row.onboard_state])
         raise ConflictError(
-            f"{row.name} is {row.onboard_state} on board, from which {onboard_state} does not follow; record {steps}."
+            f"{row.name} is {row.onboard_state} on board, so {onboard_state} cannot be next; record {steps}."
         )
     if onboard_state == "SENT" and row.ground_state != "BASELINE":
         raise ConflictError(
@@ -231,7 +231,7 @@ def _describe_package(
         return {}
     package = session.get(Package, package_id)
     if package is None or package.parameter_set_id != row.id:
-        raise RefusedInputError(f"There is no package {package_id} of {row.name}; name one that was built for it.")
+        raise RefusedInputError(f"There is no package {package_id} of {row.name}; choose one that was built for it.")
     definition = find_definition_in_force(session, row.sensor_id)
     if onboard_state == "SENT" and package.table_definition_id != (definition.id if definition else None):
         raise ConflictError(
@@ -251,7 +251,7 @@ def get_dump_digest(session: Session, uplink_id: int) -> str:
     """Return the SHA-256 of the dump that a record rests on."""
     dump = (session.get_known(Uplink, uplink_id).evidence or {}).get("dump")
     if dump is None:
-        raise NotFoundError(f"Uplink record {uplink_id} rests on no dump; see its method and evidence.")
+        raise NotFoundError(f"Uplink record {uplink_id} has no dump; see its method and evidence.")
     return str(dump["sha256"])
 
 

@@ -41,7 +41,7 @@ UPLINK_STEPS = {
         "Read back",
         "read-back",
     ),
-    "UNKNOWN": ("What became of it on board is not known: send it again, or read it back.", "Record", "record"),
+    "UNKNOWN": ("Its state on board is not known: send it again, or read it back.", "Record", "record"),
 }
 PASSED_BY = "not on record"
 DECLARED = "not needed: the set came with its sensor"
@@ -237,16 +237,16 @@ def find_exported_package(packages: Sequence[Package], records: Sequence[Uplink]
 def _step_of_run(viewer: _Viewer, run: Run | None) -> NextStep:
     """What follows for a run that no set was made of."""
     if run is None or run.state not in TERMINAL_RUN_STATES:
-        return NextStep("The page follows the run; the result stands here when it ends.")
+        return NextStep("This page updates by itself; the result appears here when the run ends.")
     again = f"/runs/new?clone={run.id}"
     if run.state != "SUCCEEDED":
-        return viewer.step_for(("analyst",), "Run it again, with what failed mended.", "Run it again", again)
+        return viewer.step_for(("analyst",), "Correct what failed, then run it again.", "Run it again", again)
     status = (run.summary or {}).get("status")
     if status not in USABLE_STATUSES:
-        said = f"It ended {status}, which makes no parameter set: follow the advice and run again."
+        said = f"It ended {status}, so no parameter set can be made: follow the advice and run again."
         return viewer.step_for(("analyst",), said, "Run it again", again)
     address = f"/runs/{run.id}/parameter-set"
-    said = "Read the four views; then make a parameter set of the result and hold it against the gates."
+    said = "Review the four views; then make a parameter set from the result and assess its gates."
     return viewer.step_for(("analyst",), said, "Create parameter set", address, posts=True)
 
 
@@ -263,7 +263,7 @@ def _step_of_set(viewer: _Viewer, row: ParameterSet, known: _Records) -> NextSte
     if state == "BASELINE":
         return _uplink_step(viewer, row, known)
     if known.report is None or gates.list_moved_since(viewer.session, known.report):
-        said = f"Hold {row.name} against the gates and against the baseline."
+        said = f"Assess {row.name} against the gates and the baseline."
         return viewer.step_for(gates.ASSESSORS, said, "Assess", f"{address}/assess", posts=True)
     return viewer.step_for(
         ("analyst",), f"Submit {row.name} with a reason; another person signs it.", "Submit", f"{address}#reason"
@@ -275,9 +275,7 @@ def _step_of_former(viewer: _Viewer, row: ParameterSet) -> NextStep:
         said = f"{row.name} was refused: calibrate again, and submit that set."
         return viewer.step_for(("analyst",), said, "Run again", f"/runs/new?clone={row.run_id}")
     baseline = set_queries.find_baseline(viewer.session, row.sensor_id)
-    said = (
-        f"{baseline.name if baseline else 'Another set'} replaced it; a roll-back is signed and promoted like any set."
-    )
+    said = f"{baseline.name if baseline else 'Another set'} replaced it; a roll-back is signed and promoted like any other set."
     return viewer.step_for(("analyst", "operator"), said, "Roll back", f"/parameter-sets/{row.id}#roll-back")
 
 
@@ -288,7 +286,7 @@ def _signing_step(viewer: _Viewer, request: Approval) -> NextStep:
         if one.refusal is None
     ]
     missing = request.needed - sum(one.decision == "APPROVE" for one in request.signatures)
-    said = f"{missing} signature{'s' if missing != 1 else ''} of a second person {'are' if missing != 1 else 'is'} missing."
+    said = f"{missing} signature{'s' if missing != 1 else ''} by a second person {'are' if missing != 1 else 'is'} missing."
     mine = approvals.explain_why_not_sign(viewer.session, viewer.actor, request.id, policy=viewer.policy) is None
     names = tuple(user.printed_name for user in able)
     return NextStep(said, "Review and sign", f"/approvals/{request.id}", is_mine=mine, who=names, role="approver")
@@ -298,9 +296,9 @@ def _uplink_step(viewer: _Viewer, row: ParameterSet, known: _Records) -> NextSte
     """What follows for the baseline on its way to the spacecraft."""
     address = f"/parameter-sets/{row.id}/uplink"
     if known.exported is None and row.onboard_state == "NOT SENT":
-        said = "Export the uplink package; the way back is inside."
+        said = "Export the uplink package; it contains the back-out."
         return viewer.step_for(("operator", "analyst"), said, "Export", f"{address}/package", posts=True)
     if row.onboard_state == "ACTIVE":
-        return NextStep("It is active on board: nothing is left to do.")
+        return NextStep("It is active on board: nothing more to do.")
     said, label, place = UPLINK_STEPS.get(row.onboard_state, UPLINK_STEPS["UNKNOWN"])
     return viewer.step_for(("operator",), said, label, f"{address}#{place}")

@@ -118,7 +118,7 @@ async def try_webhook(request: Request, actor: Who, webhook_id: int) -> Response
     """Queue a trial."""
     change = partial(webhooks.try_webhook, actor=actor, webhook_id=webhook_id)
     return await make_change(
-        request, change, f"/webhooks/{webhook_id}", "A trial is on its way: reload to see what came of it."
+        request, change, f"/webhooks/{webhook_id}", "The test message is queued: reload to see its outcome."
     )
 
 
@@ -140,20 +140,18 @@ async def renew_secret(
 async def disable(request: Request, actor: Who, webhook_id: int) -> Response:
     """Disable a webhook."""
     change = partial(webhooks.disable_webhook, actor=actor, webhook_id=webhook_id)
-    return await make_change(request, change, f"/webhooks/{webhook_id}", "Disabled: it is told nothing more.")
+    return await make_change(request, change, f"/webhooks/{webhook_id}", "Disabled: it receives no more events.")
 
 
 @router.post("/webhooks/{webhook_id:int}/enable", response_class=HTMLResponse)
 async def enable(request: Request, actor: Who, webhook_id: int) -> Response:
     """Enable a webhook."""
     change = partial(webhooks.enable_webhook, actor=actor, webhook_id=webhook_id)
-    return await make_change(
-        request, change, f"/webhooks/{webhook_id}", "Enabled: it is told what happens from now on."
-    )
+    return await make_change(request, change, f"/webhooks/{webhook_id}", "Enabled: it receives events from now on.")
 
 
 @router.post("/webhooks/{webhook_id:int}/deliveries/{delivery_id:int}/redeliver", response_class=HTMLResponse)
 async def redeliver(request: Request, actor: Who, webhook_id: int, delivery_id: int) -> Response:
     """Queue a message once more."""
     change = partial(webhooks.redeliver, actor=actor, delivery_id=delivery_id)
-    return await make_change(request, change, f"/webhooks/{webhook_id}", "The message is on its way once more.")
+    return await make_change(request, change, f"/webhooks/{webhook_id}", "The message is queued again.")

@@ -27,12 +27,12 @@ class WantedWebhook(BaseModel):
     """An address to be told what happens."""
 
     model_config = ConfigDict(extra="forbid")
-    label: str = Field(description="Who listens there.", examples=["Mission chat"])
+    label: str = Field(description="The receiver.", examples=["Mission chat"])
     url: str = Field(examples=["https://mission.example/hooks/boresight"])
     actions: Annotated[
         list[str],
         Field(
-            description="Kinds of events, or a noun with a star. None: all.",
+            description="Kinds of events, or a noun with a star. Empty: all.",
             examples=[["parameter-sets.promoted", "approvals.*"]],
         ),
     ] = []
@@ -68,15 +68,15 @@ def list_webhooks(actor: Who, session: Reading, page: Paged, box: SecretKeeper) 
 
 @router.post(
     "",
-    summary="Make a webhook",
+    summary="Create a webhook",
     status_code=201,
     response_model=schemas.NewWebhook,
     dependencies=[Depends(_judge)],
 )
 def create_webhook(wanted: WantedWebhook, actor: Who, box: SecretKeeper, session: Writing) -> Answer:
-    """Tell an address what happens from now on. `secret` is in this answer and nowhere else.
+    """Send events to an address from now on. `secret` is in this answer and nowhere else.
 
-    The host is judged by every address that its name leads to, now and before each message.
+    Every address that the host name resolves to is checked, now and before each message.
     """
     row, secret = webhooks.create_webhook(session, actor, box, **dict(wanted))
     return _with_secret(row, secret, box)
@@ -86,7 +86,7 @@ def create_webhook(wanted: WantedWebhook, actor: Who, box: SecretKeeper, session
 def renew_webhook_secret(
     webhook_id: Id, actor: Who, box: SecretKeeper, session: Writing, renewal: Renewal | None = None
 ) -> Answer:
-    """Give a webhook a new secret; the former one signs beside it for some hours, so that the receiver can change over."""
+    """Give a webhook a new secret; the former one also signs for some hours, so that the receiver can change over."""
     hours = OVERLAP_HOURS if renewal is None else renewal.overlap_hours
     row, secret = webhooks.renew_secret(session, actor, box, webhook_id, overlap_hours=hours)
     return _with_secret(row, secret, box)
@@ -98,21 +98,23 @@ def get_webhook(webhook_id: Id, actor: Who, session: Reading, box: SecretKeeper)
     return _shown(webhooks.get_webhook(session, actor, webhook_id), box)
 
 
-@router.post("/{webhook_id}:disable", summary="Tell it nothing more", response_model=schemas.Webhook)
+@router.post("/{webhook_id}:disable", summary="Disable a webhook", response_model=schemas.Webhook)
 def disable_webhook(webhook_id: Id, actor: Who, box: SecretKeeper, session: Writing) -> Beside:
-    """Tell an address nothing more; its log stays."""
+    """Send nothing more to an address; its log stays."""
     return _shown(webhooks.disable_webhook(session, actor, webhook_id), box)
 
 
-@router.post("/{webhook_id}:enable", summary="Tell it again", response_model=schemas.Webhook)
+@router.post("/{webhook_id}:enable", summary="Enable a webhook", response_model=schemas.Webhook)
 def enable_webhook(webhook_id: Id, actor: Who, box: SecretKeeper, session: Writing) -> Beside:
-    """Tell an address again what happens from now on."""
+    """Send events to an address again from now on."""
     return _shown(webhooks.enable_webhook(session, actor, webhook_id), box)
 
 
-@router.post("/{webhook_id}:try", summary="Send a trial", status_code=202, response_model=schemas.WebhookDelivery)
+@router.post(
+    "/{webhook_id}:try", summary="Send a test message", status_code=202, response_model=schemas.WebhookDelivery
+)
 def try_webhook(webhook_id: Id, actor: Who, session: Writing) -> WebhookDelivery:
-    """Queue a message that says nothing but that it came."""
+    """Queue a message without an event."""
     return webhooks.try_webhook(session, actor, webhook_id)
 
 
@@ -129,5 +131,5 @@ def list_webhook_deliveries(webhook_id: Id, actor: Who, session: Reading, page: 
     response_model=schemas.WebhookDelivery,
 )
 def redeliver(delivery_id: Id, actor: Who, session: Writing) -> WebhookDelivery:
-    """Queue a message once more; its id and its words stay."""
+    """Queue a message again with the same id and body."""
     return webhooks.redeliver(session, actor, delivery_id)

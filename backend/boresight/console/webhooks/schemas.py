@@ -17,7 +17,7 @@ class Webhook(Row):
     id: int
     label: str
     url: str
-    actions: list[str] = Field(description="Kinds of events that are told; empty: all.")
+    actions: list[str] = Field(description="Kinds of events that are sent; empty: all.")
     version: int
     created_utc: str
     created_by: int | None
@@ -25,13 +25,13 @@ class Webhook(Row):
     state: Literal["ENABLED", "DISABLED", "PAUSED"] = Field(
         description="PAUSED: its secret cannot be decrypted with this server's key, so its messages wait; renew the secret."
     )
-    former_secret_until_utc: str | None = Field(description="Until then a former secret signs beside the new one.")
+    former_secret_until_utc: str | None = Field(description="Until then the former secret also signs.")
 
 
 class NewWebhook(Webhook):
     """A webhook just made."""
 
-    secret: str | None = Field(description="Signs each message. Shown this once; null when the answer is replayed.")
+    secret: str | None = Field(description="Signs each message. Shown only once; null when the answer is replayed.")
 
 
 class WebhookDelivery(Row):
@@ -39,7 +39,7 @@ class WebhookDelivery(Row):
 
     id: int
     webhook_id: int
-    audit_id: int | None = Field(description="The audit record that is told; null for a trial.")
+    audit_id: int | None = Field(description="The audit record that is sent; null for a test message.")
     body: str = Field(description="The bytes that are sent.")
     state: Literal["PENDING", "DELIVERED", "FAILED"]
     attempts: int

@@ -54,9 +54,9 @@ class SecretStorage:
         if not self.unreadable:
             return None
         return (
-            f"The secrets of these webhooks cannot be decrypted with the key that is here, so they are paused: "
-            f"{', '.join(self.unreadable)}. Copy the key file of the installation that made them, or give each webhook a "
-            "new secret and tell it to its receiver."
+            f"The secrets of these webhooks cannot be decrypted with this server's key, so they are paused: "
+            f"{', '.join(self.unreadable)}. Copy the key file of the installation that created them, or give each webhook a "
+            "new secret and pass it to its receiver."
         )
 
 

@@ -99,7 +99,7 @@ def create_webhook(
     _require_administrator(actor)
     refuse_control_characters(label=label, url=url)
     if not label.strip():
-        raise RefusedInputError("The webhook has no label; say in it who listens there.")
+        raise RefusedInputError("The webhook has no label; give one that names the receiver.")
     parsed(url.strip())
     secret = new_secret()
     row = Webhook(
@@ -124,7 +124,7 @@ def renew_secret(
     row = get_webhook(session, actor, webhook_id)
     if not 0.0 <= overlap_hours <= LONGEST_OVERLAP_HOURS:
         raise RefusedInputError(
-            f"The former secret cannot sign for so long; give 0 to {LONGEST_OVERLAP_HOURS:g} hours."
+            f"The former secret cannot sign for that long; give 0 to {LONGEST_OVERLAP_HOURS:g} hours."
         )
     overlaps = overlap_hours > 0.0 and box.open(row.secret) is not None
     row.previous_secret = row.secret if overlaps else None
@@ -142,7 +142,7 @@ def _read_kind(action: str) -> str:
     noun, dot, verb = action.strip().partition(".")
     if not (noun and dot and verb) or not action.strip().replace(".", "").replace("-", "").replace("*", "x").isalnum():
         raise RefusedInputError(
-            f"{action!r} is no kind of event; write it like parameter-sets.promoted or approvals.*."
+            f"{action!r} is not a kind of event; write it like parameter-sets.promoted or approvals.*."
         )
     return action.strip()
 

@@ -48,9 +48,9 @@ ARC_UNCERTAINTY = part_figure(
     name="arc-uncertainty",
     title="Arc uncertainty",
     guide=(
-        "Each place shows how uncertain an arc of five degrees (a quarter of a narrower field) is about it, "
-        "from the uncertainty of the parameters alone. Everywhere well below the noise of a centroid is good; a "
-        "bright corner is where this calibration extrapolates."
+        "Each place shows the uncertainty of an arc of five degrees (a quarter of a narrower field) around it, from the "
+        "uncertainty of the parameters alone. Everywhere well below the noise of a centroid is good; in a bright corner this "
+        "calibration extrapolates."
     ),
     advanced=True,
 )

@@ -149,7 +149,9 @@ def draw(traces: Sequence[Trace], most_columns: int = 4) -> go.Figure:
     histories = [read_history(trace.result) for trace in traces]
     found = [history for history in histories if history is not None]
     if not found:
-        return theme.missing(TITLE, "No frame or iteration has been recorded yet: the curves appear as the run moves.")
+        return theme.missing(
+            TITLE, "No frame or iteration has been recorded yet: the curves appear as the run proceeds."
+        )
     axis = "frame" if any(history.axis == "frame" for history in found) else "iteration"
     panels = _panels(traces, found, most_columns)
     n_panels = len(panels) + PANELS
@@ -367,10 +369,9 @@ CONVERGENCE = Figure(
     name="convergence",
     title=TITLE,
     guide=(
-        "Each panel shows how far one parameter has moved from its initial value (dotted line at zero), with its "
-        "own ±3σ band, and the last two the cost and the step; double-click a panel to see the wide first bands. A "
-        "trustworthy run settles (dotted upright line), its band narrows around the curve, and the curve stays inside "
-        "the bands it drew earlier."
+        "Each panel shows the change of one parameter from its initial value (dotted line at zero), with its own ±3σ band, "
+        "and the last two show the cost and the step; double-click a panel to see the wide first bands. A trustworthy run "
+        "settles (dotted upright line), its band narrows around the curve, and the curve stays inside its earlier bands."
     ),
     draw=draw,
     table=table,

@@ -83,7 +83,7 @@ def _headline(one: Part[Correlations]) -> str:
     if pair is None:
         return "One parameter was estimated: there is no correlation"
     first, second = (quantity(name, trace.result).markup for name in pair[:2])
-    advice = "read them together" if abs(pair[2]) >= STRONG else "each can be read alone"
+    advice = "use them together" if abs(pair[2]) >= STRONG else "each can be used alone"
     return f"Strongest: {first} and {second}, ρ = {signed(pair[2])}: {advice}"
 
 
@@ -103,13 +103,13 @@ CORRELATION = make_figure(
     draw,
     table,
     correlations,
-    lambda _: "Correlations come with a covariance, which is there when the run ends.",
+    lambda _: "Correlations need a covariance, which is available when the run ends.",
     name="correlation",
     title="Parameter correlations",
     guide=(
-        "Each cell is how far the errors of two parameters go together: blue the same way, orange against each other, "
-        "empty not at all. A pair near ±1 is known only as a sum or a difference: do not read its two sigmas one by "
-        "one, but look at the distortion and at the weakest direction."
+        "Each cell shows how the errors of two parameters are correlated: blue in the same direction, orange in opposite "
+        "directions, empty not at all. A pair near ±1 is known only as a sum or a difference: do not use its two sigmas one "
+        "by one, but look at the distortion and at the weakest direction."
     ),
     advanced=True,
     forms={"narrow": partial(draw, beside=1)},

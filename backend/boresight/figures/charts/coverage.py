@@ -86,12 +86,12 @@ COVERAGE = make_figure(
     draw,
     table,
     read_coverage,
-    lambda _: "The detector coverage is counted when the run ends; it is not there yet.",
+    lambda _: "Not yet: the detector coverage is counted when the run ends.",
     name="coverage",
     title="Detector coverage",
     guide=(
-        "Each cell counts the stars that were used there, in the detector's rows and columns; an empty cell shows "
-        "the background. Distortion is only as good as the coverage of the corners, and a one-sided field weakens "
-        "the principal point."
+        "Each cell counts the stars that were used there, by the detector's rows and columns; an empty cell shows the "
+        "background. Distortion is only as good as the coverage of the corners, and a one-sided field makes the principal "
+        "point uncertain."
     ),
 )

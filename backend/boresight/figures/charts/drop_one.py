@@ -87,9 +87,9 @@ DROP_ONE = part_figure(
     name="drop-one",
     title="Leaving one parameter out",
     guide=(
-        "Each column holds one parameter at its initial value and fits the others: above, how much chi-square rises "
-        "(dotted: what chance alone reaches in one case of a hundred), below, how far the others move. A hatched "
-        "parameter does no work here, and freeing it only widens the sigmas of the rest."
+        "Each column fixes one parameter at its initial value and fits the others: above, how much chi-square rises (dotted: "
+        "what chance alone reaches in one case of a hundred), below, how much the others change. A hatched parameter is not "
+        "needed, and freeing it only widens the sigmas of the rest."
     ),
     advanced=True,
 )

@@ -67,8 +67,8 @@ EFFICIENCY = part_figure(
     name="efficiency",
     title="Cramér-Rao efficiency",
     guide=(
-        "Each bar is the sigma that the run claims over the smallest that any unbiased estimator can have with these "
-        "stars (dotted, one). A little above one is good; below one the claim is too good to be true, far above it "
-        "the method wastes data."
+        "Each bar is the sigma that the run claims, divided by the smallest that any unbiased estimator can reach with these "
+        "stars (dotted, 1). A little above 1 is good; below 1 the claim is too good to be true, far above it the method "
+        "wastes data."
     ),
 )

@@ -30,8 +30,8 @@ from boresight.figures.style.axes import share_cursor
 from boresight.verdicts.numbers import quantity
 
 TITLE = "Observability per frame"
-NOT_YET = "Single frames are judged when the run ends; that is not there yet."
-NEVER = "This result has no judgement of single frames: clone its run and start it again to have one."
+NOT_YET = "Not yet: single frames are judged when the run ends."
+NEVER = "This result has no judgement of single frames: clone its run and run it again to get one."
 MODELS = {f"model_{model}": f"Model {model}" for model in (1, 2, 3, 4)}
 VALUES = {f"sigma_{k}": f"σ{k} alone" for k in (1, 2, 3)}
 #: What stands for each row of panels where several runs are compared.
@@ -143,9 +143,9 @@ FRAME_OBSERVABILITY = make_figure(
     title=TITLE,
     guide=(
         "Each line is the smallest singular value of one frame's scaled Jacobian for one choice of star combinations (above) "
-        "or of singular values (below): the higher, the further a parameter error moves what is measured, and a gap is a "
-        "frame that cannot determine all parameters alone. It ranks frames and choices and is no measure of precision, for "
-        "a row given twice counts twice; for that read the information of each reference."
+        "or of singular values (below): the higher, the more a parameter error changes the measurements, and a gap is a "
+        "frame that cannot determine all parameters alone. It ranks frames and choices but does not measure precision, "
+        "because a row given twice counts twice; for precision see the information of each reference."
     ),
     wide=True,
     advanced=True,
@@ -198,7 +198,7 @@ def _bars(one: Part[FrameObservability], *, labelled: bool) -> go.Bar:
 
 def _least(entry: ReferenceInformation, result: Calibration) -> str:
     if entry.least is None or entry.least_share is None:
-        return "leaves a parameter open"
+        return "does not determine a parameter"
     return f"least for {quantity(entry.least, result).markup}, {entry.least_share:.3f}"
 
 
@@ -221,9 +221,10 @@ REFERENCE_INFORMATION = make_figure(
     name="reference-information",
     title="Information of each reference",
     guide=(
-        "Each bar is what a reference, weighed by its full covariance, keeps of the information that the centroids hold about "
-        "the parameters (dotted, one): arcs, all pairs of stars, the four models with σ2 and σ3, and single values under "
-        "Model 4. A bar of 0.8 is a fifth of the frames thrown away; σ1 beside the other two must add nothing."
+        "Each bar is the share of the information about the parameters in the centroids (dotted, 1) that a reference keeps, "
+        "weighted by its full covariance: arcs, all pairs of stars, the four models with σ2 and σ3, and single values under "
+        "Model 4. A bar of 0.8 loses as much as leaving out a fifth of the frames; adding σ1 to the other two must change "
+        "nothing."
     ),
     advanced=True,
 )

@@ -110,9 +110,9 @@ INNOVATIONS = part_figure(
     name="innovations",
     title="Innovations over time",
     guide=(
-        "Each point is one frame's normalised innovation, a cross where it is outside its 95 % bounds (dotted), and the "
-        "line is their running mean. A mean that stays at one with one frame in twenty outside is an honest "
-        "covariance; a mean above one is over-confident there, a step or a slope is a sensor that changed."
+        "Each point is one frame's normalised innovation, a cross where it is outside its 95 % bounds (dotted), and the line "
+        "is their running mean. A mean that stays at 1 with one frame in twenty outside means that the covariance is right; "
+        "a mean above 1 means over-confidence, and a step or a slope means that the sensor changed."
     ),
     advanced=True,
 )

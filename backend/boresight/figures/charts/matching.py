@@ -23,8 +23,8 @@ PANELS: dict[str, Callable[[Cycle], float | None]] = {
     "RMS arc (µrad)": lambda cycle: None if cycle.rms_arc_rad is None else 1e6 * cycle.rms_arc_rad,
 }
 LEAST_CYCLES = 3  # the axis has room for so many, that one alone is no wall
-GIVEN = "This run used the matches it was given, less the stars that were removed: nothing was matched again."
-NOT_YET = "Matching is reported when the run ends; it is not there yet."
+GIVEN = "This run used the given matches without the removed stars: nothing was matched again."
+NOT_YET = "Not yet: matching is reported when the run ends."
 NO_CYCLES = "This run matched its stars without cycles."
 
 
@@ -98,9 +98,9 @@ MATCHING = make_figure(
     name="matching",
     title="Matching cycles",
     guide=(
-        "Each bar is one cycle of fitting and matching again: how many stars are matched, how many matches changed since "
-        "the cycle before, and the error that is left. Changes that fall to zero are good; matches that never rest "
-        "hang between two stars, and the parameters with them."
+        "Each bar is one cycle of fitting and matching again: how many stars are matched, how many matches changed since the "
+        "previous cycle, and the remaining error. Changes that fall to zero are good; matches that never settle alternate "
+        "between two stars, and the parameters with them."
     ),
     wide=True,
 )

@@ -194,7 +194,7 @@ def _draw_run(
     x = way.history.x if len(way.claimed) == len(way.history.x) else span
     kept = keep_extremes([way.claimed, way.true], limit)
     cost = method_scores(trace.result).ms_per_frame
-    name = style.label if cost is None else f"{style.label} ({number(cost, 2)} ms a frame)"
+    name = style.label if cost is None else f"{style.label} ({number(cost, 2)} ms per frame)"
     hover = f"claimed %{{y:.3g}} bounds<extra>{style.label}</extra>"
     options = {"meta": theme.of_run(style.label, "claimed"), "hovertemplate": hover}
     figure.add_trace(theme.line(style, x[kept], way.claimed[kept], name=name, showlegend=True, **options))
@@ -223,9 +223,10 @@ METHODS = make_figure(
     name="methods",
     title="Error against the bound",
     guide=(
-        "The line is the sigma that the method claims after so many frames, the dots its true error where a simulation knows "
-        "it, both over the smallest error that the whole set allows (one) and averaged over the free parameters. A good "
-        "method brings its line down to one with the dots about it; dots that stay above their line are a claim too bold."
+        "The line is the sigma that the method claims after each number of frames, the dots its true error where a "
+        "simulation knows it, both relative to the smallest error that the whole set allows (1) and averaged over the free "
+        "parameters. With a good method the line falls to 1 with the dots around it; dots that stay above their line mean "
+        "that the method is over-confident."
     ),
     wide=True,
     advanced=True,

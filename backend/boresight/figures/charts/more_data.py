@@ -118,9 +118,9 @@ MORE_DATA = part_figure(
     name="more-data",
     title="What more data would buy",
     guide=(
-        "Each panel shows the sigma that a parameter would have with more frames of the same kind, the large mark being "
-        "the run as it is. A curve that falls by half for four times the frames is worth waiting for; a flat one needs "
-        "other frames, not more of them."
+        "Each panel shows the sigma that a parameter would have with more frames of the same kind; the large mark is this "
+        "run. A curve that halves with four times the frames makes more frames worth waiting for; a flat curve needs other "
+        "frames, not more of them."
     ),
     wide=True,
     advanced=True,

@@ -131,7 +131,7 @@ def _draw_threshold(figure: go.Figure, **place: int) -> None:
     """Draw the value below which a direction is not seen, and say so."""
     figure.add_hline(y=THRESHOLD, line={**theme.LEVEL, "color": WEAK_COLOUR}, **place)
     beside = {"x": 1, "xref": "x domain", "xanchor": "left", "y": float(np.log10(THRESHOLD)), "yanchor": "middle"}
-    words = f"below {THRESHOLD:g}:<br>not seen"
+    words = f"below {THRESHOLD:g}:<br>weak"
     figure.add_annotation(text=words, align="left", font={"color": WEAK_COLOUR}, showarrow=False, **beside, **place)
 
 
@@ -204,13 +204,13 @@ OBSERVABILITY = make_figure(
     draw,
     table,
     read_observability,
-    lambda _: "Observability is computed when the run ends; it is not there yet.",
+    lambda _: "Not yet: observability is computed when the run ends.",
     name="observability",
     title="Observability",
     guide=(
-        "Each column is one direction in parameter space: the bar, its singular value, is how many times better than the "
-        "spread from one such sensor to the next the stars determine it, the colours below are the parameters it mixes. "
-        f"Below {THRESHOLD:g} (dotted) a direction is not seen: amber and hatched."
+        "Each column is one direction in parameter space: the bar, its singular value, is how many times better the "
+        "stars determine it than the spread between sensors of this kind; the colours below are the parameters it mixes. "
+        f"Below {THRESHOLD:g} (dotted) a direction is weak: amber and hatched."
     ),
     wide=True,
     forms={"small": draw_small, "narrow": draw_narrow},
@@ -274,7 +274,7 @@ def _reach(result: Calibration) -> list[str]:
     empty = int((counts == 0).sum())
     if empty:
         said.append(
-            f"{count(empty)} of {count(counts.size)} cells of the detector have no star: point so that they get some."
+            f"{count(empty)} of {count(counts.size)} cells of the detector have no star: choose pointings that put stars there."
         )
     return said
 
@@ -285,10 +285,12 @@ def _frames(result: Calibration) -> list[str]:
     if not spread or not frames:
         return []
     if spread[-1] is None:
-        return ["More frames like these would leave the weakest direction as open as it is."]
+        return ["More frames like these would not determine the weakest direction either."]
     times = (spread[-1] / WEAK) ** 2
     if times <= 1:
-        return ["Every direction is known: more frames narrow all sigmas by the square root of their number."]
+        return ["Every direction is determined: more frames narrow all sigmas by the square root of their number."]
     if times > MOST_TIMES:
-        return [f"Frames like these alone would not do: it would take {count(round(times))} times as many."]
-    return [f"About {count(np.ceil(times * frames))} frames like these, in place of {count(frames)}, would do as well."]
+        return [f"More frames like these would not help enough: it would take {count(round(times))} times as many."]
+    return [
+        f"About {count(np.ceil(times * frames))} frames like these, instead of {count(frames)}, would also suffice."
+    ]

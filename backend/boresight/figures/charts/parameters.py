@@ -139,7 +139,7 @@ def _headline(drawn: Sequence[Part[Calibration]]) -> str:
     names = free_names(result)
     worth = np.abs(_ratio(_change(result, names), _column(result.reliable_sigma, names)))
     moved = int(np.sum(worth >= SIGNIFICANT))
-    return f"{moved} of {len(names)} parameters moved by more than 3 σ with misfit"
+    return f"{moved} of {len(names)} parameters changed by more than 3 σ with misfit"
 
 
 def table(result: Calibration) -> Table:
@@ -166,9 +166,9 @@ PARAMETERS = make_figure(
     name="parameters",
     title="Parameter changes",
     guide=(
-        "On the left is each change in units of its own sigma (with misfit), on a log axis: beyond the dotted line at three it "
-        "is more than noise, and paler bars are not. On the right is the same change in typical sigmas, the "
-        "spread from unit to unit, with a ±3σ bar, its thick part from noise alone: a wide bar means that the data say "
-        "little, a far point that the sensor or the matches deserve a look."
+        "On the left is each change in units of its own sigma (with misfit), on a log axis: beyond the dotted line at 3 it "
+        "is more than noise, and paler bars are not. On the right is the same change in typical sigmas, the spread between "
+        "sensors of this kind, with a ±3σ bar, its thick part from noise alone: a wide bar means that the data determine "
+        "little, a far point that you should check the sensor or the matches."
     ),
 )

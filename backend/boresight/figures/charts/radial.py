@@ -210,13 +210,13 @@ RADIAL = make_figure(
     draw,
     table,
     read_radial,
-    lambda _: "The radial difference is computed when the run ends; it is not there yet.",
+    lambda _: "Not yet: the radial difference is computed when the run ends.",
     name="radial",
     title=TITLE,
     guide=(
-        "Above is how far the new parameters move a star along the radius against the old ones, below that its ±3σ "
-        "band alone, and at the bottom the stars at that radius. Trust it where stars stand and the band "
-        "is narrow: in the hatched part no star was seen and the curve is extrapolation."
+        "Above is how far along the radius the new parameters move a star compared with the old ones, below that its ±3σ "
+        "band alone, and at the bottom the number of stars at that radius. Trust it where there are stars and the band is "
+        "narrow: in the hatched part there was no star and the curve is extrapolated."
     ),
     wide=True,
     forms={"small": draw_small},
@@ -225,9 +225,9 @@ RADIAL = make_figure(
 
 RADIAL_CONTRAST_TITLE = "Radial difference to the reference"
 GUIDE = (
-    "Each curve is how far a run places a star along the radius from where the reference run places it, with the ±3σ band of"
-    " that difference. Runs that agree keep zero within their bands out to where stars reach; the hatched radii beyond are"
-    " extrapolated."
+    "Each curve is how far along the radius a run places a star from where the reference run places it, with the ±3σ band of "
+    "that difference. Runs that agree stay at zero within their bands out to where stars reach; the hatched radii beyond are "
+    "extrapolated."
 )
 MARGIN = 0.06  # of the height drawn, above and below
 CROWDED = 8  # above so many bands nothing is seen through them
@@ -240,15 +240,14 @@ def draw_radial_contrast(labels: Sequence[str], reference: int, curves: Sequence
     shown = [(styles[i], curve) for i in order if (curve := curves[i]) is not None]
     if not shown:
         return theme.missing(
-            RADIAL_CONTRAST_TITLE, "No other run of the same detector has a result yet: the curves appear when one has."
+            RADIAL_CONTRAST_TITLE,
+            "No other run with the same detector has a result yet: the curves appear when one has.",
         )
     figure = go.Figure()
     for style, curve in shown:
         _draw_contrast(figure, style, curve, banded=len(shown) <= CROWDED)
     told = any(np.isfinite(column(curve.sigma_px)).any() for _, curve in shown)
-    words = (
-        "±3σ of the difference" if told else "the same data and equal sigmas: the methods differ, the noise does not"
-    )
+    words = "±3σ of the difference" if told else "the same data and equal sigmas: only the methods differ"
     theme.dress(figure, title=f"Against {theme.escape(labels[reference])}, {words}", height_px=420)
     figure.update_xaxes(title_text="radius from the principal point (px)")
     figure.update_yaxes(title_text="run − reference (px)", zeroline=True)
@@ -294,10 +293,8 @@ def table_radial_contrast(run_ids: Sequence[int], curves: Sequence[RadialContras
     return listed
 
 
-OLDER = (
-    "This result was made before the curves of old and new were kept: clone its run and start it again to have them."
-)
-NOT_YET = "The distortion is computed when the run ends; it is not there yet."
+OLDER = "This result has no curves of old and new: clone its run and run it again to get them."
+NOT_YET = "Not yet: the distortion is computed when the run ends."
 
 
 def draw_distortion(drawn: Sequence[Part[Distortion]]) -> go.Figure:
@@ -389,9 +386,9 @@ DISTORTION = make_figure(
     name="distortion",
     title="Radial distortion, old and new",
     guide=(
-        "Each curve is how far the optics bend a star along the radius away from a pinhole of the old focal length: the "
-        "old parameters dotted, the new ones with their ±3σ band. The two should have one shape and differ by what a "
-        "launch or a change of temperature can do; in the hatched part no star was seen and both are extrapolation."
+        "Each curve is how far along the radius the optics move a star from a pinhole of the old focal length: the old "
+        "parameters dotted, the new ones with their ±3σ band. The two should have the same shape and differ only as much as "
+        "a launch or a change of temperature can explain; in the hatched part there was no star and both are extrapolated."
     ),
     wide=True,
 )

@@ -143,8 +143,8 @@ RESIDUAL_AGAINST = part_figure(
     title="Residual against causes",
     guide=(
         "Each panel bins the residual, radial (outward positive) or along the axis for row, column and pixel phase, by one "
-        "possible cause: the mean with its 95 % bar, and its RMS dotted. Means that stay within "
-        "their bars of zero are good; a slope names what the model or the centroiding has left out."
+        "possible cause: the mean with its 95 % bar, and its RMS dotted. Means that are zero within their bars are good; a "
+        "slope shows what the model or the centroiding does not include."
     ),
     advanced=True,
 )

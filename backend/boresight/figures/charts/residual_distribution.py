@@ -123,9 +123,10 @@ RESIDUAL_DISTRIBUTION = part_figure(
     name="residual-distribution",
     title="Distribution of residuals",
     guide=(
-        "On the left the share of residuals over their sigmas in each bin, beside the normal curve and what the old parameters "
-        "gave; on the right their quantiles less the normal's, with the band that chance keeps. Steps on the curve and a "
-        "line inside the band are good; ends that leave the band outwards are wrong stars, a slope is a wrong noise."
+        "On the left is the share of residuals over their sigmas in each bin, with the normal curve and the result of the "
+        "old parameters; on the right are their quantiles minus the normal's, with the band that chance allows. Steps on the "
+        "curve and a line inside the band are good; ends that leave the band outwards are wrong stars, a slope is a wrong "
+        "noise."
     ),
     wide=True,
 )

@@ -60,7 +60,7 @@ def draw(drawn: Sequence[Part[Residuals]]) -> go.Figure:
     _arrows(figure, stars, style, 1, theme.translucent(style.colour, 0.75))
     _arrows(figure, means, style, 2, style.colour)
     n_clear = int(np.sum(means.clear))
-    counted = f"{n_clear} of {len(means.row)} cell means are clear of their noise"
+    counted = f"{n_clear} of {len(means.row)} cell means exceed their noise"
     title = f"Residuals: {counted}{others([style.label for _, style, _ in drawn])}"
     theme.dress(figure, title=title, height_px=470, legend=False, hovermode="closest")
     _frame(figure)
@@ -156,10 +156,9 @@ RESIDUAL_MAP = part_figure(
     name="residual-map",
     title="Residuals on the detector",
     guide=(
-        "Each line points from where a star was measured to where the camera model and the best attitude of its "
-        "exposure leave it, so many times longer than life; on the right the means of cells, a diamond where a mean "
-        "is clear of its noise. Arrows in all directions are good; arrows that turn together are a distortion that "
-        "the model does not have."
+        "Each line points from where a star was measured to where the camera model and the best attitude of its exposure put "
+        "it, enlarged as stated; on the right are the means of cells, with a diamond where a mean exceeds its noise. Arrows "
+        "in all directions are good; arrows that turn together are a distortion that the model does not have."
     ),
     wide=True,
     advanced=True,
@@ -214,8 +213,8 @@ RESIDUAL_RMS = part_figure(
     name="residual-rms",
     title="RMS residual over the detector",
     guide=(
-        "Each cell has the colour of the RMS residual of its stars at the best fit, an axis; a cell with fewer than four stars is "
-        "left open. An even colour is good; an edge or a corner that stands out has noisier centroids there, or a "
+        "Each cell has the colour of the RMS residual per axis of its stars at the best fit; a cell with fewer than four "
+        "stars is left empty. An even colour is good; an edge or a corner that stands out has noisier centroids, or a "
         "distortion that the model does not have."
     ),
     advanced=True,
@@ -388,9 +387,9 @@ RESIDUAL_QUIVER = part_figure(
     name="residual-quiver",
     title="Mean residuals over the detector",
     guide=(
-        "Each arrow is the mean residual of the stars in one cell, at the old parameters on the left and the new on the right, "
-        "to the scale of the bar; the circle about its foot is three sigmas of that mean. Arrows that end inside their "
-        "circles are noise and good; arrows beyond them that turn together are a distortion the model does not have."
+        "Each arrow is the mean residual of the stars in one cell, with the old parameters on the left and the new on the "
+        "right, to the scale of the bar; the circle around its foot is three sigmas of that mean. Arrows that end inside "
+        "their circles are noise and good; longer arrows that turn together are a distortion that the model does not have."
     ),
     wide=True,
 )

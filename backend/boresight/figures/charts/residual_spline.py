@@ -90,9 +90,9 @@ def _headline(part: ResidualSpline) -> str:
     p = part.test.p
     chance = f"p = {p:.2g}" if p >= 1e-4 else "p < 0.0001"
     if not part.structure:
-        return f"Left over: nothing beyond the noise, {chance}; at most {number(part.at_most_px, 2)} px (95 %)"
+        return f"Nothing left beyond the noise, {chance}; at most {number(part.at_most_px, 2)} px (95 %)"
     largest = part.largest
-    return f"Left over: up to {number(largest.size_px, 2)} ± {number(largest.sigma_px, 1)} px, {chance}"
+    return f"Left: up to {number(largest.size_px, 2)} ± {number(largest.sigma_px, 1)} px, {chance}"
 
 
 def table(part: ResidualSpline) -> Table:
@@ -107,11 +107,11 @@ RESIDUAL_SPLINE = part_figure(
     table,
     "residual_spline",
     name="residual-spline",
-    title="What the camera model leaves over",
+    title="Displacement left by the camera model",
     guide=(
-        "The colour is how far stars fall from where the fitted camera puts them, as a smooth surface whose stiffness the data "
-        "choose; a diamond marks what is more than three sigmas from nought. A pale detector without diamonds is good; a pattern "
-        "is a distortion that the camera model does not have, and the advice says which model has it."
+        "The colour is how far stars are from where the fitted camera puts them, as a smooth surface whose stiffness the "
+        "data choose; a diamond marks what is more than three sigmas from zero. A pale detector without diamonds is good; a "
+        "pattern is a distortion that the camera model does not have, and the advice says which model has it."
     ),
     wide=True,
     advanced=True,

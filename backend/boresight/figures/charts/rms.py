@@ -52,7 +52,7 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     """Draw RMS arc error over frames, or over iterations when every run is a batch."""
     figure, axis, seen = _draw_curves(traces)
     if not axis:
-        return theme.missing(TITLE, "No RMS arc error has been recorded yet: the curves appear as the run moves.")
+        return theme.missing(TITLE, "No RMS arc error has been recorded yet: the curves appear as the run proceeds.")
     theme.dress(figure, title=_headline(traces), height_px=380)
     figure.update_xaxes(title_text=axis_title(axis, traces))
     figure.update_yaxes(title_text="RMS arc error (µrad)")
@@ -230,10 +230,10 @@ RMS = Figure(
     name="rms",
     title=TITLE,
     guide=(
-        "Tail is the error of the whole set under the parameters of that moment, with what chance does to it (±3σ), "
-        "aggregate the running error of the frames so far, each under the parameters it had at the time. The two should "
-        "meet and lie flat near the final level; an aggregate well below the tail means that the filter follows single "
-        "frames instead of the sensor."
+        "Tail is the error of the whole set with the parameters at that moment, with its ±3σ scatter by chance; aggregate is "
+        "the running error of the frames so far, each with the parameters it had at the time. The two should agree and be "
+        "flat near the final level; an aggregate well below the tail means that the filter follows single frames instead of "
+        "the sensor."
     ),
     draw=draw,
     table=table,
@@ -371,8 +371,8 @@ RMS_AXES = make_figure(
     title="Residual RMS by axis",
     guide=(
         "On the left is the residual's RMS along rows and columns and along and across the radius, with ±3σ bars; on the "
-        "right how the last two run over the frames. All four should agree within their bars and run level: more along "
-        "the radius is distortion that is left over, a rise in time a sensor that changes."
+        "right is how the last two change over the frames. All four should agree within their bars and be flat: more along "
+        "the radius is remaining distortion, a rise in time is a sensor that changes."
     ),
     wide=True,
     advanced=True,

@@ -126,13 +126,13 @@ SHADOW = make_figure(
     draw,
     table,
     shown,
-    lambda _: "Baseline and candidate are set side by side when the run ends; that is not there yet.",
+    lambda _: "Not yet: baseline and candidate are compared when the run ends.",
     name="shadow",
     title="Baseline and candidate side by side",
     guide=(
-        "Each frame is matched under the baseline and under the candidate, and the lines count the stars that the simulated "
-        "check of the flight code accepts; triangles are frames that only the candidate solves, crosses frames it would "
-        "lose. A candidate worth flying lies above the baseline everywhere and has no cross."
+        "Each frame is matched with the baseline and with the candidate, and the lines count the stars that the simulated "
+        "check of the flight code accepts; triangles are frames that only the candidate solves, crosses frames that it would "
+        "lose. A candidate worth flying is above the baseline everywhere and has no cross."
     ),
     wide=True,
     advanced=True,

@@ -87,8 +87,8 @@ STARS = part_figure(
     title="Star by star",
     guide=(
         "Each mark is one star: how often it was seen, and how many sigmas its mean residual is from zero; a diamond with "
-        "its Hipparcos number is a suspect. One star far above the others is a wrong identity, a double or a bad "
-        "position, and is to be flagged; many together are a fault of the model."
+        "its Hipparcos number is a suspect. One star far above the others is a wrong identity, a double or a wrong position: "
+        "flag it; many together are a fault of the model."
     ),
     wide=True,
     advanced=True,

@@ -92,8 +92,8 @@ TWO_HALVES = part_figure(
     name="two-halves",
     title="Two halves",
     guide=(
-        "The set is cut in two, each half is calibrated by itself, and the map shows where their arcs differ, the bars "
-        "by how many sigmas each parameter does. Bars within ±3 (dotted) and a small, patternless map are good; more "
+        "The set is cut in two and each half is calibrated separately; the map shows where their arcs differ, the bars by "
+        "how many sigmas each parameter differs. Bars within ±3 (dotted) and a small map without pattern are good; more "
         "means that the model, the matches or the noise are not what the sigmas assume."
     ),
     wide=True,

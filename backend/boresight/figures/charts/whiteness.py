@@ -42,7 +42,7 @@ def _headline(drawn: Sequence[Part[Whiteness]]) -> str:
         return "Autocorrelation of the residuals"
     word = "white" if part.white else "not white"
     name = quantity(part.name, drawn[0][0].result).markup
-    return f"The residuals are {word}, seen by {name} (Ljung-Box p = {part.ljung_box.p:.2g})"
+    return f"The residuals are {word}, for {name} (Ljung-Box p = {part.ljung_box.p:.2g})"
 
 
 def table(part: Whiteness) -> Table:
@@ -61,10 +61,9 @@ WHITENESS = part_figure(
     name="whiteness",
     title="Whiteness of residuals",
     guide=(
-        "Each bar is how much the residuals of frames so many apart resemble each other, as the parameter sees them that "
-        "is worst off; dotted are the bounds that "
-        "chance alone keeps in nineteen lags of twenty. Bars that stay inside are good; a slow decay is a drift that "
-        "the constant parameters cannot follow, and makes every sigma too small."
+        "Each bar is the correlation of the residuals of frames that far apart, for the worst parameter; the dotted bounds "
+        "are those that chance alone keeps in nineteen lags of twenty. Bars that stay inside are good; a slow decay is a "
+        "drift that constant parameters cannot follow, and makes every sigma too small."
     ),
     advanced=True,
 )

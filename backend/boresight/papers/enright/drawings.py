@@ -64,7 +64,7 @@ def _figure_3b(pooled: Pooled) -> Drawing:
     differs = abs(apart.get("no-refit", 0.0)) > max(refitted, DIFFERENT_SIGMA * sigma)
     return drawing(
         "3b", "Focal length convergence for sensor 4, from the batch's result",
-        "Q and No-Q end where they end from the ground calibration; No-Refit does not, for it uses other stars.",
+        "Q and No-Q end where they end from the ground calibration; No-Refit does not, because it uses other stars.",
         Conclusion(differs, f"between the two starts the ends differ by {said}; σ is {sigma:.2f} µm.", *TOLERANCE), curves,
     )  # fmt: skip
 

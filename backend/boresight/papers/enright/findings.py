@@ -114,7 +114,7 @@ def _tolerance(pooled: Pooled) -> Finding:
         said.append(f"Here at {size}: {by_sensor(records, found, 2)}.")
     return finding(
         "How wide the flight matching would have to be",
-        "The paper does not give the tolerance of its matching, on which Table IV's initial availability rests.",
+        "The paper does not give the tolerance of its matching, on which Table IV's initial availability depends.",
         *said,
     )
 
@@ -168,7 +168,7 @@ def _as_printed(pooled: Pooled) -> Finding:
         "Equations 25, 26, 83, 84, 87 and 88 are corrected in both: as printed, their signs and shapes make no filter."
     )
     return finding(
-        "A filter with one linearisation a frame claims too much, and RMS does not show it",
+        "A filter with one linearisation per frame is over-confident, and RMS does not show it",
         "III-B: the SQRF No-Q filters “come very close to that of the batch estimator”; excess error is laid to slow convergence.",
         f"{described(pooled, 'printed')}. {described(pooled, 'no-q')}.",
         rms,
@@ -216,7 +216,7 @@ def _unscented(pooled: Pooled) -> Finding:
         "IV: “The optimal solution is not self-evident, but well worth investigating.”",
         f"At full rate: {described(pooled, 'ekf')}. {described(pooled, 'ukf')}. {pairs}, {smaller}",
         f"{once} {sparse}; {lost} {trade}.",
-        f"Mean validation RMS, which tells them apart least: {errors}.",
+        f"Mean validation RMS, which separates them least: {errors}.",
         is_timed=True,
     )
 

@@ -31,7 +31,9 @@ NO_SKY = "how many stars the paper's skies and its detector showed is not public
 NO_TOLERANCE = (
     "the flight matching's tolerance and rule are not given; ours: two thirds of the matches agree to five arc sigmas"
 )
-NO_GROUND = "the truth is Table III's change added to one nominal ground calibration, for the real ones are not public"
+NO_GROUND = (
+    "the truth is Table III's change added to one nominal ground calibration, because the real ones are not public"
+)
 NO_TUNING = "Q and P_0 are not given"
 TOLERANCE, TUNING = ("unstated setting", NO_TOLERANCE), ("unstated setting", NO_TUNING)
 REDUCED = ("erratum", "the text's 5 to 13 % contradicts its own row 1R, +72 % for the batch")

@@ -61,8 +61,8 @@ def _first_value(pooled: Pooled) -> Finding:
         "4.1, Test 2: “there may be some information in σ1 and σ3 that could help”, and {1,2,3} is recommended beside {2,3}.",
         "Of N unit vectors σ1² + σ2² + σ3² = N, whatever the camera: two of a combination’s three rows are independent.",
         f"With the full R the ends of {{1,2,3}} and {{2,3}} differ by at most {apart:.1g} of P₀’s sigmas: {full['123']:.4f}″ and "
-        f"{full['23']:.4f}″; {{1,2}} and {{1,3}}, which hold the same, end at {full['12']:.4f}″ and {full['13']:.4f}″.",
-        f"A diagonal R counts σ1 as news, with little weight: {diagonal['123']:.4f}″ and {diagonal['23']:.4f}″ (printed 0.472″ and "
+        f"{full['23']:.4f}″; {{1,2}} and {{1,3}}, with the same information, end at {full['12']:.4f}″ and {full['13']:.4f}″.",
+        f"A diagonal R counts σ1 as new, with little weight: {diagonal['123']:.4f}″ and {diagonal['23']:.4f}″ (printed 0.472″ and "
         "0.465″).",
     )
 
@@ -87,7 +87,7 @@ def _consistency(pooled: Pooled) -> Finding:
     sets = len(pooled.of("svd-4-23"))
     verdict = "inside" if full.consistent else "outside"
     return finding(
-        "A diagonal R claims far more than it knows",
+        "A diagonal R is far over-confident",
         "3.2 leaves R open; 4.1 judges by criteria A and B, which do not see claims.",
         f"Over {sets} sets the mean NEES of Model 4 {{2,3}} with the full R is {6 * full.mean:.2f} where 6 is expected, "
         f"{verdict} its 95 % bounds of {6 * full.lower:.2f} to {6 * full.upper:.2f}; that of all angular distances is "
@@ -122,9 +122,9 @@ def _errors(pooled: Pooled) -> Finding:
         f"Model 4 {{2,3}} reaches {at['full', 0.2]:.3f}″ at 0.2 px with the full R and {at['diagonal', 0.2]:.3f}″ with a diagonal "
         f"one; the printed figure is {A_23 / at['full', 0.2]:.1f} and {A_23 / at['diagonal', 0.2]:.1f} times these. At 0.5 px it "
         f"reaches {at['full', 0.5]:.3f}″ and {at['diagonal', 0.5]:.3f}″.",
-        f"Over the {len(PRINTED_A)} printed means of criterion A ours at 0.2 px lie a typical factor of "
+        f"Over the {len(PRINTED_A)} printed means of criterion A ours at 0.2 px are a typical factor of "
         f"{_typical(pooled, 'full'):.2f} from the print with the full R and {_typical(pooled, 'diagonal'):.2f} with a diagonal "
-        "one: that much of the difference is R.",
+        "one: this part of the difference is due to R.",
         "The text recommends process noise without a number; it and the order of the stars can move the printed figure too.",
     )
 
@@ -240,8 +240,8 @@ FIXED = (
     ),
     Erratum(
         "3.3.3, Table 3",
-        "σ1 may hold information that helps",
-        "it holds none beside the other two: σ1² + σ2² + σ3² = N, so {1,2,3} equals {2,3}",
+        "σ1 may contain information that helps",
+        "it contains none beyond the other two: σ1² + σ2² + σ3² = N, so {1,2,3} equals {2,3}",
         "All seven subsets are run; with the full R the first two end at the same numbers.",
         ("Table 3", "Table 3 (time)", "Figure 4"),
     ),
@@ -282,8 +282,8 @@ def _saving(pooled: Pooled) -> Erratum:
         "4.1, Table 4",
         "SVD takes 94 % less time than AD, at the same accuracy",
         "only against an inverse as large as the rows: in information form all pairs cost about as much as SVD, and with weights "
-        "that leave the correlation out they hold more of the information, 2.7 times in one count",
-        "Both forms are timed in one run, see Times. For group 2 the information that AD holds over that of SVD, by parameter, is "
+        "that leave the correlation out they contain more of the information, 2.7 times in one count",
+        "Both forms are timed in one run, see Times. For group 2 the information in AD over that in SVD, by parameter, is "
         f"{said['diagonal']} with a diagonal R and {said['full']} with the full R.",
         ("Table 4", "Table 4 (time)"),
     )

@@ -112,12 +112,12 @@ NO_R = (
 NO_Q = ("unstated setting", "R, P₀, Q, the order of the stars and the path over the sky are not given")
 SIGMA_1 = (
     "erratum",
-    "three squares sum to N, so the first value adds nothing, and any two values hold what all three do",
+    "three squares sum to N, so the first value adds nothing, and any two values contain what all three do",
 )
 SUBSETS_R = (
     "erratum",
     (
-        "three squares sum to N, so any two values hold what all three do; with R = r² I the rows of σ1, whose noise is several "
+        "three squares sum to N, so any two values contain what all three do; with R = r² I the rows of σ1, whose noise is several "
         "times smaller, count for next to nothing, so that {1,2} falls towards {2} and {1,3} towards {3}"
     ),
 )
@@ -339,11 +339,11 @@ def field(pooled: Pooled) -> Table:
     spread, images = cells[1], cells[3]
     said = (
         f"criterion B has the printed mean at {noise_px:.3f} px, the simulations have {NOISES_PX[0]:g} px; its deviation is "
-        f"then {spread.ours:.2f}″ of noise alone; all parameters rest after {images.ours:.0f} images."
+        f"then {spread.ours:.2f}″ of noise alone; all parameters have settled after {images.ours:.0f} images."
     )
     holds = noise_px < NOISES_PX[0] and (images.ours or np.inf) <= printed.FIELD["images"]
     return Table(
-        "4.2", "Field experiment, beside a simulation with as many stars, and images until the parameters rest",
+        "4.2", "Field experiment, compared with a simulation with as many stars, and images until the parameters settle",
         "the centroid noise is smaller than in the simulation, and the run converges within the printed number of images",
         "quantity", (judge("field experiment", cells, Conclusion(holds, said, *FIELD)), _convergence(pooled)),
     )  # fmt: skip

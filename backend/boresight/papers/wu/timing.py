@@ -59,7 +59,7 @@ SLOW = ("angular, as printed", "angular, gain form")
 PROGRAM = "the paper timed MATLAB programs that are not public; ours share compiled loops for the rows"
 SAVING = (
     "erratum",
-    "the printed saving holds against an m by m inverse only: in information form all pairs need no more algebra than stars",
+    "the printed saving is valid only against an m by m inverse: in information form all pairs need no more algebra than stars",
 )
 OTHER = ("unstated setting", PROGRAM)
 

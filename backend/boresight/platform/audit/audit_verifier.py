@@ -68,15 +68,18 @@ def verify(export: BinaryIO, expected_head: Optional[str] = None) -> Tuple[bool,
             if (document.get("records"), document.get("head"), sha256) != (count, previous, digest.hexdigest()):
                 return (
                     False,
-                    f"The last line does not fit the {count} records before it: it or one of them was changed.",
+                    f"The last line does not match the {count} records before it: it or one of them was changed.",
                 )
             return _end(count, previous, bool(export.read(1)), met)
         if document is None or not _follows(document, previous, last_id):
-            return False, f"Line {number} is not as it was written, or one before it is missing; {count} before it are."
+            return (
+                False,
+                f"Line {number} is not as it was written, or one before it is missing; the {count} before it are intact.",
+            )
         previous, last_id, count = document["hash"], document["id"], count + 1
         met = met or previous == expected_head
         digest.update(line)
-    return False, f"The export ends after {count} records without its last line; it was cut."
+    return False, f"The export ends after {count} records without its last line; it was truncated."
 
 
 def _follows(record: Dict[str, Any], previous: str, last_id: int) -> bool:  # noqa: UP006 - Python 3.8
@@ -94,7 +97,7 @@ def _end(count: int, head: str, more: bool, met: bool) -> Tuple[bool, str]:  # n
     if more:
         return False, "Something was added after the last line."
     if not met:
-        return False, f"The chain of {count} records holds together, but your head is not in it: it was rewritten."
+        return False, f"The chain of {count} records is intact, but your head is not in it: it was rewritten."
     return True, f"All {count} records are as they were written.\nhead {head}"
 
 

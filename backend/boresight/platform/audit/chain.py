@@ -124,7 +124,7 @@ def _ran_back(session: Session, at_utc: str) -> AuditRecord | None:
         object="clock",
         before={"at_utc": before},
         after={"at_utc": at_utc},
-        reason=f"The clock was set back by {set_back_s:.0f} s since the record before.",
+        reason=f"The clock was set back by {set_back_s:.0f} s since the previous record.",
         roles=[],
     )
 

@@ -25,7 +25,7 @@ HOW = f"""Boresight's audit log, every record in the order it was written.
   {VERIFIER}   verifies it: python3 {VERIFIER} {LINES} [--head HASH]
 
 The log is tamper-evident, not tamper-proof: keep this file, or its head, where the owner of the database cannot reach
-it. A later export must still hold the head that you keep: give it with --head.
+it. A later export must still contain the head that you keep: give it with --head.
 """
 
 

@@ -73,7 +73,7 @@ def read_head(file: Path) -> ExternalHead | None:
             return head
     if lines:
         raise RefusedInputError(
-            f"{file} holds no head of an audit log; name the file that BORESIGHT_AUDIT_HEAD_FILE named before."
+            f"{file} contains no head of an audit log; name the file that BORESIGHT_AUDIT_HEAD_FILE named before."
         )
     return None
 

@@ -124,7 +124,7 @@ def get_record(session: Session, record_id: int) -> AuditRecord:
     """Return a record."""
     record = rows.record(session, record_id)
     if record is None:
-        raise NotFoundError(f"There is no audit record {record_id}; choose one of the list.")
+        raise NotFoundError(f"There is no audit record {record_id}; choose one from the list.")
     return record
 
 
@@ -192,16 +192,16 @@ def _sentence(found: VerificationFindings, kept: ExternalHead | None, looked_at:
     count = found.records
     if found.broken_id is not None:
         return (
-            f"Record {found.broken_id} is not as it was written, or it was renumbered, or one before it was removed; "
-            f"{count} before it are."
+            f"Record {found.broken_id} is not as it was written, or it was renumbered, or one before it was removed; the "
+            f"{count} before it are intact."
         )
     if found.misfit is None and found.unmet:
         lost = (
             f": record {kept.id}, which was written before {kept.at_utc}" if kept and kept.hash in found.unmet else ""
         )
-        what = "it was cut, rewritten" if lost else "it was rewritten"
+        what = "it was truncated, rewritten" if lost else "it was rewritten"
         return (
-            f"The chain of {count} records holds together, but the head {found.unmet[0]} is not in it{lost}: {what}, or is of an "
+            f"The chain of {count} records is intact, but the head {found.unmet[0]} is not in it{lost}: {what}, or is of an "
             "older state of the disk."
         )
     if (misfit := found.misfit or next(iter(found.guards), None)) is not None:
@@ -209,12 +209,12 @@ def _sentence(found: VerificationFindings, kept: ExternalHead | None, looked_at:
         more = f", and {others} more are not as they were written" if others else ""
         return (
             f"{_capital(_where(misfit))}{misfit.row} was {misfit.what} outside Boresight{more}; "
-            f"the chain of {count} records itself holds together."
+            f"the chain of {count} records itself is intact."
         )
     if bad:
         more = f", and {len(bad) - 1} more" if len(bad) > 1 else ""
         return (
-            f"The stored file {bad[0]}{more}: bring it back from a backup. All {count} records and the {found.rows} rows that they "
+            f"The stored file {bad[0]}{more}: restore it from a backup. All {count} records and the {found.rows} rows that they "
             "sealed are as they were written."
         )
     stored = "" if looked_at is None else f", the {looked_at} stored files"
@@ -226,7 +226,7 @@ def _absence(file: Path, *, is_lost: bool) -> str:
     if not is_lost:
         return f" No head was kept in {file} yet, so nothing tells whether newer records were lost."
     return (
-        f" But {file} holds no head although heads were kept there, so records may have been lost unseen: mount its disk or bring "
+        f" But {file} contains no head although it had some before, so records may have been lost unseen: mount its disk or bring "
         "the file back; where it is gone for good, find out why and name another file by BORESIGHT_AUDIT_HEAD_FILE."
     )
 

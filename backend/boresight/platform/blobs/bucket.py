@@ -65,13 +65,13 @@ class BucketBlobStore(BlobStore):
         ):
             size = written.stat().st_size
             with self._asking(
-                f"There is no bucket for {self.address}; make it, or mend the address in BORESIGHT_BLOBS."
+                f"There is no bucket for {self.address}; make it, or correct the address in BORESIGHT_BLOBS."
             ):
                 if self._get_size(sha256) != size:
                     obstore.put(self._store, _key(sha256), written)
                     if self._get_size(sha256) != size:
                         raise UnavailableError(
-                            f"The file {sha256[:12]} did not arrive whole in {self.address}; try again, and look at the store."
+                            f"The file {sha256[:12]} did not arrive completely in {self.address}; try again, and check the store."
                         )
             self._keep_here(written, sha256, size)
         return sha256
@@ -133,7 +133,7 @@ class BucketBlobStore(BlobStore):
             return obstore.head(self._store, _key(sha256))["size"]
 
     def _missing(self, sha256: str) -> str:
-        return f"The stored file {sha256[:12]} is missing from {self.address}; bring it back there from a backup."
+        return f"The stored file {sha256[:12]} is missing from {self.address}; restore it there from a backup."
 
     def _streamed(self, sha256: str) -> Iterator[bytes]:
         """Yield the bytes of an object piece by piece."""
@@ -146,7 +146,7 @@ class BucketBlobStore(BlobStore):
         if found != sha256:
             self.tell_corrupt(sha256)
             raise CorruptFileError(
-                f"The stored file {sha256[:12]} was altered in {self.address}; bring its former version back there.",
+                f"The stored file {sha256[:12]} was altered in {self.address}; restore its former version there.",
                 sha256,
             )
 
@@ -191,7 +191,7 @@ class BucketBlobStore(BlobStore):
         except (PermissionDeniedError, UnauthenticatedError) as error:
             raise ForbiddenError(
                 f"The object store lets nobody read or write {self.address} with the credentials of this process; "
-                "check the key and what it may do."
+                "check the key and its permissions."
             ) from error
         except BaseError as error:
             raise UnavailableError(

@@ -114,12 +114,12 @@ class FolderBlobStore(BlobStore):
         except OSError as error:
             raise UnavailableError(
                 f"The stored file {sha256[:12]} in {self.folder} cannot be read ({error.strerror or error}): let the server "
-                "read it, and look at the disk."
+                "read it, and check the disk."
             ) from error
         if not intact:
             self.tell_corrupt(sha256)
             raise CorruptFileError(
-                f"The stored file {sha256[:12]} was altered on the disk, so nothing is made of it; restore it in "
+                f"The stored file {sha256[:12]} was altered on the disk, so it is not used; restore it in "
                 f"{self.folder} from a backup.",
                 sha256,
             )

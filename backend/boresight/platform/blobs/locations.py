@@ -36,7 +36,7 @@ def parse_address(text: str) -> str:
         )
     if "@" in parts.netloc or parts.query or parts.fragment:
         raise RefusedInputError(
-            "BORESIGHT_BLOBS must hold no credentials: give s3://bucket/prefix alone, and the key by the environment "
+            "BORESIGHT_BLOBS must not contain credentials: give s3://bucket/prefix alone, and the key by the environment "
             "variables of the store, such as AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY."
         )
     return text.rstrip("/")

@@ -123,7 +123,7 @@ class BackupManifest:
         except (ValueError, RecursionError) as error:
             raise RefusedInputError(NO_MANIFEST) from error
         if not isinstance(found, dict) or found.get("schema") != FORM:
-            raise RefusedInputError(f"This file is no backup in the form {FORM}; use the version that wrote it.")
+            raise RefusedInputError(f"This file is not a backup in the form {FORM}; use the version that wrote it.")
         left_out, missing = (
             tuple(one) if isinstance(one := found.get(name, []), list) else ("",) for name in ("left_out", "missing")
         )
@@ -236,7 +236,7 @@ def _refuse_bad(corrupt: set[str], missing: set[str], count: int) -> None:
     parts = [f"{len(bad)} of {count} stored files are {what}: {named(sorted(bad))}" for bad, what in told if bad]
     if parts:
         raise CorruptFileError(
-            f"Nothing was backed up, for {' and '.join(parts)}. Bring them back from an older backup, or save what there is with "
+            f"Nothing was backed up, for {' and '.join(parts)}. Restore them from an older backup, or save the rest with "
             "--keep-going.",
             min(corrupt | missing),
         )
@@ -367,7 +367,7 @@ def _manifest(backup: zipfile.ZipFile) -> BackupManifest:
     with backup.open(MANIFEST) as packed_manifest:
         manifest = BackupManifest.from_json(packed_manifest.read(MANIFEST_BYTES))
     if DATABASE not in names:
-        raise RefusedInputError("This file is no backup of Boresight: it holds no database. Use another file.")
+        raise RefusedInputError("This file is no backup of Boresight: it contains no database. Use another file.")
     return manifest
 
 
@@ -380,7 +380,7 @@ def _members(backup: zipfile.ZipFile, manifest: BackupManifest) -> list[tuple[st
     found = [(name, sha256) for name, sha256 in matches if sha256 not in left_out]
     if unknown or len(set(names)) < len(names) or len(found) != manifest.blobs:
         raise RefusedInputError(
-            f"This backup was altered: it holds {len(found)} stored files and {len(unknown)} unknown members where its manifest "
+            f"This backup was altered: it contains {len(found)} stored files and {len(unknown)} unknown members where its manifest "
             f"counts {manifest.blobs} files, or a member twice. Use another backup."
         )
     return found

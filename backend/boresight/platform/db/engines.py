@@ -41,9 +41,9 @@ GONE = (
     "The database does not answer: check that PostgreSQL runs and that BORESIGHT_DATABASE_URL names it, and try again."
 )
 NUMBER_OUT_OF_RANGE, UNTRANSLATABLE = "22003", "22021"  # states of SQL
-NO_SUCH_NUMBER = "There is nothing of this number; choose one of the list."
-TOO_LARGE = "A number is larger than the store can hold, 64 bits; send a smaller one."
-UNWRITABLE = "A text holds a character that cannot be stored: NUL, or half of a surrogate pair; remove it."
+NO_SUCH_NUMBER = "Nothing has this number; choose one from the list."
+TOO_LARGE = "A number is larger than 64 bits; send a smaller one."
+UNWRITABLE = "A text contains a character that cannot be stored: NUL, or half of a surrogate pair; remove it."
 OF_DISK = {
     "SQLITE_FULL": full,
     "SQLITE_IOERR": failing,
@@ -51,7 +51,7 @@ OF_DISK = {
     "SQLITE_CANTOPEN": absent,
 }  # SQLite's error name, and our sentence
 DISK_FULL = "53100"  # of PostgreSQL
-BUSY = "The database is held by another writer for longer than usual; try again in a moment."
+BUSY = "Another writer is using the database for longer than usual; try again in a moment."
 
 
 def open_engine(url: str) -> Engine:

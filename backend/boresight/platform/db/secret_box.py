@@ -112,6 +112,5 @@ class SecretBox:
 
     def _unusable(self) -> RefusedInputError:
         return RefusedInputError(
-            f"{self.file} holds no key that can be used: put back the file as it was, or remove it and give each webhook "
-            "a new secret."
+            f"{self.file} contains no usable key: restore the file, or remove it and give each webhook a new secret."
         )

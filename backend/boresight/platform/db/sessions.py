@@ -67,7 +67,7 @@ class Session(OrmSession):
         """Return a row by its id; refuse an unknown one."""
         row = self.get(table, row_id)
         if row is None:
-            raise NotFoundError(f"There is no {table.noun} {row_id}; choose one of the list.")
+            raise NotFoundError(f"There is no {table.noun} {row_id}; choose one from the list.")
         return row
 
     def put(self, row: T) -> T:
@@ -171,11 +171,11 @@ def _changing_schema(engine: Engine) -> Iterator[sa.Connection]:
                 yield connection
                 if sqlite and (broken := connection.exec_driver_sql("PRAGMA foreign_key_check").fetchall()):
                     raise ConflictError(
-                        f"The migration would leave rows that refer to nothing, {broken[:3]}, and was not made: restore a backup."
+                        f"No migration was made, because rows would refer to nothing, {broken[:3]}: restore a backup."
                     )
         except CommandError as error:
             raise ConflictError(
-                f"The database is of a newer version of Boresight ({error}); install that version or restore a backup."
+                f"The database was made by a newer version of Boresight ({error}); install that version or restore a backup."
             ) from error
         finally:
             if driver is not None:

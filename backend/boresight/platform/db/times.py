@@ -34,4 +34,4 @@ def read_time(text: str) -> str:
     try:
         return utc_text(datetime.fromisoformat(text.strip()))
     except (ValueError, OverflowError) as error:
-        raise RefusedInputError(f"{text[:40]!r} is no time; write it like 2026-11-21T03:04:05Z.") from error
+        raise RefusedInputError(f"{text[:40]!r} is not a time; write it like 2026-11-21T03:04:05Z.") from error

@@ -67,4 +67,4 @@ class ForecastSources:
 
 
 def _say_why_not(error: BoresightError | str) -> Forecast:
-    return forecast_nothing(f"No sigma can be foretold: {str(error).rstrip('.')}.")
+    return forecast_nothing(f"No sigma can be predicted: {str(error).rstrip('.')}.")

@@ -192,13 +192,15 @@ class ConcurrencyLimit:
     async def _small(self, body: _AnnouncedBody, receive: Receive) -> Receive | None:
         if body.is_large:
             raise UnauthenticatedError(
-                f"Only who is logged in, or sends an API key that holds, may send over {SMALL_BODY_BYTES:,} bytes; log in first."
+                f"Only requests with a log-in or a valid API key may send over {SMALL_BODY_BYTES:,} bytes; log in first."
             )
         try:
             async with asyncio.timeout(self.limits.unknown_body_s):
                 return await read_body(receive)
         except TimeoutError as error:
-            sentence = f"The body of the request did not come within {self.limits.unknown_body_s:g} s; send it at once."
+            sentence = (
+                f"The body of the request did not arrive within {self.limits.unknown_body_s:g} s; send it at once."
+            )
             raise HTTPException(HTTPStatus.REQUEST_TIMEOUT, sentence, CLOSE) from error
 
 
@@ -233,7 +235,7 @@ def _address(scope: Scope) -> str:
 
 
 def _make_refusal(slots: Slots) -> OverloadedError:
-    said = f"{slots.most} requests of its kind are under way, as many as this server takes"
+    said = f"{slots.most} requests of this kind are being answered, the most that this server allows"
     if slots.taken < slots.most:
-        said = f"{slots.most_each} requests of yours are under way, as many as one address or person may have"
-    return OverloadedError(f"{said}; ask again in {COME_BACK_S} s.", COME_BACK_S)
+        said = f"{slots.most_each} of your requests are being answered, the most that one address or person may have"
+    return OverloadedError(f"{said}; try again in {COME_BACK_S} s.", COME_BACK_S)

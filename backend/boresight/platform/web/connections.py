@@ -63,7 +63,7 @@ class Connections:
             other = self._least()
             (other or connection).refuse(
                 HTTPStatus.SERVICE_UNAVAILABLE,
-                f"{self.most} connections are open, as many as this server takes; come back in {COME_BACK_S} s.",
+                f"{self.most} connections are open, the most that this server allows; try again in {COME_BACK_S} s.",
             )
             if other is None:
                 return
@@ -162,7 +162,7 @@ class Connection(HttpToolsProtocol):
 
     def send_400_response(self, msg: str) -> None:  # noqa: ARG002 - ours says more
         """Answer an invalid request."""
-        self.refuse(HTTPStatus.BAD_REQUEST, "This is no HTTP request; ask by http://, or the proxy that speaks HTTPS.")
+        self.refuse(HTTPStatus.BAD_REQUEST, "This is not an HTTP request; use http://, or the proxy that serves HTTPS.")
 
     def _begin_head(self) -> None:
         if self._head_since_s is None:
@@ -197,7 +197,7 @@ class Connection(HttpToolsProtocol):
     def _refuse_slow(self) -> None:
         self.refuse(
             HTTPStatus.REQUEST_TIMEOUT,
-            f"The head of a request did not come within {self._connections.deadlines.head_s:g} s; send it at once.",
+            f"The head of a request did not arrive within {self._connections.deadlines.head_s:g} s; send it at once.",
         )
 
     def refuse(self, status: HTTPStatus, sentence: str) -> None:

@@ -50,11 +50,13 @@ CameraFormat = Annotated[str, Query(examples=["opencv"], description="The format
 CameraMisfit = Annotated[
     float | None,
     Query(
-        ge=0, allow_inf_nan=False, description="Largest misfit; the format's share of centroid_sigma_px when left out."
+        ge=0,
+        allow_inf_nan=False,
+        description="Largest misfit in pixels; the format's share of centroid_sigma_px when left out.",
     ),
 ]
 WithResidual = Annotated[
-    bool, Query(description="Follow the residual spline of its calibration too, where that is beyond the noise.")
+    bool, Query(description="Also follow the residual spline of its calibration, where it is beyond the noise.")
 ]
 
 

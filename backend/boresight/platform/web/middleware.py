@@ -120,9 +120,7 @@ class RequestMiddleware:
         multipart = headers.get(b"content-type", b"").startswith(b"multipart/form-data")
         if multipart and scope["path"].rstrip("/").endswith(UPLOADED):
             limit += round(self.upload_limit_mb * 1e6)
-            sentence = (
-                f"The file is over the limit of {self.upload_limit_mb:g} MB; split it by frames, or ask to raise it."
-            )
+            sentence = f"The file is over the limit of {self.upload_limit_mb:g} MB; split it by frames, or have the limit raised."
         announced = headers.get(b"content-length", b"0")
         return RequestBody(receive, self.pace, limit, sentence, int(announced) if announced.isdigit() else 0).receive
 
@@ -203,7 +201,7 @@ def with_allow(request: Request, error: Exception) -> Exception:
     if not isinstance(error, HTTPException) or error.status_code != NOT_ALLOWED:
         return error
     takes = ", ".join(allowed(request))
-    sentence = f"This address does not take {request.method}; use {takes}."
+    sentence = f"This address does not accept {request.method}; use {takes}."
     return HTTPException(NOT_ALLOWED, sentence, headers={"Allow": takes})
 
 

@@ -12,36 +12,36 @@ from pydantic import BaseModel, Field
 from boresight.platform.web.problems import MEDIA_TYPE
 
 DESCRIPTION = """\
-Recalibrating star trackers on orbit: every action that the pages have.
+Recalibration of star trackers on orbit: every action that the pages offer.
 
 **Who acts.** A person's log-in cookie (`POST /api/v1/sessions`) or an API key, `Authorization: Bearer bs_...`. Unsafe
-requests with the cookie repeat the log-in's token in `X-CSRF-Token`. Keys act within their scopes and never sign.
+requests with the cookie repeat the log-in's token in `X-CSRF-Token`. Keys act within their scopes and can never sign.
 
 **Refusals** are `application/problem+json`: `type`, `title`, `status`, `detail` (one sentence that says what to do),
 `instance`, `request_id`, and `errors` with the places: `row` and `column` of a file, `pointer` of a JSON body.
 
 **Versions.** What can change carries an `ETag`. A transition (`:submit`, `:approve`, ...) needs it in `If-Match`: 428
-without, 412 when somebody was faster. States change by transitions only.
+without, 412 when somebody else changed it first. States change by transitions only.
 
-**Once.** `Idempotency-Key` on a POST: the same request again within a day gets the same answer and has no second effect;
+**Idempotency.** `Idempotency-Key` on a POST: the same request repeated within a day gets the same answer and has no second effect;
 another request under that key gets 422.
 
 **Lists** are `{"items": [...], "next": cursor}`; send `next` back as `cursor`, with the same filters. `limit` is 50
-unless you say otherwise, 200 at most. Filters are query parameters; several states are given by repeating `state`.
+unless you say otherwise, 200 at most. Filters are query parameters; repeat `state` for several states.
 
 **Dry runs.** `validate_only=true` makes the same checks and changes nothing.
 
-**Names.** Units are in the names, times are UTC (ISO 8601), a number that cannot be given is null. `X-Request-ID` is
-taken over from you or made, and comes back in every answer, problem and audit record. `Boresight-Four-Eyes: off` in an
-answer: here one person may submit and sign alone; the names of files begin with `four-eyes-off-` then.
+**Names.** Units are in the names, times are UTC (ISO 8601), an unknown number is null. `X-Request-ID` is
+taken from your request or generated, and returned in every answer, problem and audit record. `Boresight-Four-Eyes: off` in an
+answer: here one person can submit and sign alone, and file names begin with `four-eyes-off-`.
 """
 
 TAGS = [
     {"name": "sensors", "description": "Star trackers: optics, detector, ground calibration."},
     {"name": "telemetry sets", "description": "Uploaded star centroids and their quality reports."},
-    {"name": "runs", "description": "Calibrations: launch, follow, stop, read."},
+    {"name": "runs", "description": "Calibrations: launch, follow, cancel, read."},
     {"name": "parameter sets", "description": "Camera parameters on their way to a baseline."},
-    {"name": "gates", "description": "Limits that parameter sets are held to, what was found, and waivers."},
+    {"name": "gates", "description": "Limits that parameter sets must meet, gate reports, and waivers."},
     {"name": "approvals", "description": "Requests that a second person signs or refuses."},
     {
         "name": "change proposals",
@@ -49,7 +49,7 @@ TAGS = [
     },
     {"name": "uplinks", "description": "What was sent and loaded on board, as recorded."},
     {"name": "alarms", "description": "What needs a person: acknowledge, shelve, assign, comment."},
-    {"name": "notes", "description": "What people wrote down; only ever added."},
+    {"name": "notes", "description": "What people wrote down; notes are never edited or removed."},
     {"name": "events", "description": "The live feed, as server-sent events."},
     {"name": "audit", "description": "The append-only, hash-chained log."},
     {"name": "users", "description": "People and their roles."},
@@ -85,32 +85,30 @@ def _header(description: str, kind: str = "string") -> dict[str, Any]:
 
 
 HEADERS = {
-    "X-Request-ID": _header("What to quote of this request; yours, or made here."),
-    "ETag": _header(
-        "Which version this is: for `If-Match` of what changes it, and `If-None-Match` of the next reading."
-    ),
-    "Location": _header("Where what was made is read."),
-    "Retry-After": _header("Whole seconds to wait.", "integer"),
+    "X-Request-ID": _header("The id of this request to quote; yours, or generated here."),
+    "ETag": _header("The version: for `If-Match` of a change, and for `If-None-Match` of the next read."),
+    "Location": _header("Address of the result."),
+    "Retry-After": _header("Seconds to wait, a whole number.", "integer"),
     "WWW-Authenticate": _header("`Bearer`."),
-    "Idempotent-Replayed": _header("`true` where the answer is that of an earlier request under the same key."),
-    "X-Validate-Only": _header("`true` where nothing was kept."),
-    "Content-Disposition": _header("The name to keep the file under."),
+    "Idempotent-Replayed": _header("`true` where this is the answer to an earlier request with the same key."),
+    "X-Validate-Only": _header("`true` where nothing was stored."),
+    "Content-Disposition": _header("The name of the file."),
 }
 SENTENCES = {
-    400: "This is no HTTP request, or its body cannot be read.",
+    400: "This is not an HTTP request, or its body cannot be read.",
     401: "Nobody is logged in, or the key is not valid.",
     403: "This person or key may not do this, or the CSRF token is missing.",
-    404: "There is no such thing.",
-    408: "The request did not come whole in time.",
+    404: "It does not exist.",
+    408: "The request did not arrive completely in time.",
     409: "It is not in a state that allows this.",
     412: "Somebody changed it since you read it.",
     413: "The body is over the size limit.",
-    415: "Text in another charset than UTF-8 is not read.",
+    415: "Only text in UTF-8 is read.",
     422: "The input is refused; `errors` says where.",
     428: "`If-Match` is missing.",
     429: "Too many wrong passwords; `Retry-After` says how many seconds to wait.",
     431: "The head of the request is too large.",
-    503: "More is asked at once than can be answered, or the store does not answer; `Retry-After` says when to ask again.",
+    503: "Too many requests at once, or the store does not answer; `Retry-After` says when to try again.",
 }
 
 
@@ -130,7 +128,7 @@ class ProblemDocument(BaseModel):
     type: str = Field(examples=["urn:boresight:problem:refused-input"])
     title: str = Field(examples=["Refused input"])
     status: int = Field(examples=[422])
-    detail: str = Field(examples=["Column row_px is missing; add it or rename the one that holds it."])
+    detail: str = Field(examples=["Column row_px is missing; add it or rename the one that contains it."])
     instance: str = Field(examples=["/api/v1/telemetry-sets"])
     request_id: str | None
     errors: list[FieldError]
@@ -204,7 +202,7 @@ def _describe_dry_run(operation: dict[str, Any]) -> None:
         named["If-Match"] |= {"required": True, "schema": {"type": "string", "title": "If-Match"}}
     if "validate_only" in named and "200" not in answers:
         done = next(answer for status, answer in sorted(answers.items()) if status.startswith("2"))
-        trial = {"description": "The trial of `validate_only`: what would be, and nothing kept."}
+        trial = {"description": "The dry run of `validate_only`: what the result would be; nothing is stored."}
         answers["200"] = trial | {"content": done.get("content") or {JSON: {"schema": NOTHING}}}
 
 

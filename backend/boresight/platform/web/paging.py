@@ -95,15 +95,15 @@ def _last_id(cursor: str, filters: str) -> int:
         last_id, _, made_for = text.partition(".")
         number = int(last_id)
     except (binascii.Error, ValueError) as error:
-        raise RefusedInputError("This cursor cannot be read; begin again without one.") from error
+        raise RefusedInputError("This cursor cannot be read; start again without one.") from error
     if not 0 <= number <= GREATEST_ID or made_for != filters:
-        raise RefusedInputError("This cursor belongs to a list with other filters; begin again without one.")
+        raise RefusedInputError("This cursor belongs to a list with other filters; start again without one.")
     return number
 
 
 async def get_paging(
     request: Request,
-    cursor: Annotated[str | None, Query(description="`next` of the page before.")] = None,
+    cursor: Annotated[str | None, Query(description="`next` of the previous page.")] = None,
     limit: Annotated[int, Query(ge=1, le=LONGEST, description="Items on a page.")] = USUAL_LENGTH,
 ) -> Paging:
     """Read which page is asked for."""

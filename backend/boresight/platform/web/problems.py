@@ -51,7 +51,7 @@ KINDS: Mapping[type[Exception], ProblemKind] = {
     errors.CancelledError: ProblemKind(409, "Cancelled"),
 }
 UNFORESEEN = ProblemKind(500, "Unforeseen error")
-UNKNOWN_ADDRESS = "There is nothing at this address; look it up in /api/v1/openapi.json."
+UNKNOWN_ADDRESS = "There is nothing at this address; see /api/v1/openapi.json."
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def make_problem(error: Exception) -> Problem:
     for kind in type(error).__mro__:
         if kind in KINDS:
             return Problem(KINDS[kind], str(error), _faults(error), _headers(error))
-    return Problem(UNFORESEEN, "The server failed in a way nobody foresaw; report the request id with what you did.")
+    return Problem(UNFORESEEN, "The server failed unexpectedly; report the request id with what you did.")
 
 
 def _find_kind(status: int) -> ProblemKind:

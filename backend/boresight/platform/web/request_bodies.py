@@ -142,11 +142,11 @@ async def _checked(scope: Scope, receive: Receive) -> Receive:
     if NUL in scope["path"]:
         raise HTTPException(HTTPStatus.NOT_FOUND)
     if b"\0" in unquote_to_bytes(scope["query_string"]):
-        raise _malformed("query", "A parameter holds a NUL character")
+        raise _malformed("query", "A parameter contains a NUL character")
     told = Headed()
     told["content-type"] = Headers(scope=scope).get("content-type", "")
     if str(told.get_param("charset", CHARSETS[0])).lower() not in CHARSETS:
-        raise HTTPException(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "Send text as UTF-8; no other charset is read here.")
+        raise HTTPException(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "Send text as UTF-8; other charsets are not read.")
     is_json = told.get_content_maintype() == "application" and told.get_content_subtype().endswith("json")
     return await _strict(receive) if is_json and scope["method"] not in {"GET", "HEAD", "OPTIONS"} else receive
 
@@ -181,7 +181,7 @@ def read_json(body: bytes) -> Any:
     try:
         document = orjson.loads(body.removeprefix(BYTE_ORDER_MARK))
     except orjson.JSONDecodeError as error:
-        raise _malformed("body", f"It is no JSON: {error}") from error
+        raise _malformed("body", f"It is not JSON: {error}") from error
     _refuse_unkeepable(document)
     return document
 
@@ -195,7 +195,7 @@ def _refuse_unkeepable(document: Any) -> None:
         texts = [one for one in level if isinstance(one, str)]
         keys = [key for one in level if isinstance(one, dict) for key in one]
         if any(NUL in text for text in (*texts, *keys)):
-            raise _malformed("body", "A text holds a NUL character")
+            raise _malformed("body", "A text contains a NUL character")
         objects = [value for one in level if isinstance(one, dict) for value in one.values()]
         level = [*objects, *(value for one in level if isinstance(one, list) for value in one)]
         depth += 1

@@ -64,7 +64,7 @@ def _place(name: str) -> Path:
     except (OSError, ValueError):  # an impossible file name
         is_ours = False
     if not is_ours:
-        raise NotFoundError("There is no such file here; reload the page that asks for it.")
+        raise NotFoundError("There is no such file here; reload the page that needs it.")
     return place
 
 

@@ -84,8 +84,8 @@ class WebhookTargets:
         """Refuse a host that is not on the list, where there is one."""
         if self.hosts and not any(_matches(plain_host(host), entry) for entry in self.hosts):
             raise RefusedInputError(
-                f"{host} is not one of the hosts that webhooks may go to, which is not allowed: choose one of "
-                f"{', '.join(self.hosts)}, or have BORESIGHT_WEBHOOK_HOSTS name it."
+                f"{host} is not one of the hosts that webhooks may go to: choose one of "
+                f"{', '.join(self.hosts)}, or add it to BORESIGHT_WEBHOOK_HOSTS."
             )
 
     def addresses(self, host: str, port: int) -> list[str]:
@@ -95,7 +95,7 @@ class WebhookTargets:
         texts = list(dict.fromkeys(str(known[4][0]) for known in found))
         for text in texts:
             if (why := self.why_not(text)) is not None:
-                raise RefusedInputError(f"{host} leads to {text}, {why}.")
+                raise RefusedInputError(f"{host} resolves to {text}, {why}.")
         return texts
 
     def why_not(self, text: str) -> str | None:
@@ -104,7 +104,7 @@ class WebhookTargets:
         if (form := _carried(address)) is not None:
             return f"an IPv4 address in {form} form, which is not allowed: give the IPv4 address itself"
         if _within(address, METADATA):
-            return "where a cloud tells its machines their secrets, which is not allowed: give another address"
+            return "where clouds give machines their secrets, which is not allowed: give another address"
         if _within(address, LOCAL) or address in self._own():
             hint = "set BORESIGHT_WEBHOOKS_LOCAL=1 where that is wanted"
             return None if self.local else f"an address of this machine or its link, which is not allowed: {hint}"
@@ -171,7 +171,7 @@ def _within(address: Address, networks: Iterable[Network]) -> bool:
 
 def parsed(url: str) -> tuple[str, int]:
     """Return host and port of an address that a webhook may have."""
-    wrong = RefusedInputError(f"{url!r} is no address; write it like https://mission.example/hooks.")
+    wrong = RefusedInputError(f"{url!r} is not an address; write it like https://mission.example/hooks.")
     try:
         parts = urlsplit(url)
         port = parts.port
@@ -180,7 +180,7 @@ def parsed(url: str) -> tuple[str, int]:
     if parts.scheme not in {"http", "https"} or not parts.hostname or port == 0:
         raise wrong
     if "@" in parts.netloc or parts.fragment:
-        raise RefusedInputError("A webhook's address carries no name, password or #part; give it without.")
+        raise RefusedInputError("A webhook's address must not contain a user name, password or #part; give it without.")
     if len(url) > LONGEST_URL:
         raise RefusedInputError(f"The address has {len(url)} characters; shorten it to {LONGEST_URL}.")
     try:

@@ -45,7 +45,7 @@ def normal_name(what: str, text: str, longest: int = LONGEST_NAME) -> str:
     for place, letter in enumerate(text, start=1):
         if is_hidden(letter):
             raise RefusedInputError(
-                f"The {what} has the character U+{ord(letter):04X} at place {place}, which is not seen or changes the "
+                f"The {what} has the character U+{ord(letter):04X} at place {place}, which is invisible or changes the "
                 "direction of writing; remove it."
             )
     return text

@@ -97,7 +97,7 @@ _PROFILES = (
     ),
     Profile(
         name="packets",
-        description="Centroids and quaternions as packets of their own: rows have one or the other, and are joined by their times.",
+        description="Centroids and quaternions in separate packets: rows have one or the other, and are joined by their times.",
         frames=Frames(by="time"),
         row=Axis(column="row_px"),
         col=Axis(column="col_px"),
@@ -142,7 +142,7 @@ _PROFILES = (
         "X_IMAGE", "Y_IMAGE", ("ERRX2_IMAGE", "ERRY2_IMAGE"),
     ),
     _sextractor(
-        "sextractor-win", "A SExtractor catalogue by its windowed positions, the better ones.",
+        "sextractor-win", "A SExtractor catalogue by its windowed positions, which are better.",
         "XWIN_IMAGE", "YWIN_IMAGE", ("ERRX2WIN_IMAGE", "ERRY2WIN_IMAGE"),
     ),
     Profile(
@@ -157,7 +157,7 @@ _PROFILES = (
     ),
     Profile(
         name="tetra3",
-        description="Solutions of tetra3 or cedar-solve with return_matches, as JSON: one object a solved image.",
+        description="Solutions of tetra3 or cedar-solve with return_matches, as JSON: one object per solved image.",
         layout=Layout(format="json", explode=("matched_centroids", "matched_stars", "matched_catID")),
         frames=Frames(by="record"),
         row=Axis(column="matched_centroids.1", origin=0.5),
@@ -192,11 +192,11 @@ _PROFILES = (
         magnitude=Magnitude(column="3"),
     ),
     _wide(
-        "yamcs", "Parameters that Yamcs exports as tab-separated values; copy it and put your parameters' names in.",
+        "yamcs", "Parameters that Yamcs exports as tab-separated values; copy it and enter your parameters' names.",
         Layout(format="text", separator="tab"), Time(column="Time"),
     ),
     _wide(
-        "openc3", "Items that the Data Extractor of OpenC3 COSMOS writes as CSV; copy it and put your items' names in.",
+        "openc3", "Items that the Data Extractor of OpenC3 COSMOS writes as CSV; copy it and enter your items' names.",
         Layout(), Time(column="TIME"),
     ),
 )  # fmt: skip

@@ -145,7 +145,7 @@ def _read_elements(name: str, first: str, second: str) -> Orbit:
         satellite = Satrec.twoline2rv(first.rstrip(), second.rstrip())
     except ValueError as error:
         raise RefusedInputError(
-            f"{name}: the two-line elements cannot be read ({error}): copy both lines whole."
+            f"{name}: the two-line elements cannot be read ({error}): copy both lines completely."
         ) from error
     epoch = np.datetime64("1949-12-31T00:00:00", "us") + np.timedelta64(
         round((satellite.jdsatepoch - 2433281.5) * 86400e6), "us"
@@ -240,7 +240,7 @@ def _numbers(name: str, segment: Segment, least: int) -> tuple[TimeArray, FloatA
             values[place] = [float(cell) for cell in cells[1 : least + 1]]
     wrong = np.flatnonzero(np.isnat(moments) | ~np.isfinite(values).all(axis=1))
     if len(wrong):
-        fault = Fault(segment.data[wrong[0]][0], None, f"holds no time and {least} numbers")
+        fault = Fault(segment.data[wrong[0]][0], None, f"does not contain a time and {least} numbers")
         raise RefusedInputError(f"{name}: {fault}: correct the line.", (fault,))
     early = np.flatnonzero(moments[1:] <= moments[:-1]) + 1
     if len(early):
@@ -249,7 +249,7 @@ def _numbers(name: str, segment: Segment, least: int) -> tuple[TimeArray, FloatA
         )
         raise RefusedInputError(f"{name}: {fault}: sort the segment by time.", (fault,))
     if len(moments) < 2:
-        raise RefusedInputError(f"{name} has a segment of fewer than two lines: give the message whole.")
+        raise RefusedInputError(f"{name} has a segment of fewer than two lines: give the complete message.")
     return moments, values
 
 
@@ -268,7 +268,7 @@ def _moment(text: str, system: str, name: str) -> np.datetime64:
     """Return the one time of a member of the metadata."""
     moment: np.datetime64 = parse_times([text], system, name)[0]
     if np.isnat(moment):
-        raise RefusedInputError(f"{name}: {text} is no time: write it as 2026-03-01T12:00:00.")
+        raise RefusedInputError(f"{name}: {text} is not a time: write it as 2026-03-01T12:00:00.")
     return moment
 
 
@@ -329,7 +329,7 @@ def _piece(name: str, segment: Segment) -> _Piece:
     if frame not in {*_INERTIAL, "TEME"}:
         raise RefusedInputError(
             f"{name}: REF_FRAME {frame or 'is missing'}: velocities are read in {', '.join(_INERTIAL)} or TEME: write the OEM in "
-            "one of these, for those of a rotating frame are no velocities that aberrate."
+            "one of these, because velocities in a rotating frame do not give aberration."
         )
     time_utc, states = _numbers(name, segment, 6)
     fast = np.any(np.abs(states[:, 3:]) > _FASTEST_KM_S, axis=1)

@@ -277,7 +277,7 @@ def _read_attitude(file: SourceFile, profile: Profile, limits: Limits) -> Attitu
         return replace(found, quaternion=_mounted(found.quaternion, turned))
     if not turned.columns or profile.time is None or profile.time.column is None:
         raise RefusedInputError(
-            f"{file.name} is no AEM, and the profile {profile.name} names no columns of time and quaternion: name them."
+            f"{file.name} is not an AEM, and the profile {profile.name} names no columns of time and quaternion: name them."
         )
     layout = replace(profile.layout, where={})
     table = read_source(file.path, file.name, layout, (*turned.columns, profile.time.column), limits)
@@ -498,7 +498,7 @@ class _Reading:
             raise RefusedInputError(f"{self.table.name} has no star: give both {row.column} and {col.column} in a row.")
         without = int(np.count_nonzero(~present.any(axis=1)))
         if without:
-            self.notes.append(f"{without:,} rows hold no star.")
+            self.notes.append(f"{without:,} rows contain no star.")
         return self.pixels(rows, row, "row_px"), self.pixels(cols, col, "col_px")
 
     def filled(self, rows: FloatArray, cols: FloatArray) -> BoolArray:
@@ -529,8 +529,8 @@ class _Reading:
             told = f"counted from the middle of {size} pixels"
         else:
             pixels = sign * (found - axis.origin) / pitch
-            told = f"minus {axis.origin:g}, what the first pixel's centre is called" if axis.origin else "as it stands"
-            told = f"{axis.origin:g} minus it, for it grows the other way" if axis.reversed else told
+            told = f"minus {axis.origin:g}, the number of the first pixel's centre" if axis.origin else "unchanged"
+            told = f"{axis.origin:g} minus it, because it grows the other way" if axis.reversed else told
         if axis.unit != "px":
             told += f", in pixels of {pitch:g} {axis.unit}"
         self.tell(column, axis.column, told)
@@ -549,7 +549,7 @@ class _Reading:
         found = self.profile.detector.pixel_pitch_m if sensor is None else sensor.pixel_pitch_m
         if found is None or not found > 0:
             raise RefusedInputError(
-                "Lengths are to become pixels, and none is known: give the sensor, or detector.pixel_pitch_m."
+                "Lengths must be converted to pixels, but the pixel pitch is not known: give the sensor, or detector.pixel_pitch_m."
             )
         return found
 
@@ -594,7 +594,7 @@ class _Reading:
                 frame = self.by_time(moments)
         if frames.exposure is not None:
             return frame, self.wholes(frames.exposure, "exposure")
-        self.meanings.append(Meaning("exposure", "", "0: one exposure a frame"))
+        self.meanings.append(Meaning("exposure", "", "0: one exposure per frame"))
         return frame, np.zeros(len(self.rows), np.int64)
 
     def by_time(self, moments: TimeArray | None) -> IntArray:
@@ -618,7 +618,7 @@ class _Reading:
         missing = np.zeros(len(self.table), dtype=np.bool_)
         missing[self.rows] = absent[self.rows]
         self.faults.add_entries(missing, found, lambda _: "the cell is empty: give every star a number here")
-        self.tell(name, column, "as it stands")
+        self.tell(name, column, "unchanged")
         return np.asarray(values[self.rows])
 
     def magnitudes(self) -> FloatArray | None:
@@ -628,7 +628,7 @@ class _Reading:
             return None
         values = self.taken(self.numbers(magnitude.column))
         if magnitude.kind == "magnitude":
-            self.tell("magnitude", magnitude.column, "as it stands")
+            self.tell("magnitude", magnitude.column, "unchanged")
             return np.asarray(values)
         with np.errstate(divide="ignore", invalid="ignore"):
             found = np.where(values > 0, -2.5 * np.log10(values) + magnitude.zero_point, np.nan)
@@ -648,12 +648,12 @@ class _Reading:
             found = np.sqrt(np.mean(variance, axis=0))
         if sigma.unit != "px":
             found = found * _METRES[sigma.unit] / self.pitch()
-        both = "root of the mean square of both axes" if len(values) > 1 else "as it stands"
+        both = "root of the mean square of both axes" if len(values) > 1 else "unchanged"
         self.tell("sigma_px", sigma.columns[0], f"{both}{', of variances' if sigma.kind == 'variance' else ''}")
         none = ~(found > 0)
         if np.any(none):
             self.notes.append(
-                f"{int(np.count_nonzero(none)):,} noises are not positive; the sensor's own is taken for those stars."
+                f"{int(np.count_nonzero(none)):,} noises are not positive; the sensor's own is used for those stars."
             )
         return np.asarray(np.where(none, np.nan, found))
 
@@ -676,8 +676,8 @@ class _Reading:
         values = self.taken(np.column_stack(columns))
         others = int(np.count_nonzero(values < 0))
         if others:
-            self.notes.append(f"{others:,} stars have a name that is no Hipparcos number; they come unmatched.")
-        self.tell("star_id", star.column, "Hipparcos numbers as they stand")
+            self.notes.append(f"{others:,} stars have a name that is not a Hipparcos number; they are unmatched.")
+        self.tell("star_id", star.column, "Hipparcos numbers, unchanged")
         return np.where(values > 0, values, UNMATCHED)
 
     def temperatures(self) -> FloatArray | None:
@@ -686,7 +686,7 @@ class _Reading:
         if temperature is None:
             return None
         values = self.taken(self.numbers(temperature.column))
-        self.tell("temperature_c", temperature.column, "minus 273.15" if temperature.unit == "K" else "as it stands")
+        self.tell("temperature_c", temperature.column, "minus 273.15" if temperature.unit == "K" else "unchanged")
         return np.asarray(values - 273.15 if temperature.unit == "K" else values)
 
     def quaternions(self, moments: TimeArray | None) -> FloatArray | None:
@@ -774,8 +774,8 @@ class _Reading:
             return np.asarray(ra), np.asarray(dec), {}
         if moments is None or np.any(np.isnat(moments)):
             self.notes.append(
-                "The directions are places of a catalogue, and without a time they cannot become apparent: they are kept as "
-                "catalogue_ra_deg and catalogue_dec_deg, and the stars are to be matched again."
+                "The directions are places of a catalogue, and without a time they cannot be made apparent: they are kept as "
+                "catalogue_ra_deg and catalogue_dec_deg, and the stars must be matched again."
             )
             beside = {"catalogue_ra_deg": np.degrees(ra), "catalogue_dec_deg": np.degrees(dec)}
             return (

@@ -352,7 +352,7 @@ def read_profile(path: Path) -> Profile:
             raise
         raise RefusedInputError(f"{path.name} is not JSON ({error}): give a mapping profile.") from error
     if not isinstance(document, Mapping):
-        raise RefusedInputError(f"{path.name} holds no JSON object: give a mapping profile.")
+        raise RefusedInputError(f"{path.name} contains no JSON object: give a mapping profile.")
     return parse_profile(document, path.name)
 
 

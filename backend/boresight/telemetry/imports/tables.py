@@ -80,8 +80,8 @@ class SourceTable:
             return found[0]
         if found:
             raise RefusedInputError(
-                f"{self.name}: column {name}: {len(found)} columns end so, {', '.join(found[:3])}: write the whole name.",
-                (Fault(None, name, f"{len(found)} columns end so"),),
+                f"{self.name}: column {name}: {len(found)} columns end like this, {', '.join(found[:3])}: write the full name.",
+                (Fault(None, name, f"{len(found)} columns end like this"),),
             )
         close = difflib.get_close_matches(name.split("|", maxsplit=1)[0], self.columns, 1, 0.6)
         listed = ", ".join([*list(self.columns)[:_LISTED], *(["..."] if len(self.columns) > _LISTED else [])])
@@ -127,7 +127,7 @@ def read_source(
         case _:
             table = _read_votable(path, name, layout, limits)
     if not len(table):
-        raise RefusedInputError(f"{name} has no rows: give a file that has.")
+        raise RefusedInputError(f"{name} has no rows: give a file with rows.")
     return _chosen(table, layout)
 
 
@@ -165,7 +165,7 @@ def _refuse_size(path: Path, name: str, most: int, what: str) -> None:
     """Refuse a file of too many bytes."""
     if path.exists() and path.stat().st_size > most:
         raise RefusedInputError(
-            f"{name} is over {most / 1e6:,.0f} MB, the most that is read of {what}: split it by time."
+            f"{name} is over {most / 1e6:,.0f} MB, the most that is read from {what}: split it by time."
         )
 
 
@@ -230,7 +230,7 @@ def _read_text_table(path: Path, name: str, form: str, layout: Layout, limits: L
     has_header = form == "ecsv" or (form == "text" and layout.header)
     data = rows[1:] if has_header else rows
     if not data:
-        raise RefusedInputError(f"{name} has no rows: give a file that has.")
+        raise RefusedInputError(f"{name} has no rows: give a file with rows.")
     width = max(len(_split(lines[row - 1], separator)) for row in rows[:2])
     _refuse_cells(name, len(data), width, limits)
     names = _sextractor_names(name, lines, rows, limits) if form == "sextractor" else None
@@ -316,7 +316,7 @@ def _read_ragged(path: Path, name: str, layout: Layout, limits: Limits) -> Sourc
             faults.add(f"has a cell of over {csv.field_size_limit():,} characters: check the separator", row=row)
             continue
         if len(found) % width:
-            faults.add(f"has {len(found)} cells, which are no multiple of {width}: give all of every star", row=row)
+            faults.add(f"has {len(found)} cells, which is not a multiple of {width}: give all of every star", row=row)
             continue
         for place in range(width):
             cells[place] += found[place::width]
@@ -376,7 +376,7 @@ def _objects(path: Path, name: str, limits: Limits) -> Iterator[tuple[int, Mappi
         found = [(row, _parsed(name, row, line)) for row, line in enumerate(lines, start=1) if line.strip()]
     for row, item in found:
         if not isinstance(item, Mapping):
-            raise RefusedInputError(f"{name}: row {row}: is not a JSON object: give one object an exposure.")
+            raise RefusedInputError(f"{name}: row {row}: is not a JSON object: give one object per exposure.")
         yield row, item
 
 
@@ -384,7 +384,7 @@ def _parsed(name: str, row: int, line: str) -> Any:
     try:
         return parse_json(line)
     except ValueError as error:
-        raise RefusedInputError(f"{name}: row {row}: is not JSON ({error}): give one object a line.") from error
+        raise RefusedInputError(f"{name}: row {row}: is not JSON ({error}): give one object per line.") from error
 
 
 def _exploded(
@@ -395,11 +395,11 @@ def _exploded(
     lists = {key: value for key, value in apart.items() if isinstance(value, list)}
     for key, value in apart.items():
         if value is not None and not isinstance(value, list):
-            faults.add("is no list: give one entry a star", row=row, column=key)
+            faults.add("is not a list: give one entry per star", row=row, column=key)
     count = max((len(value) for value in lists.values()), default=0)
     if count > MOST_OBJECTS:
         raise RefusedInputError(
-            f"{faults.subject}: row {row}: has over {MOST_OBJECTS:,} stars: give one object an exposure."
+            f"{faults.subject}: row {row}: has over {MOST_OBJECTS:,} stars: give one object per exposure."
         )
     common = dict(
         _flat("", {key: value for key, value in document.items() if key not in apart and key not in layout.indexed})
@@ -407,7 +407,9 @@ def _exploded(
     stars: list[dict[str, Any]] = [{} for _ in range(count)]
     for key, value in lists.items():
         if len(value) != count:
-            faults.add(f"has {len(value)} entries where another list has {count}: give one a star", row=row, column=key)
+            faults.add(
+                f"has {len(value)} entries where another list has {count}: give one per star", row=row, column=key
+            )
             continue
         for star, item in zip(stars, value, strict=True):
             star.update(_flat(key, item))
@@ -424,14 +426,14 @@ def _place_indexed(
         if not isinstance(values, list) or not isinstance(places, list) or len(values) != len(places):
             if values is not None or places is not None:
                 faults.add(
-                    f"is not as long as {by}, which says whose its entries are: give one for each", row=row, column=key
+                    f"is not as long as {by}, the list that it refers to: give one for each", row=row, column=key
                 )
             continue
         for value, place in zip(values, places, strict=True):
             if isinstance(place, int) and 0 <= place < len(stars):
                 stars[place].update(_flat(key, value))
             else:
-                faults.add(f"{place!r} is the number of no star: give 0 to {len(stars) - 1}", row=row, column=by)
+                faults.add(f"{place!r} is not the number of a star: give 0 to {len(stars) - 1}", row=row, column=by)
 
 
 def _flat(key: str, value: Any) -> Iterator[tuple[str, Any]]:
@@ -503,7 +505,7 @@ def _chosen_hdu(file: Any, name: str, layout: Layout, wanted: Sequence[str]) -> 
         return tables[0][1]
     called = "" if layout.extension is None else f" {layout.extension}"
     raise RefusedInputError(
-        f"{name} holds no table{called}: give the table of stars; images go through an extractor first."
+        f"{name} contains no table{called}: give the table of stars; images go through an extractor first."
     )
 
 
@@ -559,12 +561,12 @@ def _read_votable(path: Path, name: str, layout: Layout, limits: Limits) -> Sour
             document = votable.parse(path, verify="ignore")
             tables = [table for table in document.iter_tables() if len(table.array)]
     except Exception as error:
-        raise RefusedInputError(f"{name} is no VOTable that can be read: write it again.") from error
+        raise RefusedInputError(f"{name} is not a readable VOTable: write it again.") from error
     if layout.extension is not None:
         named = enumerate(tables)
         tables = [table for number, table in named if layout.extension in {number, table.ID, table.name}]
     if not tables:
-        raise RefusedInputError(f"{name} holds no table with rows: give a file that has one.")
+        raise RefusedInputError(f"{name} contains no table with rows: give a file that does.")
     table = tables[0]
     rows = len(table.array)
     _refuse_cells(name, rows, len(table.fields), limits)
@@ -595,7 +597,7 @@ def _refuse_xml(name: str, data: bytes) -> None:
         raise RefusedInputError(f"{name} says that its rows are in another file: write them into this one.")
     announced = [int(found) for found in _NUMBER_OF_ROWS.findall(data)]
     if any(rows > len(data) for rows in announced):
-        raise RefusedInputError(f"{name} announces more rows than it can hold: write it again.")
+        raise RefusedInputError(f"{name} announces more rows than it can contain: write it again.")
     sizes = [
         int(np.prod([float(part) for part in found.split(b"x") if part], dtype=float))
         for found in _ARRAY_SIZE.findall(data)
@@ -603,7 +605,7 @@ def _refuse_xml(name: str, data: bytes) -> None:
     rows = max([*announced, len(re.findall(rb"<TR\b", data, re.IGNORECASE)), len(re.findall(rb":TR\b", data))])
     fields = len(re.findall(rb"[<:]FIELD\b", data, re.IGNORECASE))
     if 8 * max(rows, 1) * (sum(sizes) + fields) > MOST_BYTES:
-        raise RefusedInputError(f"{name} announces more cells than it can hold: write it again.")
+        raise RefusedInputError(f"{name} announces more cells than it can contain: write it again.")
 
 
 def _chosen(table: SourceTable, layout: Layout) -> SourceTable:
@@ -617,7 +619,7 @@ def _chosen(table: SourceTable, layout: Layout) -> SourceTable:
     if not taken.any():
         asked = " and ".join(f"{column} of {' or '.join(texts)}" for column, texts in layout.where.items())
         raise RefusedInputError(
-            f"{table.name} has no row that the profile takes, which asks for {asked}: check layout.where."
+            f"{table.name} has no row that the profile selects, which needs {asked}: check layout.where."
         )
     chosen = pa.array(np.flatnonzero(taken))
     columns = {column: cells.take(chosen) for column, cells in table.columns.items()}

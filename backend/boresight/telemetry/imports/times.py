@@ -60,7 +60,7 @@ def read_times(cells: pa.Array, week: pa.Array | None, time: Time, faults: Fault
         faults.add_entries(
             np.isnat(clock) & np.isfinite(values),
             name,
-            lambda entry: f"{values[entry]:.9g} is no time of this form: check its unit",
+            lambda entry: f"{values[entry]:.9g} is not a time of this form: check its unit",
         )
     found = to_utc(clock, time)
     late = (found < EARLIEST) | (found >= LATEST)

@@ -63,7 +63,7 @@ class OffDetector:
         self.farthest_px = 0.0
         self.first: list[StarOff] = []
         self.beyond_cut = 0  # farther out than an image that the edge cuts
-        self._faults = Faults("The telemetry does not fit the sensor")
+        self._faults = Faults("The telemetry does not match the sensor")
 
     @property
     def most(self) -> int:
@@ -118,7 +118,7 @@ class OffDetector:
         """Raise when too many stars lie off the detector."""
         if self.too_many:
             self._faults.subject = (
-                f"The telemetry does not fit the sensor, {self.beyond_cut:,} of its {self.matched:,} matched stars lie off the "
+                f"The telemetry does not match the sensor, {self.beyond_cut:,} of its {self.matched:,} matched stars lie off the "
                 f"detector where at most {self.most:,} may be left out"
             )
             raise OffDetectorError(str(refusal := self._faults.refusal()), refusal.faults)
@@ -143,7 +143,7 @@ class OffDetector:
         is_ = "is" if self.stars == 1 else "are"
         told = f"{self.stars:,} matched {what} off the detector and {is_} left out of use{subject} (row {listed}{more})"
         if not self.beyond_cut:
-            return f"{told}: the edge cuts such an image, and its centroid with it."
+            return f"{told}: the edge cuts such an image and shifts its centroid."
         return f"{told}: correct or delete {rows}, and check the pixel origin where they lie off one edge."
 
 

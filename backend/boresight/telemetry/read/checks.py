@@ -278,7 +278,7 @@ def _check_velocities(telemetry: Telemetry, faults: Faults) -> None:
     faults.add_entries(
         speed > _FASTEST_M_S,
         "vx_km_s",
-        lambda entry: f"the speed is {speed[entry] / 1e3:.6g} km/s: give kilometres a second, not metres",
+        lambda entry: f"the speed is {speed[entry] / 1e3:.6g} km/s: give kilometres per second, not metres",
     )
 
 
@@ -334,7 +334,7 @@ def floats(column: pa.ChunkedArray, name: str, faults: Faults) -> tuple[FloatArr
     if _is_text(cells):
         cells, absent = _numbers_of_text(cells, name, faults)
     elif not _is_number(cells):
-        faults.add(f"holds {cells.type} where numbers are expected: write it as numbers", column=name)
+        faults.add(f"contains {cells.type} where numbers are expected: write it as numbers", column=name)
         return np.full(len(cells), np.nan), np.zeros(len(cells), dtype=np.bool_)
     values = np.array(pc.cast(cells, pa.float64(), safe=False).to_numpy(zero_copy_only=False))
     faults.add_entries(
@@ -405,7 +405,9 @@ def times(column: pa.ChunkedArray, name: str, faults: Faults) -> NDArray[np.date
     elif _is_text(cells):
         moments = _times_of_text(cells, name, faults)
     else:
-        faults.add(f"holds {cells.type} where times are expected: write ISO 8601, as 2026-11-21T08:30:00Z", column=name)
+        faults.add(
+            f"contains {cells.type} where times are expected: write ISO 8601, as 2026-11-21T08:30:00Z", column=name
+        )
         return np.full(len(cells), np.datetime64("NaT"), dtype="datetime64[us]")
     faults.add_entries(
         (moments < EARLIEST) | (moments >= LATEST),

@@ -36,7 +36,7 @@ _TAR_OFFSET = 257
 _FIRST_MEMBERS_BYTES = 4096
 
 _CENTROIDS = (
-    "this takes star centroids: extract those of images by `boresight extract` first and give what it writes; `calibrate`, `match` "
+    "star centroids are expected: extract them from images with `boresight extract` and give its output; `calibrate`, `match` "
     "and the upload page do so by themselves"
 )
 _UNPACK = "unpack it and give the CSV, JSON Lines or Parquet file inside"
@@ -144,7 +144,7 @@ _WORTH_THREADS_BYTES = 8_000_000
 _HEAD_BYTES = 65_536
 #: Of a JSON document: a calibration of a long set has some megabytes, and nothing is nested deeper than ten.
 LONGEST_DOCUMENT_BYTES, DEEPEST_DOCUMENT = 64_000_000, 32
-TOO_DEEP = f"it is nested too deep, over {DEEPEST_DOCUMENT} objects or lists"
+TOO_DEEP = f"it is nested too deeply, over {DEEPEST_DOCUMENT} objects or lists"
 
 
 def worth_threads(size_bytes: int) -> bool:
@@ -177,7 +177,7 @@ def read_json(path: Path, name: str) -> Any:
     with _opened(path) as file:
         if file.seek(0, 2) > LONGEST_DOCUMENT_BYTES:
             raise RefusedInputError(
-                f"{name} is over {LONGEST_DOCUMENT_BYTES / 1e6:,.0f} MB, as no document that is read here: check the name."
+                f"{name} is over {LONGEST_DOCUMENT_BYTES / 1e6:,.0f} MB, too large for a document: check the name."
             )
     return parse_json(read_text(name, read_bytes(path, name)))
 
@@ -222,7 +222,7 @@ def _refuse_emptiness(name: str, head: bytes, rest: BinaryIO) -> None:
     while not head or head.isspace():
         head = rest.read(_HEAD_BYTES)
         if not head:
-            raise RefusedInputError(f"{name} holds nothing but blanks: download it again.")
+            raise RefusedInputError(f"{name} contains only blanks: download it again.")
 
 
 def detect_format(name: str, data: bytes) -> str:
@@ -237,10 +237,10 @@ def detect_format(name: str, data: bytes) -> str:
     promised = _SUFFIXES.get(PurePath(name).suffix.lower(), found)
     if promised != found:
         raise RefusedInputError(
-            f"{name} is named as {promised} but its content looks like {found}: rename it or export it again."
+            f"{name} is named like {promised} but its content looks like {found}: rename it or export it again."
         )
     if found not in _SUFFIXES.values():
-        raise RefusedInputError(f"{name} holds {found}: export it as CSV, JSON Lines or Parquet.")
+        raise RefusedInputError(f"{name} contains {found}: export it as CSV, JSON Lines or Parquet.")
     return found
 
 
@@ -377,7 +377,7 @@ def _refuse_endless(name: str, row: int, waiting: bytes, *, is_last: bool) -> No
     """Refuse what fills a piece and still holds no whole row."""
     if len(waiting) > PIECE_BYTES and not is_last:
         raise RefusedInputError(
-            f"{name}: row {row}: blank rows follow for over {PIECE_BYTES:,} bytes: write one star a row."
+            f"{name}: row {row}: blank rows follow for over {PIECE_BYTES:,} bytes: write one star per row."
         )
 
 
@@ -447,7 +447,7 @@ def _csv_tables(
         elif not form.has_blank_rows:
             _look_at_lines(text, len(header), row, form.rows)
             if not form.found:
-                form.rows.add("this is not CSV: write cells separated by commas, a row a line")
+                form.rows.add("this is not CSV: write cells separated by commas, one row per line")
         row += rows
 
 
@@ -521,7 +521,9 @@ def _look_at_lines(text: bytes, expected: int, first_row: int, faults: Faults) -
     for row, line in enumerate(text.split(b"\n"), start=first_row):
         cells = _cells_in(line)
         if cells is None:
-            faults.add("a quotation mark is not closed on its line: write one row a line, without line breaks", row=row)
+            faults.add(
+                "a quotation mark is not closed on its line: write one row per line, without line breaks", row=row
+            )
         elif cells != expected and line:
             faults.add(f"has {cells} cells where the header has {expected}: correct its commas", row=row)
 
@@ -628,10 +630,10 @@ def _line_by_line(text: bytes, first_row: int, faults: Faults, name: str, limits
         try:
             cells = _json(line)
         except orjson.JSONDecodeError as error:
-            faults.add(f"is not JSON ({error.msg}): write one object a line, without NaN", row=row)
+            faults.add(f"is not JSON ({error.msg}): write one object per line, without NaN", row=row)
             continue
         if not isinstance(cells, dict):
-            faults.add("is not a JSON object: write one object a line, its keys the columns", row=row)
+            faults.add("is not a JSON object: write one object per line, with the columns as keys", row=row)
             continue
         for key, cell in cells.items():
             column = columns.setdefault(key, [])
@@ -642,7 +644,7 @@ def _line_by_line(text: bytes, first_row: int, faults: Faults, name: str, limits
         if len(columns) > limits.columns or len(columns) * rows > most_cells:
             limits.refuse_columns(name, len(columns))
             raise RefusedInputError(
-                f"{name}: row {row}: {len(columns):,} different keys came up to here, of which a line has few: give every "
+                f"{name}: row {row}: {len(columns):,} different keys up to here, of which a line has few: give every "
                 "object the same keys."
             )
     return pa.table(

@@ -292,7 +292,7 @@ def _refuse_columns(name: str, file: arrow_parquet.ParquetFile) -> None:
         columns.add(field.name)
         if pa.types.is_nested(field.type):
             known = field.name in {*INTEGER_COLUMNS, *FLOAT_COLUMNS}
-            wanted = "numbers are expected" if known else "one value a row is expected"
+            wanted = "numbers are expected" if known else "one value per row is expected"
             kind = str(field.type)
             faults.add(
                 f"holds {kind if len(kind) < 80 else 'nested values'} where {wanted}: write it as numbers or as text",
@@ -304,7 +304,7 @@ def _refuse_columns(name: str, file: arrow_parquet.ParquetFile) -> None:
         bytes_of_any_length = column.physical_type == "BYTE_ARRAY" and not _is_text(field.type)
         if bytes_of_any_length or column.length > _FIXED_BYTES:
             faults.add(
-                f"holds {field.type} in {'bytes of any length' if bytes_of_any_length else f'{column.length:,} bytes a value'}: "
+                f"holds {field.type} in {'bytes of any length' if bytes_of_any_length else f'{column.length:,} bytes per value'}: "
                 "write it as floating point, or as text",
                 column=field.name,
             )
@@ -394,8 +394,8 @@ def _text_width(name: str, column: str, page: Page, limits: Limits) -> float:
     """The most bytes that a text of a page takes on average; refuses longer ones than may be."""
     if page.encoding == DELTA_BYTE_ARRAY:
         raise RefusedInputError(
-            f"{name}: column {column}: its texts are written by their differences (DELTA_BYTE_ARRAY), so that their length cannot "
-            "be told beforehand: write them with a dictionary, or plain."
+            f"{name}: column {column}: its texts are written by their differences (DELTA_BYTE_ARRAY), so their length is not "
+            "known beforehand: write them with a dictionary, or plain."
         )
     width = page.uncompressed_bytes / max(page.values, 1)
     if page.values and width > limits.cell_bytes + 2 * _NUMBER:

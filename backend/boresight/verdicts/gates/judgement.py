@@ -285,7 +285,7 @@ def _notes(answer: GateAnswer) -> list[str]:
         for word, holds in (
             ("waived", answer.waived),
             ("critical", answer.critical),
-            ("only observed", answer.observe_only),
+            ("observe only", answer.observe_only),
             ("must have data", answer.must_have_data and not answer.critical),
         )
         if holds

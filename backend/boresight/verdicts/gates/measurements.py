@@ -137,7 +137,7 @@ class GateInputs:
         return 1.0 / self.camera.focal_px(self.sensor.initial, self.sensor.pixel_pitch_m)
 
 
-IS_INCUMBENT = "There is no other set to compare with: this one is the baseline, or the sensor has none."
+IS_INCUMBENT = "There is no other set to compare with: this set is the baseline, or the sensor has none."
 #: Share of the typical spread from unit to unit below which no difference of parameters counts in sigmas.
 FLOOR = 0.1
 #: Relative difference of a sigma from the root of its variance that rounding explains.
@@ -145,12 +145,15 @@ ROUNDING = 1e-6
 ROWS, COLUMNS = 6, 8
 NO_RUN = "The set was declared with the sensor; no run measured this."
 ENDED = {
-    "converged": ("PASS", "The estimate came to rest."),
-    "max_iterations": ("MARGINAL", "The estimate was still moving at its last iteration: allow more, or free fewer."),
+    "converged": ("PASS", "The estimate settled."),
+    "max_iterations": (
+        "MARGINAL",
+        "The estimate had not settled at its last iteration: allow more iterations, or free fewer parameters.",
+    ),
     "ground calibration": ("PASS", "A ground calibration is declared; there was nothing to settle."),
 }
 ARCSEC = float(np.degrees(1.0) * 3600)
-INCOMPLETE = "The numbers of this set are not complete enough to tell: calibrate again."
+INCOMPLETE = "This set lacks the numbers for this gate: calibrate again."
 NO_DEFINITION = "There is no table definition: an administrator or analyst adds it under the sensor's table on board."
 
 
@@ -223,7 +226,7 @@ def finite(inputs: GateInputs) -> Measurement:
     sigma = inputs.candidate.get("sigma") or {}
     bad = [name for name in inputs.names if sigma.get(name) is not None and not _is_sigma(sigma[name])]
     if bad:
-        return answer("FAIL", f"The sigma of {', '.join(bad)} is no positive number: calibrate again.")
+        return answer("FAIL", f"The sigma of {', '.join(bad)} is not a positive number: calibrate again.")
     return answer("PASS", "Every parameter is a finite number in its model's range.")
 
 
@@ -247,13 +250,15 @@ def _of_matrix(inputs: GateInputs, P: np.ndarray, names: list[str]) -> Measureme
     """Judge the covariance of the free parameters (n_free, n_free)."""
     variance = np.diag(P)
     if not np.isfinite(P).all() or (variance <= 0).any():
-        return answer("FAIL", "The covariance has a variance that is no positive number: calibrate again.")
+        return answer("FAIL", "The covariance has a variance that is not a positive number: calibrate again.")
     correlation = P / np.sqrt(np.outer(variance, variance))
     if not np.allclose(correlation, correlation.T, rtol=0, atol=ROUNDING):
         return answer("FAIL", "The covariance is not symmetric: calibrate again.")
     least = float(np.linalg.eigvalsh((correlation + correlation.T) / 2)[0])
     if least <= 0:
-        return answer("FAIL", f"The covariance is not positive definite (least eigenvalue {least:.2g}): free fewer.")
+        return answer(
+            "FAIL", f"The covariance is not positive definite (least eigenvalue {least:.2g}): free fewer parameters."
+        )
     sigma = inputs.candidate.get("sigma") or {}
     stated = [(name, sigma[name], root) for name, root in zip(names, np.sqrt(variance), strict=True) if sigma.get(name)]
     off = [name for name, given, root in stated if abs(given - root) > 1e-3 * root]
@@ -267,7 +272,7 @@ def sensor(inputs: GateInputs) -> Measurement:
     candidate, here = inputs.candidate, inputs.sensor
     if candidate.get("sensor") not in (None, here.name):
         return answer(
-            "FAIL", f"The set is of the sensor {candidate['sensor']}, not of {here.name}: choose the right one."
+            "FAIL", f"The set belongs to the sensor {candidate['sensor']}, not to {here.name}: choose the right one."
         )
     if candidate.get("camera_model") != here.camera_model:
         return answer(
@@ -279,9 +284,7 @@ def sensor(inputs: GateInputs) -> Measurement:
         return answer("PASS", f"Set and sensor are {here.name}, {here.camera_model}.")
     detector = {"rows": here.rows, "columns": here.columns, "pixel_pitch_m": here.pixel_pitch_m}
     if made.get("detector") != detector or made.get("parity") != here.parity:
-        return answer(
-            "FAIL", f"Detector or parity of {here.name} differ from those the run was made with: run it again."
-        )
+        return answer("FAIL", f"Detector or parity of {here.name} differ from those of the run: run it again.")
     return answer(
         "PASS", f"Set, run and sensor are {here.name}, {here.camera_model}, {here.rows} x {here.columns} pixels."
     )
@@ -291,7 +294,7 @@ def parameter_shift(inputs: GateInputs) -> Measurement:
     """Measure the largest shift from the incumbent, in sigmas of the difference."""
     x_0 = inputs.x_incumbent
     if inputs.incumbent is None or x_0 is None:
-        return absent("There is no incumbent that it could have moved from.")
+        return absent("There is no incumbent to compare it with.")
     P, P_0 = (inputs.read_reliable_covariance(document) for document in (inputs.candidate, inputs.incumbent))
     sigma = np.sqrt(np.diag(P) + np.diag(P_0) + (FLOOR * inputs.sensor.typical_sigma) ** 2)
     shift = (inputs.x - x_0) / sigma
@@ -299,8 +302,8 @@ def parameter_shift(inputs: GateInputs) -> Measurement:
     moved = sum(np.abs(shift) > 3)
     return Measurement(
         float(abs(shift[i])),
-        f"{inputs.names[i]} moved farthest, by {shift[i]:+.1f} σ of the difference (of both sets, with misfit); "
-        f"{moved} of {len(shift)} parameters moved by more than 3 of them.",
+        f"{inputs.names[i]} changed most, by {shift[i]:+.1f} σ of the difference (of both sets, with misfit); "
+        f"{moved} of {len(shift)} parameters changed by more than 3 of them.",
     )
 
 
@@ -308,7 +311,7 @@ def convergence(inputs: GateInputs) -> Measurement:
     """Ask whether the estimate came to rest."""
     status = str(inputs.candidate.get("status"))
     return answer(
-        *ENDED.get(status, ("FAIL", f"The run ended {status.replace('_', ' ')}: its numbers are no estimate."))
+        *ENDED.get(status, ("FAIL", f"The run ended {status.replace('_', ' ')}: its numbers are not an estimate."))
     )
 
 
@@ -316,7 +319,7 @@ def chi_square(inputs: GateInputs) -> Measurement:
     """Measure the residuals against the stated noise."""
     result = inputs.result
     if result is None or result.chi2_per_dof is None or result.chi2 is None:
-        return absent(NO_RUN if result is None else "The run kept no chi-square: run it again.")
+        return absent(NO_RUN if result is None else "The run stored no chi-square: run it again.")
     return _around_one(result.chi2_per_dof, result.chi2, "Residuals")
 
 
@@ -324,7 +327,7 @@ def nis(inputs: GateInputs) -> Measurement:
     """Measure a filter's innovations against what it expected; a batch has residuals in their place."""
     result = inputs.result
     if result is None or result.nis is None or result.nis.mean is None:
-        return absent(NO_RUN if result is None else "The run kept no innovations: run it again.")
+        return absent(NO_RUN if result is None else "The run stored no innovations: run it again.")
     what = "Innovations" if result.method in FILTERS else "A batch has no innovations; its residuals"
     return _around_one(result.nis.mean, result.nis, what)
 
@@ -349,7 +352,7 @@ OF_STARS = ("outliers",)
 LEAST_SIZE = 1e-3
 #: Share of removed identities beyond which the rest is in doubt: NEES was measured within its bounds up to as many gross outliers.
 MOST_REMOVED = 0.1
-NO_TESTS = "The run made no tests of the model: clone it and start it again to have them."
+NO_TESTS = "The run made no tests of the model: clone it and run it again to get them."
 
 
 def tests_of_model(name: str, inputs: GateInputs) -> Measurement:
@@ -364,7 +367,7 @@ def tests_of_model(name: str, inputs: GateInputs) -> Measurement:
     if not made:
         return absent("The set allows none of these tests: add frames, times or magnitudes.")
     if not found:
-        return Measurement(0.0, f"None of {made} tests tells of such an error (1 % over all tests of the set).")
+        return Measurement(0.0, f"None of {made} tests shows such an error (1 % over all tests of the set).")
     return Measurement(max(LEAST_SIZE, *(size for size, _ in found)), " ".join(sentence for _, sentence in found))
 
 
@@ -376,7 +379,7 @@ def identities(inputs: GateInputs) -> Measurement:
     share = of.removed / of.proposed
     sentence = (
         f"{of.removed:,} of {of.proposed:,} proposed identities, {share:.1%}, contradict the other stars and were removed: the "
-        "file's identification is faulty; match the stars anew (match 'rematch')."
+        "file's identification is faulty; match the stars again (match 'rematch')."
     )
     if share > MOST_REMOVED:
         return answer(
@@ -428,7 +431,9 @@ def condition_number(inputs: GateInputs) -> Measurement:
     """Measure how unevenly the data see the parameters."""
     seen = inputs.result.observability if inputs.result else None
     if seen is None or seen.condition_number is None:
-        return absent(NO_RUN if inputs.result is None else "The data leave a direction open: free fewer parameters.")
+        return absent(
+            NO_RUN if inputs.result is None else "The data do not determine one direction: free fewer parameters."
+        )
     return Measurement(seen.condition_number, f"Largest over smallest of {len(seen.singular_values)} singular values.")
 
 
@@ -436,10 +441,10 @@ def weak_directions(inputs: GateInputs) -> Measurement:
     """Measure how well the weakest direction is known, and name it."""
     seen = inputs.result.observability if inputs.result else None
     if seen is None or not seen.sigma_of_direction:
-        return absent(NO_RUN if inputs.result is None else "The run kept no observability: run it again.")
+        return absent(NO_RUN if inputs.result is None else "The run stored no observability: run it again.")
     spread = [sigma for sigma in seen.sigma_of_direction if sigma is not None]
     if len(spread) < len(seen.sigma_of_direction):
-        return absent("The data leave a direction open: free fewer parameters.")
+        return absent("The data do not determine one direction: free fewer parameters.")
     return Measurement(max(spread), seen.weakest.sentence)
 
 
@@ -447,7 +452,7 @@ def coverage(inputs: GateInputs) -> Measurement:
     """Measure in how many regions of the detector there were stars."""
     seen = inputs.result.coverage if inputs.result else None
     if seen is None:
-        return absent(NO_RUN if inputs.result is None else "The run kept no coverage: run it again.")
+        return absent(NO_RUN if inputs.result is None else "The run stored no coverage: run it again.")
     counts = np.array(seen.counts)
     regions = counts.reshape(ROWS, counts.shape[0] // ROWS, COLUMNS, counts.shape[1] // COLUMNS).sum(axis=(1, 3))
     held = int((regions > 0).sum())
@@ -470,7 +475,7 @@ def quantisation(inputs: GateInputs) -> Measurement:
     effect = table_definition.quantisation_effect(inputs.camera, inputs.sensor, parameters, held)
     return Measurement(
         float(effect["max_px"]),
-        f"The table's number format moves directions by up to {effect['max_arcsec']:.2g} arcsec over the detector.",
+        f"The table's number format changes directions by up to {effect['max_arcsec']:.2g} arcsec over the detector.",
     )
 
 
@@ -478,7 +483,7 @@ def assumptions(inputs: GateInputs) -> Measurement:
     """Ask whether what the data cannot show was declared, and whether any of it was left in."""
     made = inputs.result.assumptions if inputs.result else []
     if not made:
-        return absent(NO_RUN if inputs.result is None else "The run named no assumptions: run it again.")
+        return absent(NO_RUN if inputs.result is None else "The run stored no assumptions: run it again.")
     undeclared = [one.sentence for one in made if not one.declared]
     if undeclared:
         return absent(f"{' '.join(undeclared)} Then run again.")
@@ -545,7 +550,7 @@ GATES = {
         Gate(
             "validation-rms-incumbent",
             "Validation RMS, to incumbent",
-            "How large are they beside the incumbent's, on the very same arcs?",
+            "How large are they compared with the incumbent's, on the same arcs?",
             "below",
             "× incumbent",
             measure=partial(_against, "validation-rms-incumbent"),
@@ -555,7 +560,7 @@ GATES = {
         Gate(
             "availability",
             "Availability",
-            "In which share of the validation frames would the flight code find an attitude?",
+            "In what share of the validation frames would the flight code find an attitude?",
             "above",
             "of frames",
             highest=1.0,
@@ -566,7 +571,7 @@ GATES = {
         Gate(
             "availability-incumbent",
             "Availability, to incumbent",
-            "By which share of the frames does that change? Below 0 frames are lost.",
+            "By what share of the frames does that change? Below 0, frames are lost.",
             "above",
             "of frames",
             lowest=-1.0,
@@ -588,7 +593,7 @@ GATES = {
         Gate(
             "matched-stars-incumbent",
             "Matched stars, to incumbent",
-            "How many more than with the incumbent? Below 0 stars are lost.",
+            "How many more than with the incumbent? Below 0, stars are lost.",
             "above",
             "a frame",
             lowest=-1000.0,
@@ -619,7 +624,7 @@ GATES = {
         Gate(
             "stability",
             "Stability",
-            "How far does the camera change over time or temperature, where a test notices it, in claimed sigmas?",
+            "How much does the camera change with time or temperature, where a test notices it, in claimed sigmas?",
             "below",
             "σ",
             measure=partial(tests_of_model, "stability"),
@@ -649,7 +654,7 @@ GATES = {
         Gate(
             "nis",
             "Innovations (NIS)",
-            "Is a filter as sure as it may be?",
+            "Are a filter's sigmas right?",
             "around",
             lowest=1.0,
             measure=nis,
@@ -668,7 +673,7 @@ GATES = {
         Gate(
             "arc-uncertainty",
             "Arc uncertainty",
-            "How far wrong may an arc be at the worst place of the detector, by the covariance alone?",
+            "How wrong may an arc be at the worst place of the detector, by the covariance alone?",
             "below",
             "px",
             measure=arc_uncertainty,
@@ -677,7 +682,7 @@ GATES = {
         Gate(
             "condition-number",
             "Condition number",
-            "How unevenly do the data see the parameters?",
+            "How unevenly do the data determine the parameters?",
             "below",
             measure=condition_number,
             marginal=1e5,
@@ -694,7 +699,7 @@ GATES = {
         Gate(
             "coverage",
             "Detector coverage",
-            "In which share of the detector's 48 regions were stars?",
+            "In what share of the detector's 48 regions were stars?",
             "above",
             "of regions",
             highest=1.0,
@@ -704,7 +709,7 @@ GATES = {
         Gate(
             "quantisation",
             "Quantisation",
-            "How far does the number format on board move a direction, anywhere on the detector?",
+            "How much does the number format on board change a direction, anywhere on the detector?",
             "below",
             "px",
             measure=quantisation,
@@ -714,7 +719,7 @@ GATES = {
         Gate(
             "assumptions",
             "Assumptions",
-            "Is declared what no data can show: readout, satellite velocity, directions, refraction?",
+            "Are the properties that no data can show declared: readout, satellite velocity, directions, refraction?",
             "met",
             measure=assumptions,
         ),
@@ -740,7 +745,7 @@ def _measured(function: Callable[[GateInputs], Measurement], inputs: GateInputs)
 def _finite(measured: Measurement) -> Measurement:
     """Return a measurement whose value is a number, or none at all."""
     if measured.value is not None and not np.isfinite(measured.value):
-        return absent(f"This is no finite number for this set. {measured.sentence}")
+        return absent(f"This is not a finite number for this set. {measured.sentence}")
     if measured.incumbent is not None and not np.isfinite(measured.incumbent):
         return replace(measured, incumbent=None)
     return measured

@@ -86,7 +86,7 @@ def parse_profile(document: Mapping[str, Any]) -> Profile:
 
 def _by_name(entries: Any) -> dict[str, Mapping[str, Any]]:
     if not isinstance(entries, list) or not all(isinstance(entry, Mapping) for entry in entries):
-        raise RefusedInputError("`gates` is no list of objects: give one object a gate, with its name.")
+        raise RefusedInputError("`gates` is not a list of objects: give one object per gate, with its name.")
     given: dict[str, Mapping[str, Any]] = {}
     for entry in entries:
         name = entry.get("name")
@@ -124,7 +124,7 @@ def _check_fixed(gate: Gate, threshold: Threshold) -> None:
         )
     if gate.direction == "met" and (threshold.limit, threshold.marginal) != (None, None):
         raise RefusedInputError(
-            f"{gate.name}: limit and marginal are null, for the gate is met or not; leave them out."
+            f"{gate.name}: this gate has no limit or marginal, it is met or not met; leave them out."
         )
 
 
@@ -162,5 +162,5 @@ def _check_critical(gate: Gate, threshold: Threshold) -> None:
     for key, needed in (("waivable", False), ("observe_only", False), ("must_have_data", True)):
         if getattr(threshold, key) is not needed:
             raise RefusedInputError(
-                f"{gate.name}: {key} is {str(needed).lower()} in every profile, for the gate is critical; leave it out."
+                f"{gate.name}: {key} is {str(needed).lower()} in every profile, because the gate is critical; leave it out."
             )

@@ -82,7 +82,7 @@ def make_views(points: Sequence[Point], result: Calibration | None) -> list[View
     """Return the figures of a request, each with its answer."""
     said = {} if result is None else {view.figure: view.answer.sentence for view in make_four_views(result)}
     return [
-        View(point, FIGURES[point.name], said.get(point.name, "Open it to see."))
+        View(point, FIGURES[point.name], said.get(point.name, "Open it to see the answer."))
         for point in points
         if point.kind == review.EVIDENCE
     ]
@@ -97,7 +97,7 @@ def list_further_evidence(row: ParameterSet, incumbent: ParameterSet | None) -> 
     if row.run_id is not None:
         found.append((f"Run #{row.run_id}", f"/runs/{row.run_id}"))
         if incumbent is not None and incumbent.run_id is not None:
-            found.append((f"Beside {incumbent.name}", f"/compare?runs={incumbent.run_id},{row.run_id}"))
+            found.append((f"Compare with {incumbent.name}", f"/compare?runs={incumbent.run_id},{row.run_id}"))
     return found
 
 
@@ -199,7 +199,7 @@ router = APIRouter(dependencies=[Depends(csrf)])
 
 VIEWS = {
     "waiting": "Waiting for a signature",
-    "mine": "Mine to sign",
+    "mine": "For me to sign",
     "submitted": "Submitted by me",
     "all": "All",
 }
@@ -213,8 +213,8 @@ REQUESTS = Table(
         TableColumn("reason", "Reason", "", "words", csv=("reason",)),
         TableColumn("by", "Submitted by", "by", "named", csv=("submitted_by", "submitted_utc")),
         TableColumn("expires", "Signed, expires", "expires", "tight", csv=("signed", "needed", "expires_utc")),
-        TableColumn("asked", "Asked of", "", "named"),
-        TableColumn("part", "Your part", "", "act"),
+        TableColumn("asked", "Assigned to", "", "named"),
+        TableColumn("part", "Your action", "", "act"),
     ),
     {"show": accept_one(VIEWS), "q": is_text},
     "-request",
@@ -369,7 +369,7 @@ def signature_page(request: Request, session: Reading, actor: Who, approval_id: 
     approval = session.get_known(Approval, approval_id)
     signature = next((one for one in approval.signatures if one.id == signature_id), None)
     if signature is None:
-        raise NotFoundError(f"Request {approval_id} has no signature {signature_id}; read its roll of signatures.")
+        raise NotFoundError(f"Request {approval_id} has no signature {signature_id}; read its list of signatures.")
     row = session.get_known(ParameterSet, approval.parameter_set_id)
     return render(
         request,
@@ -415,7 +415,7 @@ async def comment(request: Request, session: Reading, actor: Who, approval_id: i
         typed = TypedText("thread", text=text, about=about)
         page = partial(request_page, request, session, actor, approval_id, refusal=outcome.refusal, typed=typed)
         return await run_in_threadpool(page)
-    return redirect(f"/approvals/{approval_id}#thread-{about[0]}-{about[1]}", flash="Your comment is kept.")
+    return redirect(f"/approvals/{approval_id}#thread-{about[0]}-{about[1]}", flash="Your comment is added.")
 
 
 @router.post("/approvals/{approval_id:int}/threads/{thread_id:int}/{action}")
@@ -441,7 +441,7 @@ async def remark(
         typed = TypedText("remark", text=text)
         page = partial(request_page, request, session, actor, approval_id, refusal=outcome.refusal, typed=typed)
         return await run_in_threadpool(page)
-    return redirect(f"/approvals/{approval_id}#discussion", flash="Your remark is kept.")
+    return redirect(f"/approvals/{approval_id}#discussion", flash="Your remark is added.")
 
 
 @router.post("/approvals/{approval_id:int}/assign")
@@ -459,4 +459,4 @@ async def assign(request: Request, session: Reading, actor: Who, approval_id: in
         typed = TypedText("assign")
         page = partial(request_page, request, session, actor, approval_id, refusal=outcome.refusal, typed=typed)
         return await run_in_threadpool(page)
-    return redirect(f"/approvals/{approval_id}#discussion", flash="The request shows whom it is asked of.")
+    return redirect(f"/approvals/{approval_id}#discussion", flash="The assignment is saved.")

@@ -206,7 +206,7 @@ def _waived(
 
 
 BOXES = ("waivable", "must_have_data", "observe_only")
-GOOD_SIDE = {"below": "at most", "above": "at least", "around": "off by no more than a factor of", "met": "must be met"}
+GOOD_SIDE = {"below": "at most", "above": "at least", "around": "within a factor of", "met": "must be met"}
 
 
 @dataclass(frozen=True)
@@ -258,8 +258,8 @@ def _profile_page(request: Request, actor: Actor, sensor_id: int, shown: GatePro
             summary=None if shown.tried is None else describe_effect(shown.tried),
             may_set=None
             if "administrator" in actor.roles
-            else "Only an administrator sets limits: who sets them neither "
-            "runs nor signs. You may try limits on past runs and ask for them.",
+            else "Only an administrator can set limits, and can neither launch "
+            "runs nor sign. You can try limits on past runs, then ask an administrator to set them.",
             shown=shown,
         )
 
@@ -310,7 +310,9 @@ def _number(gate: Gate, key: str, text: str) -> float | None:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise RefusedInputError(f"{gate.title}: the {key} {text.strip()!r} is no number; leave it empty for none.")
+        raise RefusedInputError(
+            f"{gate.title}: the {key} {text.strip()!r} is not a number; leave the field empty for no limit."
+        )
     return value
 
 
@@ -337,12 +339,12 @@ def _word(value: Any) -> str:
 def describe_effect(tried: Sequence[TriedProfile]) -> str:
     """Say in a sentence what limits would have done."""
     if not tried:
-        return "There is no finished run to try them on."
+        return "There is no finished run to try these limits on."
     newly = [f"#{one.run_id}" for one in tried if one.blocking and not one.blocking_now]
     freed = [f"#{one.run_id}" for one in tried if one.blocking_now and not one.blocking]
     blocked = sum(bool(one.blocking) for one in tried)
     parts = [f"These limits would have blocked {blocked} of the newest {len(tried)} runs."]
-    parts += [f"Blocked that are not now: {', '.join(newly)}."] if newly else []
+    parts += [f"Newly blocked: {', '.join(newly)}."] if newly else []
     parts += [f"No longer blocked: {', '.join(freed)}."] if freed else []
     return " ".join(parts if newly or freed else [*parts, "The same as the limits in force."])
 
@@ -361,7 +363,7 @@ async def change(request: Request, actor: Who, sensor_id: int) -> Response:
     if isinstance(outcome.value, ChangeProposal):
         flash = "Proposed: it takes effect when another administrator confirms it."
         return redirect(f"/change-proposals/{outcome.value.id}", flash=flash)
-    words = f"Version {outcome.value.number} of the limits is in force; undecided requests are STALE."
+    words = f"Version {outcome.value.number} of the limits is in force; open requests are STALE."
     return redirect(f"/sensors/{sensor_id}/gates", flash=words)
 
 

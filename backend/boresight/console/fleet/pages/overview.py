@@ -137,7 +137,7 @@ def _promotions(session: Session, actor: Actor) -> Iterator[WaitingItems]:
         return
     yield _sets(session, {"state": "APPROVED"}, "is approved and can be promoted", "Promote", "#promote")
     unsent = {"state": "BASELINE", "board": "NOT SENT", "of_a_run": True}
-    yield _sets(session, unsent, "is the baseline; nothing is recorded of it on board", "Record", "/uplink")
+    yield _sets(session, unsent, "is the baseline; nothing is recorded about it on board", "Record", "/uplink")
 
 
 def _sets(session: Session, where: Mapping[str, Any], words: str, label: str, place: str) -> WaitingItems:
@@ -152,7 +152,9 @@ def _sets(session: Session, where: Mapping[str, Any], words: str, label: str, pl
 def _own_requests(session: Session, actor: Actor) -> Iterator[WaitingItems]:
     if actor.user_id is None:
         return
-    for state, words in zip(CAME_BACK, ("went stale: evaluate again", "was refused: read why"), strict=True):
+    for state, words in zip(
+        CAME_BACK, ("is stale: assess and submit it again", "was refused: read the reason"), strict=True
+    ):
         yield _requests(session, {"state": state, "submitted_by": actor.user_id}, "caution", words, "Read")
 
 
@@ -171,7 +173,7 @@ def _next_step(one: SensorStatus, unused: Collection[int]) -> WaitingAction | No
     run = one.last_run
     if run is None:
         address = f"/runs/new?sensor={one.sensor_id}"
-        told = WaitingAction("standby", f"{one.name} has telemetry and no run yet.", address, "Launch")
+        told = WaitingAction("standby", f"{one.name} has telemetry but no run yet.", address, "Launch")
         return told if one.has_telemetry else None
     if run.state in {"FAILED", "LOST"}:
         return WaitingAction("serious", f"{one.name}: run {run.id} {run.state}.", f"/runs/{run.id}", "Look")

@@ -328,7 +328,9 @@ async def edit(
     """Change what new runs of the sensor start from."""
     outcome = await attempt(request, partial(_edit, actor, sensor_id, document, version))
     if outcome.value is not None:
-        return redirect(f"/sensors/{sensor_id}", flash=f"{outcome.value.name} is changed; runs from now on start here.")
+        return redirect(
+            f"/sensors/{sensor_id}", flash=f"{outcome.value.name} is changed; new runs start from this file."
+        )
     return await run_in_threadpool(_page, request, actor, sensor_id, "", SensorContext(document, outcome.refusal))
 
 

@@ -96,27 +96,27 @@ FIELDS = (
     ("detector", "rows, columns, and pixel_pitch_m in metres."),
     ("camera_model", "Which equations turn a pixel into a direction; it fixes the parameters' names."),
     ("parity", "+1: rows, columns and boresight are right-handed. −1: an upright image."),
-    ("centroid_sigma_px", "One-axis noise of a centroid, where the telemetry gives none of its own."),
+    ("centroid_sigma_px", "Noise of a centroid along one axis, used where the telemetry gives none."),
     ("initial", "The ground calibration, in SI; becomes set 0 and the first baseline."),
-    ("typical_sigma", "How much each parameter differs from unit to unit, in SI."),
-    ("free", "Optional: the parameters to estimate; all of them where it is left out."),
-    ("magnitude_limit", "Optional: the faintest catalogue star that it sees."),
+    ("typical_sigma", "Spread of each parameter between sensors of this kind, in SI."),
+    ("free", "Optional: the parameters to estimate; all when left out."),
+    ("magnitude_limit", "Optional: the faintest catalogue star that the sensor sees."),
     (
         "readout",
         (
-            "Optional, asked until declared: mode global, or rolling with line_time_s, axis rows or columns, and corrected."
+            "Optional, asked for until declared: mode global, or rolling with line_time_s, axis rows or columns, and corrected."
             " A rolling readout that the telemetry is not corrected for is corrected here."
         ),
     ),
     (
         "site",
-        "Optional, of a camera on the ground: "
+        "Optional, for a camera on the ground: "
         + ", ".join(SITE_FIELDS)
         + ". Stars are then seen through the air above it.",
     ),
     (
         "declared",
-        "Optional, asked until declared: "
+        "Optional, asked for until declared: "
         + "; ".join(f"{name} {' or '.join(one.words)}" for name, one in DECLARATIONS.items())
         + ".",
     ),
@@ -135,7 +135,7 @@ def read_document(text: str) -> dict[str, Any]:
             f"This is not JSON at line {error.lineno} ({error.msg}); correct it.", (fault,)
         ) from error
     if not isinstance(document, dict):
-        raise RefusedInputError("This is no sensor file; write one JSON object, in braces.")
+        raise RefusedInputError("This is not a sensor file; write one JSON object, in braces.")
     return document
 
 

@@ -28,8 +28,8 @@ from boresight.verdicts.numbers import MISSING, count, fixed, urad
 
 VERDICTS = {
     Sufficiency.SUFFICES: ("normal", "suffices"),
-    Sufficiency.NOISE_NOT_AS_STATED: ("caution", "noise not as stated"),
-    Sufficiency.SOMETHING_LEFT: ("serious", "something left"),
+    Sufficiency.NOISE_NOT_AS_STATED: ("caution", "other noise than stated"),
+    Sufficiency.SOMETHING_LEFT: ("serious", "misfit left"),
 }
 STATE_WORDS = {
     State.DETERMINED: ("normal", "determined"),
@@ -106,7 +106,7 @@ def make_choice_part(request: Request, session: Session, actor: Actor, run: Run)
 def _why_not(session: Session, run: Run, actor: Actor, asked: Run | None) -> str | None:
     """Say why a person may not ask for a choice or stop it, or why nobody may ask."""
     if "analyst" not in actor.roles:
-        return "Only an analyst may have a camera chosen; ask an administrator for the role."
+        return "Only an analyst may choose a camera; ask an administrator for the role."
     is_on_its_way = asked is not None and asked.state not in TERMINAL_RUN_STATES
     return None if is_on_its_way else choices.find_obstacle(session, run)
 
@@ -114,7 +114,7 @@ def _why_not(session: Session, run: Run, actor: Actor, asked: Run | None) -> str
 def _of_state(request: Request, session: Session, view: ChoiceView, asked: Run) -> ChoiceView:
     log = runs.list_log_lines(session, asked.id)
     if asked.state in TERMINAL_RUN_STATES:
-        cause = (asked.reason or "").strip() or "It gave no cause; its log has the last lines."
+        cause = (asked.reason or "").strip() or "No cause was recorded; see the last lines of its log."
         level = "off" if asked.state == "CANCELLED" else "serious"
         return replace(view, notices=[StateNotice(level, cause)])
     workers = get_server(request).workers
@@ -241,7 +241,7 @@ async def choose_camera(request: Request, actor: Who, run_id: int) -> Response:
     blobs = get_server(request).blobs
     change = partial(choices.request_choice, actor=actor, blobs=blobs, run_id=run_id)
     return await make_change(
-        request, change, f"/runs/{run_id}?part=distortion#choice", "The choice of a camera was asked for."
+        request, change, f"/runs/{run_id}?part=distortion#choice", "The choice of a camera is queued."
     )
 
 

@@ -178,7 +178,7 @@ def together(found: Comparison) -> list[ComparedCell]:
             )
         else:
             far = test["p"] < UNLIKELY
-            words = "differ" if far else "may be the same"
+            words = "differ" if far else "no difference found"
             cells.append(
                 ComparedCell(words, f"χ² {number(test['chi2'], 3)} of {test['dof']}, {_chance(test['p'])}", far)
             )
@@ -232,11 +232,11 @@ def _refusal(compared: Sequence[ComparedRun]) -> str | None:
     if len(by_set) > 1:
         first, second = list(by_set.values())[:2]
         return (
-            f"Run #{first} and run #{second} are of different telemetry sets, so their differences are not those of their"
-            " methods: compare runs of one set."
+            f"Run #{first} and run #{second} use different telemetry sets, so their differences do not show how their"
+            " methods differ: compare runs of one set."
         )
     if not any(one.calibration.parameters for one in compared):
-        return "None of these runs has a result yet: open this page again when they have ended."
+        return "None of these runs has a result yet: reload this page when they have ended."
     return None
 
 
@@ -256,32 +256,32 @@ def _lines(compared: Sequence[ComparedRun]) -> list[MethodLine]:
             "Method",
             "",
             [get_method_title(one.run.method) for one in compared],
-            "When to use it is told below the table.",
+            "The text below the table says when to use it.",
         ),
         MethodLine(
             "Claimed error",
             "bound sigmas",
             [fixed(score.claimed, 3) for score in scores],
-            "Claimed σ over the Cramér-Rao bound, geometric mean over the free parameters: one is all that the stars hold.",
+            "Claimed σ over the Cramér-Rao bound, geometric mean over the free parameters: 1 is the best that the stars allow.",
         ),
         MethodLine(
             "Cost",
             "ms / frame",
             [number(score.ms_per_frame, 3) for score in scores],
-            "Processor time of the method alone, matching left out, measured once: below a factor of two it ranks nothing. "
+            "Processor time of the method alone, matching left out, measured once: differences below a factor of two mean nothing. "
             "A replay has none; paired rounds of every method are in the report of boresight reproduce wu.",
         ),
         MethodLine(
             "Converged after",
             "",
             [_settled(one, score) for one, score in zip(compared, scores, strict=True)],
-            f"All free parameters stay within {SETTLED_SIGMAS:.0f} final σ of their end from there on.",
+            f"From there on, all free parameters stay within {SETTLED_SIGMAS:.0f} final σ of their final values.",
         ),
         MethodLine(
             "Condition number",
             "1",
             [number(score.condition, 3) for score in scores],
-            "Of the whole set's scaled Jacobian at the end: alike where the methods agree.",
+            "Of the whole set's scaled Jacobian at the end: equal where the methods agree.",
         ),
         MethodLine(
             "χ² / dof",
@@ -302,7 +302,7 @@ def _against_truth(scores: Sequence[MethodScores]) -> list[MethodLine]:
             "True error",
             "bound sigmas",
             [fixed(score.true_error, 3) for score in scores],
-            "Root mean square over the free parameters, against the simulated truth: about one for an efficient method.",
+            "Root mean square over the free parameters, against the simulated truth: about 1 for an efficient method.",
         ),
         MethodLine(
             "NEES / n",
@@ -311,7 +311,7 @@ def _against_truth(scores: Sequence[MethodScores]) -> list[MethodLine]:
                 _verdict(score.honesty.mean, score.honesty.consistent, 3) if score.honesty else MISSING
                 for score in scores
             ],
-            "True error squared over the claimed covariance: one on average where the claim is honest, with its verdict.",
+            "True error squared over the claimed covariance: 1 on average where the claimed covariance is right, with its verdict.",
         ),
     ]
 

@@ -139,10 +139,10 @@ ATTITUDE = (
     "Roll (°): position angle of increasing rows",
     "σ about x, y, z (arcsec)",
     "Quaternion x, y, z, w",
-    "Stars it rests on",
+    "Stars used",
     "RMS residual (px, an axis)",
     "χ² of its residuals, of degrees of freedom",
-    "Turn from the telemetry's quaternion (arcsec, about x, y, z)",
+    "Rotation from the telemetry's quaternion (arcsec, about x, y, z)",
 )
 GONE = "No frame can be shown: {}"
 
@@ -197,7 +197,7 @@ def _asked_frame(text: str | None) -> str | None:
     if not text:
         return None
     if not text.removeprefix("-").isdecimal() or len(text) > 18:
-        raise RefusedInputError(f"{text[:20]!r} is no frame number; write the number that the telemetry gives it.")
+        raise RefusedInputError(f"{text[:20]!r} is not a frame number; write one that the telemetry contains.")
     return text
 
 

@@ -364,7 +364,7 @@ def make_dry_run_view(summary: Mapping[str, Any]) -> DryRunView:
         ("Validation set", summary["validation_set"] or "none"),
         ("Method", get_method_title(summary["settings"]["method"])),
         ("Matches", said("match", summary["settings"]["match"])),
-        ("Other choices", _other_choices(summary["settings"]) or "as usual"),
+        ("Other settings", _other_choices(summary["settings"]) or "defaults"),
         ("Frames", count(summary["frames"])),
         ("Stars", count(summary["stars"])),
         ("Star pairs", f"about {count(summary['pairs'])}"),
@@ -382,7 +382,7 @@ def _expected(summary: Mapping[str, Any]) -> str:
     """Write the expected duration with its spread and its basis."""
     low, high = map(duration, summary["predicted_range_s"])
     runs = summary["paced_by"]
-    known = f"by the last {runs} of this method" if runs > 1 else "by the one run of this method"
+    known = f"from the last {runs} of this method" if runs > 1 else "from the one run of this method"
     return f"about {duration(summary['predicted_s'])} ({low} to {high}, {known if runs else 'a guess before the first run'})"
 
 
@@ -495,7 +495,7 @@ async def launch(request: Request, session: Reading, actor: Who, forecast_source
         outcome = await attempt(request, partial(_saved, actor=actor, typed=typed, name=name, sentence=sentence))
         if outcome.value is not None:
             kept = replace(origin, preset=presets.make_offer(outcome.value))
-            return redirect(f"/runs/new?{kept.query}", flash=f"{kept.preset.name} is kept." if kept.preset else "")
+            return redirect(f"/runs/new?{kept.query}", flash=f"{kept.preset.name} is saved." if kept.preset else "")
     else:
         if intent == "preset" and origin.preset is not None:
             typed = typed.under(origin.preset.settings)

@@ -265,5 +265,5 @@ def presets_page(request: Request, session: Reading, actor: Who) -> HTMLResponse
 async def archive(request: Request, actor: Who, preset_id: int) -> Response:
     """Archive a version."""
     change = partial(presets.archive_preset, actor=actor, preset_id=preset_id)
-    said = "Archived: it is not offered any more. Runs that used it still name it."
+    said = "Archived: it is no longer offered. Runs that used it still name it."
     return await make_change(request, change, "/presets", said)

@@ -33,10 +33,10 @@ WHAT_TO_TRY = (
     "Read the telemetry's quality report, then clone this run and edit it: free fewer parameters, or use another set."
 )
 NO_WORKERS = (
-    "This server computes nothing itself (no workers, no scheduler in its settings): it starts when another server on "
-    "this database takes it, or when this one is started with workers."
+    "This server has no workers and no scheduler in its settings: the run starts when another server on "
+    "this database takes it, or when this one is restarted with workers."
 )
-NOT_THERE = "No worker is there yet: this server's are still starting, or its scheduler cannot be reached."
+NOT_THERE = "No worker is connected yet: the server's workers are still starting, or its scheduler cannot be reached."
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def _again(run: Run) -> tuple[tuple[str, str], ...]:
 
 def _of_failure(run: Run, log: Sequence[RunEvent]) -> list[StateNotice]:
     """Explain a failure: its cause, the end of the log, and what to try."""
-    cause = _reason(run) or "The run failed and gave no cause; its log has the last lines."
+    cause = _reason(run) or "The run failed and no cause was recorded; see the last lines of its log."
     lines = tuple(line for line in log if line.state != "FAILED")
     return [
         StateNotice("serious", cause, lines=lines[-LAST_LINES:]),
@@ -93,10 +93,8 @@ def _of_partial(run: Run) -> list[StateNotice]:
     told = parse_progress(run.progress)
     if not told.fraction:
         return []
-    so_far = f"It had come to {percent(told.fraction, 0)}{f' ({told.message})' if told.message else ''}"
-    return [
-        StateNotice("off", f"PARTIAL: {so_far}. What it had estimated by then is void and shown nowhere as a result.")
-    ]
+    so_far = f"It had reached {percent(told.fraction, 0)}{f' ({told.message})' if told.message else ''}"
+    return [StateNotice("off", f"PARTIAL: {so_far}. Its estimate at that point is void and is not shown as a result.")]
 
 
 def _of_attempts(log: Sequence[RunEvent]) -> list[StateNotice]:
@@ -112,7 +110,7 @@ def _of_silence(run: Run) -> list[StateNotice]:
     silent_s = seconds_since(parse_progress(run.progress).at_utc or run.started_utc)
     if silent_s is None or silent_s < SILENT_S:
         return []
-    then = "If its server does not renew its claim the run is queued again by itself."
+    then = "If its server does not renew its claim, the run is queued again automatically."
     return [StateNotice("caution", f"The worker has not reported for {duration(silent_s)}. {then}")]
 
 
@@ -120,8 +118,8 @@ def _stopping_sentence(run: Run, log: Sequence[RunEvent]) -> str:
     asked = [line.at_utc for line in log if line.state == "CANCELLING"]
     since = f"Asked at {clock(asked[-1])}, {duration(seconds_since(asked[-1]))} ago. " if asked else ""
     return (
-        f"Stopping: {_reason(run)} {since}The worker looks for this five times a second; one that does not answer is "
-        "ended with its process after some seconds."
+        f"Stopping: {_reason(run)} {since}The worker checks for this five times a second; one that does not react is "
+        "stopped with its process after some seconds."
     )
 
 
@@ -129,7 +127,7 @@ def _lost_sentence(run: Run) -> str:
     """Describe when the worker was last heard of, and that its partial result is void."""
     heard = parse_progress(run.progress).at_utc or run.lease_until_utc or run.ended_utc
     told = f"The worker stopped reporting at {clock(heard)}; no result is trusted."
-    return " ".join(filter(None, [told, _reason(run), "Run it again to have one."]))
+    return " ".join(filter(None, [told, _reason(run), "Run it again to get one."]))
 
 
 def clock(text: str | None) -> str:
@@ -152,12 +150,12 @@ def _waits_for(session: Session, workers: Mapping[str, Any] | None) -> str:
         return NOT_THERE
     busy = sorted(run.id for run in runs.list_runs(session, state=["RUNNING", "CANCELLING"]))
     if workers["tasks"] < threads:
-        return "A worker is free: it starts at once."
+        return "A worker is free: the run starts at once."
     named = (
         f" with {', '.join(f'run #{number}' for number in busy[:6])}{' and others' * (len(busy) > 6)}" if busy else ""
     )
     which = "The only worker is" if threads == 1 else f"All {threads} workers are"
-    return f"{which} busy{named}; it starts when one is free."
+    return f"{which} busy{named}; the run starts when one is free."
 
 
 router = APIRouter(dependencies=[Depends(csrf)])
@@ -202,7 +200,7 @@ async def cancel(request: Request, actor: Who, run_id: int) -> Response:
     """Ask a run to stop."""
     reason = (await read_texts(request)).get("reason", "")
     change = partial(runs.cancel, actor=actor, run_id=run_id, reason=reason)
-    return await make_change(request, change, f"/runs/{run_id}", f"Run #{run_id} was asked to stop.")
+    return await make_change(request, change, f"/runs/{run_id}", f"Run #{run_id} is being cancelled.")
 
 
 run_log_router = APIRouter()
@@ -214,7 +212,7 @@ SYMBOLS = {"info": "off", "warning": "caution", "error": "serious"}
 def filter_lines(rows: Sequence[RunEvent], level: str) -> list[RunEvent]:
     """Return the lines that are at least as grave as a level."""
     if level not in LEVELS:
-        raise RefusedInputError(f"A log has no level {level[:40]}; choose from {', '.join(LEVELS)}.")
+        raise RefusedInputError(f"There is no log level {level[:40]}; choose from {', '.join(LEVELS)}.")
     order = list(LEVELS)
     return [row for row in rows if order.index(row.level) >= order.index(level)]
 

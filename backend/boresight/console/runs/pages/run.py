@@ -175,7 +175,7 @@ def list_history_facts(result: Calibration | None) -> Rows:
     settled = (
         f"{history.axis} {history.x[first]:.6g}" if first is not None else ("not yet" if running else "not settled")
     )
-    rows = [("Settled at", settled, f"Within three final sigmas of the end from there on; {steps}.")]
+    rows = [("Settled at", settled, f"From there on within three final sigmas of the final values; {steps}.")]
     if history.axis == "iteration":
         cost = history.cost
         rows.append(
@@ -198,7 +198,11 @@ def tail_facts(result: Calibration | None, view: RunView) -> tuple[RmsTail | Non
         window = f"{tail.axis} {tail.start:.6g} to {tail.end:.6g}, {count(tail.points)} updates on record"
         rows.append(("Tail, mean over its window", _with_reach(tail.tail_rad, arcs), f"{window}."))
         rows.append(
-            ("Aggregate, at the end", _with_reach(tail.aggregate_rad, arcs), "Each frame under the parameters it had.")
+            (
+                "Aggregate, at the end",
+                _with_reach(tail.aggregate_rad, arcs),
+                "Each frame with the parameters at that time.",
+            )
         )
     return tail, rows + _list_validation_facts(result)
 
@@ -206,9 +210,9 @@ def tail_facts(result: Calibration | None, view: RunView) -> tuple[RmsTail | Non
 def _list_validation_facts(result: Calibration) -> Rows:
     validation = result.validation
     if validation is None:
-        return [("Validation data", MISSING, "No validation set was given: launch with one to have this answer.")]
+        return [("Validation data", MISSING, "No validation set was given: launch a run with one to get this answer.")]
     rms, arcs, share = validation.rms_arc_rad, validation.common_pairs, percent(validation.availability.final)
-    kept = f" {count(arcs)} arcs." if arcs is not None else " σ not kept."
+    kept = f" {count(arcs)} arcs." if arcs is not None else " σ not stored."
     return [
         (
             "Validation data, old parameters",
@@ -242,7 +246,7 @@ def sight_facts(result: Calibration | None) -> tuple[Rows, list[str]]:
         (
             "Known to",
             known,
-            f"One sigma along it, in units of the spread from one such sensor to the next; up to {WEAK:g} it is seen.",
+            f"One sigma along it, in units of the spread between sensors of this kind; up to {WEAK:g} the data determine it.",
         ),
         ("Condition number", condition, "Largest singular value over the smallest."),
     ]
@@ -524,7 +528,7 @@ def _why_no_set(run: Run) -> str | None:
     status = parse_run_summary(run.summary).status
     if status is None or status in parameter_sets.USABLE_STATUSES:
         return None
-    return f"No parameter set is made of a result that ended as {words(status)}."
+    return f"No parameter set can be made from a result that ended as {words(status)}."
 
 
 def make_run_header(run: Run, by: str, data: TelemetrySet, validation: TelemetrySet | None) -> list[tuple[str, Any]]:
@@ -644,5 +648,5 @@ async def create_parameter_set(request: Request, actor: Who, run_id: int) -> Res
         return redirect(
             f"/parameter-sets/{made.id}", flash=f"{made.name} is a candidate, not assessed{why}", level="caution"
         )
-    words = f"{made.name} is a candidate; its gates say {assessed.value.verdict}."
+    words = f"{made.name} is a candidate; the verdict of its gates is {assessed.value.verdict}."
     return redirect(f"/parameter-sets/{made.id}", flash=words)

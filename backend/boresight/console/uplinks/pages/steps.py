@@ -54,13 +54,13 @@ board_router = APIRouter()
 
 BOARDS = Table(
     "sensors",
-    "Sensors, the worst first",
+    "Sensors, worst first",
     (
         TableColumn("sensor", "Sensor", "sensor", "nowrap", head=True),
         TableColumn("status", "Status", "board", "tight"),
         TableColumn("baseline", "Baseline on the ground", "baseline"),
         TableColumn("board", "On board"),
-        TableColumn("source", "Known from", "", "said"),
+        TableColumn("source", "Source", "", "said"),
         TableColumn("recorded", "Recorded", "", "tight"),
         TableColumn("next", "Next", "", "tight"),
     ),
@@ -142,9 +142,7 @@ def list_package_members(content: bytes) -> list[PackageMember]:
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
-NO_ROLE = (
-    "Recording what is on board needs the role operator. An administrator can give it, on the page Users and keys."
-)
+NO_ROLE = "Recording what is on board needs the role operator. An administrator can give it to you on the page Users and keys."
 
 
 @dataclass(frozen=True)
@@ -298,7 +296,7 @@ async def read_back(request: Request, actor: Who, blobs: Blobs, set_id: int) -> 
         return read_backs.read_back(session, actor, blobs, set_id, read, source, seen_version(typed), happened)
 
     by = "by CRC" if dump is None else "byte for byte"
-    return await _taken_step(request, actor, blobs, "read-back", typed, change, f"What was read back matches, {by}.")
+    return await _taken_step(request, actor, blobs, "read-back", typed, change, f"The read-back matches, {by}.")
 
 
 @router.post("/parameter-sets/{set_id:int}/uplink/activate")

@@ -37,14 +37,17 @@ router = APIRouter(dependencies=[Depends(csrf)])
 MAY_SET = frozenset({"analyst", "administrator"})
 ENTRIES = (
     ("table_id", "Name of the table on board."),
-    ("flight_software_version", "The version that the table lies in this way for; a package is refused for another."),
+    (
+        "flight_software_version",
+        "The flight software version with this layout; a package for another version is refused.",
+    ),
     ("byte_order", "big or little; a field may have its own."),
-    ("length_bytes, fill", "Size of the image, and the value of bytes that nothing lies in."),
+    ("length_bytes, fill", "Size of the image, and the value of unused bytes."),
     (
         "fields",
         "name, offset_bytes or offset_bits, type (float32, float64, int<n>, uint<n>), and parameter or constant.",
     ),
-    ("scale, offset", "Of a field: number = scale raw + offset. An integer with a scale is fixed-point."),
+    ("scale, offset", "For a field: number = scale × raw + offset. An integer with a scale is fixed-point."),
     ("crc", f"Optional: {', '.join(CHECKSUMS)}, or every parameter; offset_bytes where the table stores it."),
     ("cfe", "Optional: table_name and ids of cFE's file headers."),
     ("pus", "Optional: parameter_ids for TC[20,3]."),
@@ -185,7 +188,7 @@ async def change(request: Request, actor: Who, policy: ServerPolicy, sensor_id: 
     if isinstance(outcome.value, ChangeProposal):
         flash = "Proposed: it takes effect when another person confirms it."
         return redirect(f"/change-proposals/{outcome.value.id}", flash=flash)
-    flash = f"Version {outcome.value.number} is in force; undecided requests of the sensor are stale."
+    flash = f"Version {outcome.value.number} is in force; open requests of the sensor are STALE."
     return redirect(f"/sensors/{sensor_id}/table-definition", flash=flash)
 
 
@@ -193,6 +196,6 @@ def _set(
     actor: Actor, sensor_id: int, text: str, reason: str, seen: int | None, policy: Policy, session: Session
 ) -> GateProfile | TableDefinition | ChangeProposal:
     if not text.strip():
-        raise RefusedInputError("There is no table definition: type its JSON, or begin with the example.")
+        raise RefusedInputError("There is no table definition: type its JSON, or start with the example.")
     asked = ("table-definition", sensor_id, read_document(text), reason, seen)
     return proposals.change(session, actor, *asked, policy=policy)

@@ -39,7 +39,7 @@ def off_detector_finding(off: OffDetector, sensor: Sensor) -> Finding | None:
         return Finding("OFF_DETECTOR", "CAUTION" if off.beyond_cut else "NORMAL", off.sentence(), off.stars, rows)
     sentence = (
         f"{counted(off.stars, 'matched star lies', 'matched stars lie')} off the detector of {sensor.name} by up to "
-        f"{off.farthest_px:.3g} px, where at most {off.most:,} may be left out, so that no calibration takes the set: exchange "
+        f"{off.farthest_px:.3g} px, where at most {off.most:,} may be left out, so no calibration accepts the set: exchange "
         "rows and columns, correct the sensor's, or delete the rows."
     )
     return Finding("OFF_DETECTOR", "SERIOUS", sentence, off.stars, rows)
@@ -64,7 +64,7 @@ def repeated_stars(inputs: QualityInputs) -> Finding | None:
         return None
     what = counted(len(later), "row names", "rows name")
     sentence = (
-        f"{what} a star already named in the exposure: the detection nearest to the star's place keeps it when stars are verified; "
+        f"{what} a star that the exposure already has: verification keeps the detection nearest to the star's place; "
         "leave star_id empty where it is wrong."
     )
     return Finding(
@@ -108,7 +108,7 @@ def poor_coverage(inputs: QualityInputs) -> Finding | None:
     if not filled or filled >= _POOR_CELLS * counts.size:
         return None
     sentence = (
-        f"Usable stars fill {filled} of {counts.size} cells of the detector: what is found holds there only, add frames in other "
+        f"Usable stars fill {filled} of {counts.size} cells of the detector: results are valid only there, add frames in other "
         "attitudes."
     )
     return Finding("POOR_COVERAGE", "CAUTION", sentence, counts.size - filled)

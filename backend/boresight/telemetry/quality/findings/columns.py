@@ -86,7 +86,7 @@ def times_missing(inputs: QualityInputs) -> Finding | None:
     needed = inputs.from_catalogue
     missing = needed & inputs.untimed
     severity: Severity = "SERIOUS" if missing.sum() == needed.sum() else "CAUTION"
-    said = "left out of use for want of time_utc, which a direction from the catalogue needs: give the time, or ra_deg and dec_deg."
+    said = "not used because time_utc is missing, which a direction from the catalogue needs: give the time, or ra_deg and dec_deg."
     return marked_rows(inputs, "TIME_MISSING", severity, missing, ("matched star is", "matched stars are"), said)
 
 
@@ -97,7 +97,7 @@ def clock_unset(inputs: QualityInputs) -> Finding | None:
     if not early.any():
         return None
     severity: Severity = "SERIOUS" if (early & inputs.from_catalogue).any() else "CAUTION"
-    said = "dated before 1990, as by a clock that was not set: star directions for that time would be wrong, correct time_utc."
+    said = "dated before 1990, as if the clock was not set: star directions for that time would be wrong, correct time_utc."
     return marked_rows(inputs, "CLOCK_UNSET", severity, early, ("row is", "rows are"), said)
 
 

@@ -21,7 +21,7 @@ def nothing_matched(inputs: QualityInputs) -> Finding | None:
     if inputs.matched.any():
         return None
     sentence = (
-        "No row names a star: a calibration has to recognise them by themselves; diagnose the set to see whether it can, or give "
+        "No row gives a star number: calibrations must recognise the stars; diagnose the set to see whether it can, or give "
         "star_id (Hipparcos numbers), or ra_deg and dec_deg."
     )
     return Finding("NO_MATCHES", "SERIOUS", sentence, len(inputs.telemetry))
@@ -41,8 +41,8 @@ def few_stars(inputs: QualityInputs) -> Finding | None:
     if count == exposures:
         severity = "SERIOUS"
         sentence = (
-            f"Every exposure has fewer than {MINIMUM_STARS} usable stars with a name: a calibration has to recognise them by "
-            "themselves; diagnose the set to see whether it can."
+            f"Every exposure has fewer than {MINIMUM_STARS} usable stars with a number: a calibration must recognise the "
+            "stars itself; diagnose the set to see whether it can."
         )
     marked = np.zeros(len(inputs.telemetry), dtype=np.bool_)
     marked[inputs.exposures.start[few]] = True
@@ -80,7 +80,7 @@ def many_unmatched(inputs: QualityInputs) -> Finding | None:
 def unknown_numbers(inputs: QualityInputs) -> Finding | None:
     """Find stars that neither the catalogue knows nor the file gives a direction for."""
     unknown = inputs.unknown & ~inputs.directed
-    said = "left out of use, for the catalogue does not have the star: correct star_id, or give ra_deg and dec_deg."
+    said = "not used, because the catalogue does not have the star: correct star_id, or give ra_deg and dec_deg."
     return marked_rows(inputs, "UNKNOWN_STARS", "CAUTION", unknown, ("row is", "rows are"), said)
 
 
@@ -133,6 +133,6 @@ def velocity_missing(inputs: QualityInputs) -> Finding | None:
             "and stretch a 20 degree field by up to 2 arcsec; give vx_km_s, vy_km_s and vz_km_s."
         )
         return Finding("VELOCITY_MISSING", "CAUTION", sentence, int(needed.sum()))
-    said = "left out of use for want of a satellite velocity: give it in every row."
+    said = "not used because the satellite velocity is missing: give it in every row."
     nouns = ("matched star is", "matched stars are")
     return marked_rows(inputs, "VELOCITY_MISSING", "CAUTION", needed & inputs.unmoving, nouns, said)
