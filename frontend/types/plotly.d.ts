@@ -80,7 +80,7 @@ type ZoomChange = Record<string, number | boolean | undefined>;
 interface Canvas extends HTMLDivElement {
   data?: Trace[];
   layout?: Layout;
-  on?(name: "plotly_relayout", hear: (change: ZoomChange) => void): void;
+  on?(name: "plotly_relayout" | "plotly_beforehover", hear: (change: ZoomChange) => void): void;
 }
 
 interface PlotlyLibrary {

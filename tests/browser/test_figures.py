@@ -1,0 +1,66 @@
+"""Figures in a browser: hovers and tables write numbers as the server does."""
+
+import math
+import re
+
+import pytest
+from playwright.sync_api import expect
+
+from boresight.verdicts import numbers as server
+
+pytestmark = pytest.mark.browser
+
+VALUES = [
+    sign * mantissa * 10.0**power for sign in (1, -1) for mantissa in (1.0, 2.34567, 9.99996) for power in range(-9, 12)
+]
+VALUES += [0.0, -0.0, math.nan]
+WRITTEN = """async ([forms, values]) => {
+    const { count, formatter, number } = await import("/static/shared/numbers.js");
+    const whole = values.filter(value => Number.isFinite(value)).map(Math.round);
+    return { number: values.map(value => number(value, 4)), count: whole.map(count),
+             forms: forms.map(form => values.map(value => formatter(form)(value))) };
+}"""
+PLAIN_MINUS = r"(?<![\w\d])-[\d.]|e[-+]?\d"
+
+
+def test_the_page_writes_a_number_as_the_server_does(people):
+    forms = {
+        ".4g": lambda value: server.number(value, 4),
+        "+.3g": lambda value: server.signed(value, 3),
+        ".2f": lambda value: server.fixed(value, 2),
+        ".1%": lambda value: server.percent(value, 1),
+    }
+    with people.seat("analyst") as window:
+        window.open("/runs")
+        written = window.page.evaluate(WRITTEN, [list(forms), VALUES])
+    assert written["number"] == [server.number(value, 4) for value in VALUES]
+    assert written["count"] == [server.count(math.floor(value + 0.5)) for value in VALUES if math.isfinite(value)]
+    for form, found in zip(forms, written["forms"], strict=True):
+        assert found == [forms[form](value) for value in VALUES], form
+
+
+@pytest.mark.parametrize(("part", "name"), [("convergence", "convergence"), ("distortion", "radial")])
+def test_a_hover_has_the_numbers_of_the_tables(people, sequential_run, part, name):
+    with people.seat("analyst") as window:
+        window.open(f"/runs/{sequential_run}?part={part}")
+        window.drawn(name)
+        said = ""
+        for share in (0.3, 0.5, 0.7, 0.9):
+            drag = window.figure(name).locator(".nsewdrag").first
+            box = drag.bounding_box()
+            drag.hover(position={"x": share * box["width"], "y": box["height"] / 2}, force=True)
+            expect(window.figure(name).locator(".hoverlayer text").first).to_be_visible()
+            said += " ".join(window.figure(name).locator(".hoverlayer text").all_text_contents())
+        assert not re.search(PLAIN_MINUS, said), said
+        assert server.MINUS in said or "+" in said, said
+
+
+def test_a_table_of_a_figure_has_them_too(people, batch_run):
+    with people.seat("analyst") as window:
+        window.open(f"/runs/{batch_run}?part=evidence")
+        table = window.figure("efficiency").locator("details.figure-table")
+        table.locator("summary").click()
+        expect(table.locator("tbody tr").first).to_be_visible()
+        said = " ".join(table.locator("td").all_text_contents())
+        assert not re.search(PLAIN_MINUS, said), said
+        assert re.search(r"·10[⁻⁰-⁹]+|\d\.\d", said), said
