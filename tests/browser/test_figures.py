@@ -1,4 +1,4 @@
-"""Figures in a browser: hovers and tables write numbers as the server does."""
+"""Figures in a browser: their numbers are the server's, and those of a running run say of which frame they are."""
 
 import math
 import re
@@ -7,6 +7,7 @@ import pytest
 from playwright.sync_api import expect
 
 from boresight.verdicts import numbers as server
+from tests.browser.work import choose_filter, ends_as, queue
 
 pytestmark = pytest.mark.browser
 
@@ -64,3 +65,43 @@ def test_a_table_of_a_figure_has_them_too(people, batch_run):
         said = " ".join(table.locator("td").all_text_contents())
         assert not re.search(PLAIN_MINUS, said), said
         assert re.search(r"·10[⁻⁰-⁹]+|\d\.\d", said), said
+
+
+FRAMES_PER_S = 2.0
+PLACE = re.compile(r"As of frame (\d+) of \d+, (just now|.+ ago)")
+HIDE = """hidden => {
+    Object.defineProperty(document, "hidden", {configurable: true, get: () => hidden});
+    Object.defineProperty(document, "visibilityState", {configurable: true, get: () => hidden ? "hidden" : "visible"});
+    document.dispatchEvent(new Event("visibilitychange"));
+}"""
+REACHED = """([figure, frame]) =>
+    Number(/frame (\\d+) of/.exec(document.querySelector(`${figure} .figure-as-of`)?.textContent)?.[1]) >= frame"""
+
+
+def frame_of(window, name):
+    place = window.figure(name).locator(".figure-as-of")
+    expect(place).to_have_text(PLACE)
+    assert place.locator("time.age").count() == 1
+    return int(PLACE.search(place.inner_text())[1])
+
+
+def test_a_live_chart_says_its_frame_and_is_renewed_when_it_or_its_page_comes_into_sight(people, batch_run):
+    with people.seat("analyst") as window:
+        window.open(f"/runs/new?clone={batch_run}")
+        choose_filter(window, FRAMES_PER_S)
+        run_id = queue(window, "Scrolled to")
+        window.open(f"/runs/{run_id}?part=convergence")
+        window.grown("convergence", 4)
+        first = frame_of(window, "convergence")
+        window.figure("rms").scroll_into_view_if_needed()
+        window.page.wait_for_function(REACHED, arg=["#figure-rms", first])
+        bands = [trace["y"] for trace in window.drawn("rms") if trace["fill"] == "toself"]
+        assert bands
+        assert all(None not in band for band in bands)
+        window.page.evaluate("scrollTo(0, 0)")
+        window.page.evaluate(HIDE, True)
+        with window.page.expect_response(f"**/runs/{run_id}/figures/convergence*"):
+            window.page.evaluate(HIDE, False)
+        window.page.wait_for_function(REACHED, arg=["#figure-convergence", first + 1])
+        window.send(f"/runs/{run_id}/cancel", {})
+        ends_as(window, "CANCELLED")

@@ -234,7 +234,8 @@ class LiveRun extends HTMLElement {
 /** Bring a figure up to the newest point, and let it say which that is. @param {PlotFigure} figure */
 async function drawOn(figure) {
   const grown = await grow(figure.canvas);
-  if (grown) figure.tellPlace("frame", getNewest());
+  const newest = getNewest();
+  if (grown && newest) figure.movePlace(newest.frame, newest.at);
   return grown;
 }
 

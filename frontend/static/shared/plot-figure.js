@@ -8,7 +8,9 @@
  * A `small` one fills its place, and its panel's link opens the large one. What is folded away is drawn when it is unfolded.
  * The figure of a running run says as of which frame it is (`meta.as_of`).
  */
+import { makeAge } from "./clock.js";
 import { find, make } from "./dom.js";
+import { count } from "./numbers.js";
 import { linkCursor, unlinkCursor } from "./plot-cursor.js";
 import { onTheme, onWhite } from "./plot-theme.js";
 import { clear, draw, fit, makeImage, isDrawn, load, getRange } from "./plotly.js";
@@ -152,8 +154,7 @@ export class PlotFigure extends HTMLElement {
     await draw(this.canvas, { data, layout: { ...layout, ...this.#size() } });
     if (isFirst && !this.isSmall) this.canvas.on?.("plotly_relayout", (change) => this.#look(change));
     if (!this.isSmall) linkCursor(this.canvas, layout.meta?.axis);
-    const [axis, step] = figure.layout.meta?.as_of ?? [];
-    this.tellPlace(axis, step);
+    this.tellPlace(figure.layout.meta?.as_of);
     this.#headline.textContent = plain(figure.layout.title?.text);
     this.#headline.hidden = !this.#headline.textContent || this.#headline.textContent === this.getAttribute("label");
     if (this.isSmall) this.#headline.hidden = true;
@@ -165,10 +166,18 @@ export class PlotFigure extends HTMLElement {
     return this.hasAttribute("small");
   }
 
-  /** Say as of which step of a running run the drawing is; of one that has ended nothing. @param {string} [axis] @param {number} [step] */
-  tellPlace(axis, step) {
-    this.#asOf.hidden = step === undefined;
-    this.#asOf.textContent = step === undefined ? "" : `As of ${axis} ${step}`;
+  /** Say as of which step of a running run the drawing is, of how many, and how old that is; of one that has ended nothing. @param {Place} [place] */
+  tellPlace(place) {
+    this.#asOf.hidden = !place;
+    if (!place) return;
+    const { axis, step, of, at_utc: at } = place;
+    this.#asOf.replaceChildren(`As of ${axis} ${count(step)}${of && step <= of ? ` of ${count(of)}` : ""}`, ...(at ? [", ", makeAge(at)] : []));
+  }
+
+  /** Say the same of a newer step. @param {number} step @param {string} at */
+  movePlace(step, at) {
+    const place = this.#figure?.layout.meta?.as_of;
+    if (place) this.tellPlace({ ...place, step, at_utc: at });
   }
 
   /** The figure's address, with the window that is looked at. @param {[number, number] | null} window */
