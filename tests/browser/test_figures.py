@@ -1,4 +1,4 @@
-"""Figures in a browser: their numbers are the server's, and those of a running run say of which frame they are."""
+"""Figures in a browser: their numbers, those of a running run, those on paper."""
 
 import math
 import re
@@ -6,8 +6,12 @@ import re
 import pytest
 from playwright.sync_api import expect
 
+from boresight.figures.style.theme import TOKENS
 from boresight.verdicts import numbers as server
+from tests.browser.test_gallery import INKS, format_rgb
+from tests.browser.test_run_page import LABELS, OVERLAPS
 from tests.browser.work import choose_filter, ends_as, queue
+from tests.effort import few_of
 
 pytestmark = pytest.mark.browser
 
@@ -105,3 +109,39 @@ def test_a_live_chart_says_its_frame_and_is_renewed_when_it_or_its_page_comes_in
         window.page.wait_for_function(REACHED, arg=["#figure-convergence", first + 1])
         window.send(f"/runs/{run_id}/cancel", {})
         ends_as(window, "CANCELLED")
+
+
+A4 = {"width": 718, "height": 1047}  # between margins of 10 mm
+PRINTED = ["/runs/{filter}?part=result", "/runs/{batch}?part=observability", "/runs/{filter}?part=convergence"]
+PRINTED += ["/runs/{batch}?part=distortion", "/runs/{batch}?part=evidence", "/sensors/{sensor}/trend"]
+WIDTHS = """() => [...document.querySelectorAll("plot-figure .main-svg:first-child")].filter(one => one.checkVisibility())
+    .map(one => [one.getBoundingClientRect().width, one.closest("plot-figure").getBoundingClientRect().width])"""
+ON_PAPER = (
+    """ink => [...document.querySelectorAll(".js-plotly-plot .xtitle")].every(title => title.style.fill === ink)"""
+)
+
+
+@pytest.mark.parametrize("address", few_of(PRINTED, 2))
+def test_figures_fit_a4_black_on_white_with_no_label_over_another(people, numbers, address):
+    ink = format_rgb(TOKENS["light"]["ink-2"])
+    with people.seat("analyst") as window:
+        page = window.page
+        window.use_theme("contrast")
+        window.open(address.format(**numbers))
+        window.figures_drawn()
+        before = page.evaluate(WIDTHS)
+        page.evaluate(
+            "dispatchEvent(new Event('beforeprint'))"
+        )  # as the print dialog does, before the page is laid out
+        assert {width for width, _ in page.evaluate(WIDTHS)} <= {330, 680}
+        assert page.evaluate(INKS) in ([], [ink])
+        page.evaluate("dispatchEvent(new Event('afterprint'))")
+        assert page.evaluate(WIDTHS) == before
+        page.set_viewport_size(A4)
+        page.emulate_media(media="print")
+        page.wait_for_function(ON_PAPER, arg=ink)
+        window.settle()
+        assert page.evaluate(OVERLAPS, LABELS) == []
+        assert all(width <= place + 1 for width, place in page.evaluate(WIDTHS))
+        window.fits()
+        page.emulate_media(media="screen")

@@ -9,15 +9,16 @@
  * The figure of a running run says as of which frame it is (`meta.as_of`).
  */
 import { makeAge } from "./clock.js";
-import { find, make } from "./dom.js";
+import { find, findAll, make } from "./dom.js";
 import { count } from "./numbers.js";
 import { linkCursor, unlinkCursor } from "./plot-cursor.js";
-import { onTheme, onWhite } from "./plot-theme.js";
+import { onTheme, onWhite, usePaper } from "./plot-theme.js";
 import { clear, draw, fit, makeImage, isDrawn, load, getRange } from "./plotly.js";
 import { BACKGROUND, Problem, fetchJson, describeError } from "./requests.js";
 
 const SLOW_MS = 10_000;
 const NARROW_PX = 560;
+const PAPER_PX = { small: 330, large: 680 }; // what A4 leaves of a panel's width
 const WAIT_MS = 250; // a zoom is asked for when it has come to rest
 
 // Figures near the window are drawn at once; the others one after another whenever the browser has nothing better to do
@@ -67,6 +68,7 @@ export class PlotFigure extends HTMLElement {
   /** @type {[number, number] | null} the part of the one axis of all panels that is looked at */
   #window = null;
   #zoomTimer = 0;
+  #paper = false;
   /** @type {Canvas} */
   canvas = make("div", { className: "figure-canvas", role: "img" });
   #words = make("p", { className: "figure-words", role: "status" });
@@ -162,6 +164,12 @@ export class PlotFigure extends HTMLElement {
     this.dispatchEvent(new CustomEvent("figure-drawn", { bubbles: true }));
   }
 
+  /** Draw for paper, or again for the screen, before the browser lays the page out. @param {boolean} paper */
+  print(paper) {
+    this.#paper = paper;
+    return isDrawn(this.canvas) && this.checkVisibility() ? this.#draw() : undefined;
+  }
+
   get isSmall() {
     return this.hasAttribute("small");
   }
@@ -228,7 +236,8 @@ export class PlotFigure extends HTMLElement {
   #size() {
     const own = Number(this.getAttribute("height")) || this.#figure?.layout.height || 380;
     const height = this.isSmall ? Math.max(120, this.canvas.clientHeight) : own;
-    return { width: Math.max(260, this.canvas.clientWidth), height, autosize: false };
+    const width = this.#paper ? PAPER_PX[this.isSmall ? "small" : "large"] : Math.max(260, this.canvas.clientWidth);
+    return { width, height, autosize: false };
   }
 
   #resize() {
@@ -263,3 +272,9 @@ export class PlotFigure extends HTMLElement {
 }
 
 customElements.define("plot-figure", PlotFigure);
+for (const [name, paper] of /** @type {const} */ ([["beforeprint", true], ["afterprint", false]])) {
+  addEventListener(name, () => {
+    usePaper(paper);
+    for (const figure of findAll("plot-figure", PlotFigure)) figure.print(paper);
+  });
+}
