@@ -8,6 +8,7 @@ from playwright.sync_api import expect
 
 from boresight.figures.style.theme import TOKENS
 from boresight.verdicts import numbers as server
+from tests.browser.test_every_page import ADDRESSES, GLANCE, REFUSED, VISITORS
 from tests.browser.test_gallery import INKS, format_rgb
 from tests.browser.test_run_page import LABELS, OVERLAPS
 from tests.browser.work import choose_filter, ends_as, queue
@@ -145,3 +146,38 @@ def test_figures_fit_a4_black_on_white_with_no_label_over_another(people, number
         assert all(width <= place + 1 for width, place in page.evaluate(WIDTHS))
         window.fits()
         page.emulate_media(media="screen")
+
+
+# Of the page's main thread in processor time, so that a busy machine does not matter, as times of a loop, so that a slow one does
+# not: on a machine of two slow cores the loop takes 0.08 s, and a page with the drawing library at hand has a second.
+LOOP = "() => { let sum = 0; for (let k = 0; k < 3e7; k += 1) sum += Math.sqrt(k % 7); return sum; }"
+MOST_LOOPS = 12
+IN_SIGHT_DRAWN = """() => document.readyState === "complete" && [...document.querySelectorAll("plot-figure")]
+    .filter(one => one.checkVisibility() && one.getBoundingClientRect().top < innerHeight)
+    .every(one => !["loading", undefined].includes(one.dataset.state))"""
+HEAVY = ("compare", "run-result", "run-convergence", "run-evidence", "overview")
+FIRST = [name for name in ADDRESSES if name in HEAVY]
+OTHERS = [name for name in ADDRESSES if name not in {*HEAVY, *VISITORS, *REFUSED}]
+
+
+def main_thread_s(link):
+    return next(one["value"] for one in link.send("Performance.getMetrics")["metrics"] if one["name"] == "TaskDuration")
+
+
+@pytest.mark.parametrize("name", few_of(FIRST + OTHERS, len(FIRST)))
+def test_a_page_can_be_used_after_a_second_of_its_main_thread(people, numbers, name):
+    with people.seat("analyst") as window:
+        page = window.page
+        link = page.context.new_cdp_session(page)
+        link.send("Performance.enable", {"timeDomain": "threadTicks"})
+        window.open(ADDRESSES["run-observability"].format(**numbers))  # the library is compiled once a visit
+        window.figures_drawn()
+        before = main_thread_s(link)
+        page.evaluate(LOOP)
+        loop_s = main_thread_s(link) - before
+        page.set_viewport_size(GLANCE)
+        window.open(ADDRESSES[name].format(**numbers))
+        page.wait_for_function(IN_SIGHT_DRAWN)
+        used_s = main_thread_s(link)
+        link.detach()
+        assert used_s <= MOST_LOOPS * loop_s, f"{used_s:.2f} s, {used_s / loop_s:.1f} loops of {loop_s:.3f} s"

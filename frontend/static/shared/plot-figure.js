@@ -21,14 +21,18 @@ const NARROW_PX = 560;
 const PAPER_PX = { small: 330, large: 680 }; // what A4 leaves of a panel's width
 const WAIT_MS = 250; // a zoom is asked for when it has come to rest
 
-// Figures near the window are drawn at once; the others one after another whenever the browser has nothing better to do
+// Figures in sight are drawn at once; the others one after another whenever the browser has nothing better to do, with rests,
+// so that the page answers from the first second on however many it has
 const near = new IntersectionObserver(
   (entries) => {
     for (const { isIntersecting, target } of entries) if (isIntersecting && target instanceof PlotFigure) target.begin();
   },
-  { rootMargin: "300px" },
+  { rootMargin: "100px" },
 );
 const idle = () => new Promise((resolve) => requestIdleCallback(resolve, { timeout: 1500 }));
+const REST = 2; // times as long as the drawing took
+/** @param {number} ms */
+const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 /** @type {Promise<unknown>} */
 let queue = Promise.resolve();
 
@@ -68,6 +72,7 @@ export class PlotFigure extends HTMLElement {
   /** @type {[number, number] | null} the part of the one axis of all panels that is looked at */
   #window = null;
   #zoomTimer = 0;
+  #costMs = 0;
   #paper = false;
   /** @type {Canvas} */
   canvas = make("div", { className: "figure-canvas", role: "img" });
@@ -88,7 +93,13 @@ export class PlotFigure extends HTMLElement {
     this.#resizer.observe(this.canvas);
     this.#say("loading", "Loading the figure.");
     near.observe(this);
-    queue = queue.then(idle).then(() => this.begin());
+    queue = queue.then(idle).then(() => this.#drawInTurn());
+  }
+
+  async #drawInTurn() {
+    if (this.#begun) return;
+    await this.begin();
+    await pause(REST * this.#costMs);
   }
 
   /** Fetch and draw for the first time, unless that was done already. */
@@ -153,7 +164,9 @@ export class PlotFigure extends HTMLElement {
     this.#say("ready", "");
     const { data, layout } = this.#scaled(onTheme(figure));
     const isFirst = !isDrawn(this.canvas);
+    const began = performance.now();
     await draw(this.canvas, { data, layout: { ...layout, ...this.#size() } });
+    this.#costMs = performance.now() - began;
     if (isFirst && !this.isSmall) this.canvas.on?.("plotly_relayout", (change) => this.#look(change));
     if (!this.isSmall) linkCursor(this.canvas, layout.meta?.axis);
     this.tellPlace(figure.layout.meta?.as_of);
