@@ -43,13 +43,21 @@ interface Axis {
 
 type AxisName = `xaxis${string}` | `yaxis${string}`;
 
+/** As of which step of a running run a figure is: of how many, and when that was heard of. */
+interface Place {
+  axis: string;
+  step: number;
+  of?: number | null;
+  at_utc?: string | null;
+}
+
 /** What the server says of a figure: the templates of the other themes, and what the page can do with it. */
 interface FigureMeta {
   light?: object;
   contrast?: object;
   axis?: string;
   detail?: boolean;
-  as_of?: [string, number];
+  as_of?: Place;
   log?: AxisName[];
 }
 
@@ -80,7 +88,7 @@ type ZoomChange = Record<string, number | boolean | undefined>;
 interface Canvas extends HTMLDivElement {
   data?: Trace[];
   layout?: Layout;
-  on?(name: "plotly_relayout", hear: (change: ZoomChange) => void): void;
+  on?(name: "plotly_relayout" | "plotly_beforehover", hear: (change: ZoomChange) => void): void;
 }
 
 interface PlotlyLibrary {

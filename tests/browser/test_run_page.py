@@ -192,7 +192,7 @@ def test_figures_far_below_are_drawn_without_being_scrolled_to_and_folded_ones_w
 ):
     with people.seat("analyst") as window:
         window.open(f"/runs/{batch_run}?part=evidence")
-        window.figures_drawn()
+        expect(window.page.locator("plot-figure[data-state=loading]:visible")).to_have_count(0)
         assert window.page.evaluate("scrollY") == 0
         for figure in CHAPTERS["trust"]:
             drawn = window.figure(figure.name).locator(".js-plotly-plot")

@@ -159,6 +159,7 @@ class Window:
 
     def figures_drawn(self) -> None:
         waiting = ":not(details:not([open]) *) > plot-figure:not([data-state=ready]):not([data-state=empty])"
+        self.page.locator(waiting).evaluate_all("all => { for (const one of all) one.begin?.(); }")  # out of turn
         expect(self.page.locator(waiting)).to_have_count(0)
 
     def figure(self, name: str) -> Locator:

@@ -386,6 +386,39 @@ def test_baselines_truth_temperature_and_records_have_their_places(document: dic
     assert "PS-ST1-2 SENT" in _named(figure, "Records")[0].text
 
 
+def test_an_old_value_far_away_stands_at_the_edge_with_its_number_and_the_scale_is_that_of_the_newest(
+    document: dict[str, Any],
+) -> None:
+    ground = _period(1, "2026-01-20T00:00:00.000000Z") | {"parameters": {"f_m": 0.0156, "b2_per_m2": 10.0}}
+    crowd = [_point(k, parameters={"f_m": 0.016 + 1e-7 * k, "b2_per_m2": 10.0}) for k in range(2, 20)]
+    first = _point(1, parameters={"f_m": 0.0165, "b2_per_m2": 10.0})
+    figure = trend.draw(document | {"points": [first, *crowd], "baselines": [ground, _period(2, None)]})
+    low, high = figure.layout.yaxis.range
+    assert -20 < low < -4.2
+    assert 7.9 < high < 20
+    up, down = _named(figure, trend.BEYOND)
+    assert (up.text, down.text) == (("run 1 +500",), ("PS-ST1-1 \u2212400",))
+    assert low < down.y[0] < -4.2
+    assert 7.9 < up.y[0] < high
+    assert (up.marker.symbol, down.marker.symbol) == ("triangle-up", "triangle-down")
+
+
+@pytest.mark.parametrize("jump", [0.0, 1e4])
+def test_the_newest_calibration_is_on_the_scale_wherever_it_lies_and_without_spread_there_is_none(jump: float) -> None:
+    values = np.array([0.0] * 10 + [jump])
+    low, high = trend.find_limits(values, np.ones(11), [(0.0, 0.5)])
+    assert low < -0.5
+    assert jump < high < 1.2 * (jump + 2)
+    assert trend.find_limits(np.zeros(3), np.zeros(3), []) is None
+
+
+def test_labels_at_one_edge_are_half_the_time_apart() -> None:
+    marks = [(f"2026-01-{day:02}T00:00:00Z", 5.0, "run", "#ffffff") for day in (1, 2, 3, 20, 31)]
+    drawn = trend._beyond(marks, 1.0, "triangle-up", (marks[0][0], marks[-1][0]))
+    assert [bool(text) for text in drawn.text] == [True, False, False, True, False]
+    assert list(drawn.textposition)[::4] == ["middle right", "middle left"]
+
+
 def test_another_model_stands_apart_nothing_yet_says_what_to_do_and_two_hundred_stay_small(
     document: dict[str, Any],
 ) -> None:

@@ -67,11 +67,15 @@ def follow_errors(figure: go.Figure, factor: float, traces: Sequence[Trace]) -> 
     return figure
 
 
-def tell_place(figure: go.Figure, traces: Sequence[Trace]) -> None:
-    """Say in the figure of a running run as of which frame or iteration it is."""
+def tell_place(
+    figure: go.Figure, traces: Sequence[Trace], frames: int | None = None, at_utc: str | None = None
+) -> None:
+    """Say in the figure of a running run as of which frame of how many, or iteration, it is, and of which time."""
     history = read_history(traces[0].result) if traces[0].result.status == "running" else None
     if history is not None and len(history.x):
-        figure.layout.meta = {**(figure.layout.meta or {}), "as_of": [history.axis, float(history.x[-1])]}
+        of = frames if history.axis == "frame" else None
+        place = {"axis": history.axis, "step": float(history.x[-1]), "of": of, "at_utc": at_utc}
+        figure.layout.meta = {**(figure.layout.meta or {}), "as_of": place}
 
 
 def _mark(traces: Iterable[Any], how: dict[str, Any]) -> None:

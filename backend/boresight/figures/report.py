@@ -37,18 +37,21 @@ from boresight.figures.tables import (
     to_flag,
 )
 from boresight.resources import folder
-from boresight.verdicts.numbers import count
+from boresight.verdicts.numbers import count, number
 from boresight.verdicts.verdict import make_verdict, prospects, trust_marks, why_absent
+
+NUMBERS_JS = (folder("frontend") / "static" / "shared" / "numbers.js").read_text(encoding="utf-8")
 
 
 def embed_figures(figures: Mapping[str, go.Figure]) -> dict[str, Markup]:
-    """Return what a page that draws these figures by name needs: `plotly`, `figures_json`, and `tokens` of white paper."""
+    """Return what a page that draws these figures by name needs: two scripts, `figures_json`, and `tokens` of white paper."""
     for figure in figures.values():
         figure.update_layout(template=LIGHT_TEMPLATE, meta=None)
     text = ",".join(f'"{name}":{figure_json(figure).decode()}' for name, figure in figures.items())
     escaped = text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
     return {
         "plotly": Markup(get_plotlyjs()),  # noqa: S704 - the library's own file, as its writer inlines it
+        "numbers_js": Markup(NUMBERS_JS),  # noqa: S704 - our own module
         "figures_json": Markup("{" + escaped + "}"),  # noqa: S704 - escaped here
         "tokens": Markup(declared(TOKENS["light"])),  # noqa: S704 - the style sheet's own text
     }
@@ -126,9 +129,9 @@ def _summary(result: Calibration) -> Iterator[tuple[str, str]]:
         yield "Iterations", count(result.iterations)
     yield "RMS arc error", _pair(result.rms_arc_rad)
     if result.chi2_per_dof is not None:
-        yield "χ² per degree of freedom", f"{result.chi2_per_dof:.4g}"
+        yield "χ² per degree of freedom", number(result.chi2_per_dof)
     condition = result.observability.condition_number if result.observability else None
-    yield "Condition number", f"{condition:,.4g}" if condition is not None else "–"
+    yield "Condition number", number(condition)
     validation = result.validation
     yield "Validation RMS", _pair(validation.rms_arc_rad) if validation else "no validation set was given"
     for term in result.noise.terms if result.noise else ():

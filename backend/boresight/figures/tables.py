@@ -37,6 +37,7 @@ from boresight.verdicts.numbers import (
     number,
     percent,
     quantity,
+    signed,
     to_second_digit,
     urad,
 )
@@ -251,7 +252,7 @@ def minimum_rows(result: Calibration) -> list[MinimumRow]:
     names = [name for name in result.parameters if name in result.free]
     return [
         MinimumRow(
-            above=f"+{one.chi2_above_best:.3g}",
+            above=signed(one.chi2_above_best),
             values=", ".join(_with_unit(name, one.parameters.get(name), result) for name in names),
         )
         for one in others
@@ -338,7 +339,9 @@ def removed_rows(result: Calibration, most: int) -> list[RemovedRow]:
 
 def printed_probability(probability: float, equals: str = "") -> str:
     """Write a probability, after `equals`; below what a test can tell apart its bound."""
-    return f"{equals}{probability:.2g}" if probability >= LEAST_PROBABILITY else f"< {LEAST_PROBABILITY:.0e}"
+    return (
+        f"{equals}{number(probability, 2)}" if probability >= LEAST_PROBABILITY else f"< {number(LEAST_PROBABILITY, 1)}"
+    )
 
 
 def removed_count(result: Calibration) -> str:

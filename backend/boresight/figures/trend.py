@@ -2,19 +2,29 @@
 
 Drawn from the document of `boresight.trend/1`. A parameter is shown by its difference from the baseline of now, which is the
 line at zero; where another camera model has none, from its first calibration.
+
+A panel is scaled to the newest calibrations. With values v, reaches r = 3 sigma and medians of the newest,
+
+    m = med v,    s = max(1.4826 med |v - m|, med r),
+
+it shows what lies within 4 s of m, and the three newest wherever they are. What lies beyond is marked at the edge with
+its value, so that an old one does not press all others into a line.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
 from typing import Any
 
+import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.figures.chart import Table
 from boresight.figures.style import theme
-from boresight.verdicts.numbers import change_label, quantity
+from boresight.verdicts.numbers import change_label, quantity, signed
 
 Document = Mapping[str, Any]
 Points = Sequence[Mapping[str, Any]]
@@ -24,9 +34,17 @@ TITLE = "Parameters over the mission"
 GUIDE = (
     "Each mark is a calibration at the time of its data with a ±3σ bar, as a difference from the current baseline, which is "
     "the line at zero; open marks are not used in the drift test, and the table says why. A stable sensor scatters about "
-    "zero within its bars; a run of marks to one side, or a slope, is drift, unless the temperature below changes with it."
+    "zero within its bars; a run of marks to one side, or a slope, is drift, unless the temperature below changes with it. "
+    "The scale is that of the newest calibrations; a triangle at the edge has the value of what lies beyond it."
 )
 ROW_PX, LOW_ROW_PX = 120, 84
+RECENT, NEWEST = 10, 3  # calibrations that give the scale, and those that are always on it
+NEAR = 4.0  # spreads
+NORMAL = 1.4826  # sigma of a normal distribution over its median absolute deviation
+TALL_BAR = 2.0  # times the median reach: a longer bar does not widen the scale
+MARGIN, EDGE = 0.1, 0.05  # of what a panel shows
+APART = 0.5  # of the time shown, between two labels at one edge
+BEYOND = "Beyond the scale"
 COUNTED, LEFT_OUT = theme.RUN_COLOURS[0], theme.RUN_COLOURS[7]
 WARMTH = theme.RUN_COLOURS[1]
 
@@ -47,9 +65,11 @@ def draw(trend: Document, model: str | None = None) -> go.Figure:
     span = _span(trend, points)
     for row, name in enumerate(names, 1):
         zero = _zero(trend, points, name, own=own)
-        if own:
-            _baselines(figure, trend, name, zero, row, span)
+        levels = _levels(trend, name, zero, span) if own else []
+        for level in levels:
+            _level(figure, level, row)
         _marks(figure, points, name, zero, row)
+        _scale(figure, points, name, zero, levels, row, span)
         figure.update_yaxes(title_text=change_label(quantity(name)), row=row, col=1)
     if warm:
         _temperature(figure, points, len(names) + 1)
@@ -121,28 +141,117 @@ def _marks(figure: go.Figure, points: Points, name: str, zero: float, row: int) 
         )
 
 
-def _baselines(figure: go.Figure, trend: Document, name: str, zero: float, row: int, span: tuple[str, str]) -> None:
-    """Draw the baseline of now over all time with its band, those of before from when to when, and the truth."""
-    factor, now = quantity(name).change_factor, trend["baselines"][-1] if trend["baselines"] else None
-    if now is not None:
-        _level(figure, span, 0.0, f"Baseline {now['name']}", theme.REFERENCE_COLOUR, "dash", row)
-        reach = 3 * (now["sigma"].get(name) or 0.0) * factor
-        if now["measured"] and reach:
-            band = {"fillcolor": theme.translucent(theme.REFERENCE_COLOUR, 0.16), "line_width": 0, "layer": "below"}
-            figure.add_hrect(y0=-reach, y1=reach, row=row, col=1, **band)
+@dataclass(frozen=True)
+class Level:
+    """A value that held between two times, as it is drawn; `reach`: Of its band, 0 where none is drawn."""
+
+    ends: tuple[str, str]
+    y: float
+    label: str
+    short: str
+    colour: str
+    dash: str
+    reach: float = 0.0
+
+
+def _levels(trend: Document, name: str, zero: float, span: tuple[str, str]) -> list[Level]:
+    """List the baseline of now over all time with its band, those of before from when to when, and the truth."""
+    factor, found = quantity(name).change_factor, []
+    if trend["baselines"]:
+        now = trend["baselines"][-1]
+        reach = 3 * (now["sigma"].get(name) or 0.0) * factor if now["measured"] else 0.0
+        label = f"Baseline {now['name']}"
+        found.append(Level(span, 0.0, label, "baseline", theme.REFERENCE_COLOUR, "dash", reach))
     for period in trend["baselines"][:-1]:
         value = (period["parameters"][name] - zero) * factor
         ends = (period["from_utc"], period["to_utc"])
-        _level(figure, ends, value, "Earlier baselines", theme.REFERENCE_COLOUR, "dot", row)
-    truth = (trend["truth"] or {}).get(name)
-    if truth is not None:
-        _level(figure, span, (truth - zero) * factor, "Truth", theme.TRUTH_COLOUR, "longdash", row)
+        found.append(Level(ends, value, "Earlier baselines", period["name"], theme.REFERENCE_COLOUR, "dot"))
+    if (truth := (trend["truth"] or {}).get(name)) is not None:
+        found.append(Level(span, (truth - zero) * factor, "Truth", "truth", theme.TRUTH_COLOUR, "longdash"))
+    return found
 
 
-def _level(figure: go.Figure, ends: tuple[str, str], y: float, label: str, colour: str, dash: str, row: int) -> None:
-    first = row == 1 and label not in {trace.name for trace in figure.data}
-    line = theme.reference([0.0, 0.0], y, label, colour, dash, showlegend=first)
-    figure.add_trace(line.update(x=[_x(end) for end in ends]), row=row, col=1)
+def _level(figure: go.Figure, level: Level, row: int) -> None:
+    first = row == 1 and level.label not in {trace.name for trace in figure.data}
+    line = theme.reference([0.0, 0.0], level.y, level.label, level.colour, level.dash, showlegend=first)
+    figure.add_trace(line.update(x=[_x(end) for end in level.ends]), row=row, col=1)
+    if level.reach:
+        band = {"fillcolor": theme.translucent(level.colour, 0.16), "line_width": 0, "layer": "below"}
+        figure.add_hrect(y0=level.y - level.reach, y1=level.y + level.reach, row=row, col=1, **band)
+
+
+def _scale(
+    figure: go.Figure,
+    points: Points,
+    name: str,
+    zero: float,
+    levels: Sequence[Level],
+    row: int,
+    span: tuple[str, str],
+) -> None:
+    """Scale a panel to what is new, and mark at its edges what lies beyond."""
+    factor = quantity(name).change_factor
+    shown = sorted((point for point in points if name in point["parameters"]), key=lambda point: str(point["at_utc"]))
+    values = np.array([(point["parameters"][name] - zero) * factor for point in shown])
+    reach = np.array([3 * point["sigma"][name] * factor for point in shown])
+    limits = find_limits(values, reach, [(level.y, level.reach) for level in levels])
+    if limits is None:
+        return
+    marks = [(level.ends[level.ends == span], level.y, level.short, level.colour) for level in levels]
+    for point, value in zip(shown, values.tolist(), strict=True):
+        marks.append((point["at_utc"], value, f"run {point['run_id']}", COUNTED if point["counted"] else LEFT_OUT))
+    figure.update_yaxes(range=list(limits), row=row, col=1)
+    inset = EDGE * (limits[1] - limits[0])
+    for edge, symbol, side in ((limits[1] - inset, "triangle-up", 1), (limits[0] + inset, "triangle-down", -1)):
+        beyond = sorted(mark for mark in marks if (mark[1] - limits[side > 0]) * side > 0)
+        if beyond:
+            figure.add_trace(_beyond(beyond, edge, symbol, span), row=row, col=1)
+
+
+def find_limits(values: Any, reach: Any, levels: Sequence[tuple[float, float]]) -> tuple[float, float] | None:
+    """Find from where to where a panel shows; None where nothing tells its scale.
+
+    `values`, `reach`: Of the calibrations by time, (n,). `levels`: Values to compare with, each with the reach of its band.
+    """
+    middle, tall = np.median(values[-RECENT:]), TALL_BAR * np.median(reach[-RECENT:])
+    spread = max(NORMAL * np.median(np.abs(values[-RECENT:] - middle)), tall / TALL_BAR)
+    if not spread > 0:
+        return None
+    near = np.abs(values - middle) <= NEAR * spread
+    near[-NEWEST:] = True
+    bars = np.minimum(reach, tall)
+    ends = [*(values - bars)[near], *(values + bars)[near]]
+    ends += [y + side * band for y, band in levels if abs(y - middle) <= NEAR * spread for side in (-1, 1)]
+    low, high = min(ends), max(ends)
+    margin = MARGIN * (high - low)
+    return float(low - margin), float(high + margin)
+
+
+def _beyond(
+    marks: Sequence[tuple[str, float, str, str]], edge: float, symbol: str, span: tuple[str, str]
+) -> go.Scatter:
+    """Mark at an edge what lies beyond it, by time, with as many labels as do not lie over each other."""
+    begin, end = (datetime.fromisoformat(time).timestamp() for time in span)
+    texts, sides, last = [], [], -np.inf
+    for at_utc, value, what, _ in marks:
+        place = (datetime.fromisoformat(at_utc).timestamp() - begin) / max(end - begin, 1.0)
+        labelled = place - last >= APART
+        last = place if labelled else last
+        texts.append(theme.escape(f"{what} {signed(value)}") if labelled else "")
+        sides.append("middle right" if place <= APART else "middle left")
+    return go.Scatter(
+        x=[_x(at_utc) for at_utc, _, _, _ in marks],
+        y=[edge] * len(marks),
+        mode="markers+text",
+        marker={"symbol": symbol, "size": 9, "color": [colour for _, _, _, colour in marks]},
+        text=texts,
+        textposition=sides,
+        textfont={"size": 11},
+        customdata=[theme.escape(f"{what}: {signed(value, 4)}") for _, value, what, _ in marks],
+        hovertemplate="%{customdata}<br>%{x}<extra></extra>",
+        name=BEYOND,
+        showlegend=False,
+    )
 
 
 def _temperature(figure: go.Figure, points: Points, row: int) -> None:

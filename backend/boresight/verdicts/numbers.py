@@ -110,7 +110,7 @@ def fixed(value: Any, decimals: int = 2) -> str:
 
 def count(value: Any) -> str:
     """Print a whole number with its digits parted in threes."""
-    return f"{int(value):,}".replace(",", NARROW_SPACE) if is_number(value) else MISSING
+    return grouped(str(int(value))) if is_number(value) else MISSING
 
 
 def percent(value: Any, decimals: int = 1) -> str:

@@ -2,8 +2,8 @@
  * Draws a running run: the points that its progress events carry are put at the end of the curves that are drawn.
  *
  * A curve that can grow says in its `meta.follow` which column of the history it shows and how that becomes its y:
- * `(value - origin) * factor`; `band` n is the outline of ±n sigma, a `level` only grows longer. Points are kept until the
- * figure that was fetched has them, so a figure may come later than its points.
+ * `(value - origin) * factor`; `band` n is the outline of ±n sigma, `share` its sigma over the value, a `level` only grows
+ * longer. Points are kept until the figure that was fetched has them, so a figure may come later than its points.
  */
 import { change, getTraces } from "../shared/plotly.js";
 
@@ -17,6 +17,8 @@ class History {
   /** @type {Record<typeof COLUMNS[number], (number | null | (number | null)[])[]>} */
   columns = { parameters: [], sigma: [], tail_rms_rad: [], aggregate_rms_rad: [], nis_per_dof: [] };
 
+  at = "";
+
   /** @param {number} after */
   constructor(after) {
     this.after = after;
@@ -25,6 +27,7 @@ class History {
   /** @param {HistoryPoints} points */
   add(points) {
     this.frame.push(...points.frame);
+    this.at = new Date().toISOString();
     for (const name of COLUMNS) this.columns[name].push(...(points[name] ?? points.frame.map(() => null)));
     const surplus = this.frame.length - KEPT;
     if (surplus <= 0) return;
@@ -66,7 +69,8 @@ function grown({ x, y, customdata }, follow, first) {
   /** @param {number | null} value */
   const scaled = (value) => (value === null ? null : (value - (follow.origin ?? 0)) * follow.factor);
   const values = frames.map((_, k) => scaled(history.value(follow, first + k)));
-  const reach = frames.map((_, k) => (history.value({ ...follow, column: "sigma" }, first + k) ?? NaN) * follow.factor);
+  const sigma = frames.map((_, k) => (follow.share ? follow.share * (history.value(follow, first + k) ?? NaN) : history.value({ ...follow, column: "sigma" }, first + k) ?? NaN));
+  const reach = sigma.map((one) => one * follow.factor);
   if (!follow.band) return { x: [...xs, ...frames], y: [...ys, ...values], customdata: customdata && [...customdata, ...reach.map((one) => 3 * one)] };
   const half = xs.length / 2;
   /** @param {1 | -1} sign */
@@ -89,8 +93,11 @@ function stretched(layout, last) {
   return ranges;
 }
 
-/** The frame of the newest point that is kept. */
-export const getNewest = () => history.frame.at(-1);
+/** The frame of the newest point that is kept, and when it came. */
+export function getNewest() {
+  const frame = history.frame.at(-1);
+  return frame === undefined ? null : { frame, at: history.at };
+}
 
 /**
  * Bring a drawn figure up to the newest point; false when points between are missing, null when it cannot be drawn on.

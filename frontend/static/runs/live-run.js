@@ -15,7 +15,7 @@ import { forget, getNewest, grow, keep } from "./live-history.js";
 const TERMINAL = new Set(["SUCCEEDED", "FAILED", "CANCELLED", "LOST"]);
 const DRAW_MS = 400;
 const REST = 4; // times as long as the last drawing took nothing is drawn
-const NEAR = "300px"; // of the window a figure is drawn, as plot-figure.js begins it
+const NEAR = "100px"; // of the window a figure is drawn, as plot-figure.js begins it
 const WHOLE_MS = 15_000; // a curve that was drawn on is framed and thinned anew after this time, at first sooner
 const FETCH_MS = 1000;
 const RENEW_MS = 5000;
@@ -234,7 +234,8 @@ class LiveRun extends HTMLElement {
 /** Bring a figure up to the newest point, and let it say which that is. @param {PlotFigure} figure */
 async function drawOn(figure) {
   const grown = await grow(figure.canvas);
-  if (grown) figure.tellPlace("frame", getNewest());
+  const newest = getNewest();
+  if (grown && newest) figure.movePlace(newest.frame, newest.at);
   return grown;
 }
 

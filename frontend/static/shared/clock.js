@@ -1,5 +1,5 @@
 /** The UTC clock with day of year, `2026-325 03:04:11Z`, and the ages of everything marked <time class="age">. */
-import { findAll } from "./dom.js";
+import { findAll, make } from "./dom.js";
 
 /** @param {number} value */
 const pad = (value, width = 2) => String(value).padStart(width, "0");
@@ -33,11 +33,19 @@ function tick() {
   if (clock) clock.textContent = dayOfYear(new Date());
 }
 
-function refreshAges() {
-  for (const element of findAll("time.age", HTMLTimeElement)) {
-    const seconds = (Date.now() - Date.parse(element.dateTime)) / 1000;
-    element.textContent = seconds < 10 ? "just now" : `${span(seconds)} ago`;
-  }
+/** @param {HTMLTimeElement} element */
+function refreshAge(element) {
+  const seconds = (Date.now() - Date.parse(element.dateTime)) / 1000;
+  element.textContent = seconds < 10 ? "just now" : `${span(seconds)} ago`;
+}
+
+const refreshAges = () => findAll("time.age", HTMLTimeElement).forEach(refreshAge);
+
+/** How long ago a time was, kept up to date; the time itself in its tooltip. @param {string} utc */
+export function makeAge(utc) {
+  const element = make("time", { className: "age", dateTime: utc, title: `${utc.slice(0, 19)} UTC` });
+  refreshAge(element);
+  return element;
 }
 
 tick();

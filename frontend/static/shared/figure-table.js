@@ -4,6 +4,7 @@
  * Long series are thinned evenly to ROWS rows and say so; the CSV link has them all.
  */
 import { make, need } from "./dom.js";
+import { MINUS, number } from "./numbers.js";
 import { send, describeError } from "./requests.js";
 
 const ROWS = 120;
@@ -31,9 +32,9 @@ function row(kind, values) {
 
 /** Six significant digits are enough to read; an absent cell is a dash. @param {string} value */
 function shown(value) {
-  if (value === "") return "—";
-  const number = Number(value);
-  return Number.isFinite(number) && !Number.isInteger(number) ? String(Number(number.toPrecision(6))) : value;
+  if (value === "") return "–";
+  if (/^-?\d+(\.0)?$/.test(value)) return value.replace(".0", "").replace("-", MINUS); // of a star or a frame: not parted
+  return Number.isFinite(Number(value)) ? number(Number(value), 6) : value;
 }
 
 /** @param {string} text @param {string | undefined} caption */

@@ -8,24 +8,31 @@
  * A `small` one fills its place, and its panel's link opens the large one. What is folded away is drawn when it is unfolded.
  * The figure of a running run says as of which frame it is (`meta.as_of`).
  */
-import { find, make } from "./dom.js";
+import { makeAge } from "./clock.js";
+import { find, findAll, make } from "./dom.js";
+import { count } from "./numbers.js";
 import { linkCursor, unlinkCursor } from "./plot-cursor.js";
-import { onTheme, onWhite } from "./plot-theme.js";
+import { onTheme, onWhite, usePaper } from "./plot-theme.js";
 import { clear, draw, fit, makeImage, isDrawn, load, getRange } from "./plotly.js";
 import { BACKGROUND, Problem, fetchJson, describeError } from "./requests.js";
 
 const SLOW_MS = 10_000;
 const NARROW_PX = 560;
+const PAPER_PX = { small: 330, large: 680 }; // what A4 leaves of a panel's width
 const WAIT_MS = 250; // a zoom is asked for when it has come to rest
 
-// Figures near the window are drawn at once; the others one after another whenever the browser has nothing better to do
+// Figures in sight are drawn at once; the others one after another whenever the browser has nothing better to do, with rests,
+// so that the page answers from the first second on however many it has
 const near = new IntersectionObserver(
   (entries) => {
     for (const { isIntersecting, target } of entries) if (isIntersecting && target instanceof PlotFigure) target.begin();
   },
-  { rootMargin: "300px" },
+  { rootMargin: "100px" },
 );
 const idle = () => new Promise((resolve) => requestIdleCallback(resolve, { timeout: 1500 }));
+const REST = 2; // times as long as the drawing took
+/** @param {number} ms */
+const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 /** @type {Promise<unknown>} */
 let queue = Promise.resolve();
 
@@ -65,6 +72,8 @@ export class PlotFigure extends HTMLElement {
   /** @type {[number, number] | null} the part of the one axis of all panels that is looked at */
   #window = null;
   #zoomTimer = 0;
+  #costMs = 0;
+  #paper = false;
   /** @type {Canvas} */
   canvas = make("div", { className: "figure-canvas", role: "img" });
   #words = make("p", { className: "figure-words", role: "status" });
@@ -84,7 +93,13 @@ export class PlotFigure extends HTMLElement {
     this.#resizer.observe(this.canvas);
     this.#say("loading", "Loading the figure.");
     near.observe(this);
-    queue = queue.then(idle).then(() => this.begin());
+    queue = queue.then(idle).then(() => this.#drawInTurn());
+  }
+
+  async #drawInTurn() {
+    if (this.#begun) return;
+    await this.begin();
+    await pause(REST * this.#costMs);
   }
 
   /** Fetch and draw for the first time, unless that was done already. */
@@ -149,11 +164,12 @@ export class PlotFigure extends HTMLElement {
     this.#say("ready", "");
     const { data, layout } = this.#scaled(onTheme(figure));
     const isFirst = !isDrawn(this.canvas);
+    const began = performance.now();
     await draw(this.canvas, { data, layout: { ...layout, ...this.#size() } });
+    this.#costMs = performance.now() - began;
     if (isFirst && !this.isSmall) this.canvas.on?.("plotly_relayout", (change) => this.#look(change));
     if (!this.isSmall) linkCursor(this.canvas, layout.meta?.axis);
-    const [axis, step] = figure.layout.meta?.as_of ?? [];
-    this.tellPlace(axis, step);
+    this.tellPlace(figure.layout.meta?.as_of);
     this.#headline.textContent = plain(figure.layout.title?.text);
     this.#headline.hidden = !this.#headline.textContent || this.#headline.textContent === this.getAttribute("label");
     if (this.isSmall) this.#headline.hidden = true;
@@ -161,14 +177,28 @@ export class PlotFigure extends HTMLElement {
     this.dispatchEvent(new CustomEvent("figure-drawn", { bubbles: true }));
   }
 
+  /** Draw for paper, or again for the screen, before the browser lays the page out. @param {boolean} paper */
+  print(paper) {
+    this.#paper = paper;
+    return isDrawn(this.canvas) && this.checkVisibility() ? this.#draw() : undefined;
+  }
+
   get isSmall() {
     return this.hasAttribute("small");
   }
 
-  /** Say as of which step of a running run the drawing is; of one that has ended nothing. @param {string} [axis] @param {number} [step] */
-  tellPlace(axis, step) {
-    this.#asOf.hidden = step === undefined;
-    this.#asOf.textContent = step === undefined ? "" : `As of ${axis} ${step}`;
+  /** Say as of which step of a running run the drawing is, of how many, and how old that is; of one that has ended nothing. @param {Place} [place] */
+  tellPlace(place) {
+    this.#asOf.hidden = !place;
+    if (!place) return;
+    const { axis, step, of, at_utc: at } = place;
+    this.#asOf.replaceChildren(`As of ${axis} ${count(step)}${of && step <= of ? ` of ${count(of)}` : ""}`, ...(at ? [", ", makeAge(at)] : []));
+  }
+
+  /** Say the same of a newer step. @param {number} step @param {string} at */
+  movePlace(step, at) {
+    const place = this.#figure?.layout.meta?.as_of;
+    if (place) this.tellPlace({ ...place, step, at_utc: at });
   }
 
   /** The figure's address, with the window that is looked at. @param {[number, number] | null} window */
@@ -219,7 +249,8 @@ export class PlotFigure extends HTMLElement {
   #size() {
     const own = Number(this.getAttribute("height")) || this.#figure?.layout.height || 380;
     const height = this.isSmall ? Math.max(120, this.canvas.clientHeight) : own;
-    return { width: Math.max(260, this.canvas.clientWidth), height, autosize: false };
+    const width = this.#paper ? PAPER_PX[this.isSmall ? "small" : "large"] : Math.max(260, this.canvas.clientWidth);
+    return { width, height, autosize: false };
   }
 
   #resize() {
@@ -254,3 +285,9 @@ export class PlotFigure extends HTMLElement {
 }
 
 customElements.define("plot-figure", PlotFigure);
+for (const [name, paper] of /** @type {const} */ ([["beforeprint", true], ["afterprint", false]])) {
+  addEventListener(name, () => {
+    usePaper(paper);
+    for (const figure of findAll("plot-figure", PlotFigure)) figure.print(paper);
+  });
+}

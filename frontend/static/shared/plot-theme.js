@@ -5,7 +5,13 @@
 
 const HEADING_PX = 28;
 const BAND_OPACITY = 0.4; // in high contrast
-const isLight = () => matchMedia("print").matches || document.documentElement.dataset.theme === "light";
+let isPaper = false; // the print dialog tells before it lays the page out anew, when the media is still the screen
+const onPaper = () => isPaper || matchMedia("print").matches;
+const isLight = () => onPaper() || document.documentElement.dataset.theme === "light";
+const isStrong = () => !onPaper() && document.documentElement.dataset.theme === "contrast";
+
+/** Draw from now on for paper, or for the screen again. @param {boolean} paper */
+export const usePaper = (paper) => void (isPaper = paper);
 
 /** @param {Figure} figure @param {object | undefined} template @returns {Figure} */
 function copied(figure, template) {
@@ -26,12 +32,12 @@ function strengthen(trace) {
  */
 export function onTheme(figure) {
   const { light, contrast } = figure.layout.meta ?? {};
-  const themed = copied(figure, isLight() ? light : document.documentElement.dataset.theme === "contrast" ? contrast : undefined);
+  const themed = copied(figure, isLight() ? light : isStrong() ? contrast : undefined);
   const { layout } = themed;
   if (layout.title?.text) layout.margin = { ...layout.margin, t: Math.max(24, (layout.margin?.t ?? 64) - HEADING_PX) };
   layout.title = { text: "" };
   layout.legend = { ...layout.legend, y: 1 };
-  if (document.documentElement.dataset.theme === "contrast") themed.data.forEach(strengthen);
+  if (isStrong()) themed.data.forEach(strengthen);
   layout.paper_bgcolor = layout.plot_bgcolor = "rgba(0,0,0,0)";
   return themed;
 }

@@ -2,6 +2,7 @@
  * The drawing library, and what it keeps to itself: only this module touches Plotly or knows its private fields.
  */
 import { make } from "./dom.js";
+import { writeNumbersIn } from "./numbers.js";
 
 const FILE = "/static/plotly.min.js";
 // Plotly writes its maps' style sheet into the page unless this is there; no figure is a map, and the policy refuses it
@@ -13,7 +14,8 @@ const IMAGE = { width: 1200, scale: 2 };
  * What Plotly keeps at an element that it has drawn in.
  * @typedef {Axis & { range: [number, number], _offset: number, _length: number, p2d: (px: number) => number, d2p: (value: number) => number }} InnerAxis
  * @typedef {{ xaxis: InnerAxis, yaxis: InnerAxis, mainplot?: string }} InnerPlot
- * @typedef {{ width: number, height: number, _plots?: Record<string, InnerPlot> } & { [axis: AxisName]: InnerAxis }} InnerLayout
+ * @typedef {{ numberFormat: (form: string) => (value: number) => string }} Locale
+ * @typedef {{ width: number, height: number, _plots?: Record<string, InnerPlot>, _d3locale?: Locale } & { [axis: AxisName]: InnerAxis }} InnerLayout
  * @typedef {Canvas & { _fullLayout?: InnerLayout, _fullData?: DrawnTrace[] }} Inner
  */
 
@@ -62,7 +64,11 @@ export function findPanels(canvas) {
 }
 
 /** Draw a figure, or what has changed of it. @param {Canvas} canvas @param {Figure} figure */
-export const draw = async (canvas, { data, layout }) => void (await (await load()).react(canvas, data, layout, CONFIG));
+export async function draw(canvas, { data, layout }) {
+  const isFirst = !isDrawn(canvas);
+  await (await load()).react(canvas, data, layout, CONFIG);
+  if (isFirst) canvas.on?.("plotly_beforehover", () => writeNumbersIn(inner(canvas)._fullLayout?._d3locale));
+}
 
 /**
  * Give some traces other values, and the layout other properties.

@@ -20,7 +20,7 @@ from boresight.console.runs import comparisons, schemas
 from boresight.console.runs import service as runs
 from boresight.console.runs.comparisons import Comparison
 from boresight.console.runs.service import find_calibration
-from boresight.console.runs.tables import Run
+from boresight.console.runs.tables import Run, parse_progress
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.figures import FIGURES, Figure, Table, Trace, figure_json
 from boresight.figures.chart import tailed
@@ -38,7 +38,8 @@ router = operations("/runs", tags=["runs"])
 
 MOST_OVERLAID = 20
 FigureName = Annotated[str, Path(description=f"One of {', '.join(FIGURES)}.")]
-Compare = Annotated[str, Query(description="Other runs to draw with it: `2,3`.", examples=["2,3"])]
+Heard = tuple[int | None, str | None]  # how many frames the first run has, and when it was last heard of
+Compare = Annotated[str, Query(description="Other runs to show with it: `2,3`.", examples=["2,3"])]
 
 
 @dataclass(frozen=True)
@@ -66,8 +67,8 @@ class View:
         ),
     ] = "large"
 
-    def draw(self, figure: Figure, traces: list[Trace]) -> bytes:
-        """Draw a figure in this view."""
+    def draw(self, figure: Figure, traces: list[Trace], heard: Heard) -> bytes:
+        """Draw a figure in this view; of a running run it says as of which frame it is."""
         if (self.x_from is None) != (self.x_to is None):
             raise RefusedInputError("Give both ends of the window, x_from and x_to, or neither.")
         with thinning(whole=self.x_from is not None) as watched:
@@ -77,7 +78,7 @@ class View:
             if drawing is None:
                 raise RefusedInputError(f"There is no small figure {figure.name}; ask for the large one.")
             drawn = drawing(tailed(aligned(traces, self.align), self.tail_from))
-        tell_place(drawn, traces)
+        tell_place(drawn, traces, *heard)
         if self.overlay == "band":
             as_band(drawn, traces)
         if self.x_from is not None and self.x_to is not None:
@@ -115,7 +116,8 @@ def get_figure(
 
     def draw() -> bytes:
         named = zip(labels, asked, strict=True)
-        return seen.draw(figure, [_make_trace(session, blobs, run, label) for label, run in named])
+        heard = runs.frames_to_come(session, asked[0]), parse_progress(asked[0].progress).at_utc
+        return seen.draw(figure, [_make_trace(session, blobs, run, label) for label, run in named], heard)
 
     known = None if None in sources else [name, repr(seen), *labels, *map(str, sources)]
     return figure_cache.answer(request, known, draw)

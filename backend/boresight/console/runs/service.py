@@ -7,12 +7,14 @@ from typing import Any
 
 from boresight.calibration.calibration import Calibration, parse_calibration
 from boresight.calibration.exports import Source, export_document, find_camera_format
+from boresight.calibration.options import CalibrationSettings
 from boresight.console import list_queries as lists
 from boresight.console.fleet.tables import Sensor
 from boresight.console.runs import queries
 from boresight.console.runs.dry_runs import check_run_request, dry_run
 from boresight.console.runs.results import read_result, refuse_choice
 from boresight.console.runs.tables import RUN_STATES, TERMINAL_RUN_STATES, Run, RunEvent, parse_progress
+from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
@@ -158,6 +160,13 @@ def _in_model_order(document: dict[str, Any]) -> dict[str, Any]:
         if isinstance(value, dict) and set(value) == set(names)
     }
     return document | ordered
+
+
+def frames_to_come(session: Session, run: Run) -> int | None:
+    """Return how many frames a run takes in one after another; None where it takes them all at once."""
+    if not CalibrationSettings.parse(run.settings).sequential:
+        return None
+    return session.get_known(TelemetrySet, run.telemetry_set_id).frames
 
 
 def list_log_lines(session: Session, run_id: int, *, after_id: int = 0, limit: int | None = None) -> list[RunEvent]:

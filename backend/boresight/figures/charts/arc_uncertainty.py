@@ -16,6 +16,7 @@ from boresight.calibration.calibration import ArcSigmaMap
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style.axes import MAX_MAPS, cells, detector_map, draw_maps
+from boresight.verdicts.numbers import number
 
 
 def draw(drawn: Sequence[Part[ArcSigmaMap]]) -> go.Figure:
@@ -33,7 +34,8 @@ def _headline(drawn: Sequence[Part[ArcSigmaMap]]) -> str:
     if len(drawn) > 1:
         return f"1σ of an arc over the detector, {len(drawn)} runs"
     sigma, degrees = column(drawn[0][2].sigma_arcsec), drawn[0][2].arc_deg
-    return f"1σ of an arc of {degrees:.3g}°: {np.nanmin(sigma):.3g} to {np.nanmax(sigma):.3g} arcsec over the detector"
+    span = f"{number(np.nanmin(sigma), 3)} to {number(np.nanmax(sigma), 3)} arcsec"
+    return f"1σ of an arc of {degrees:.3g}°: {span} over the detector"
 
 
 def table(part: ArcSigmaMap) -> Table:

@@ -15,7 +15,7 @@ from boresight.calibration.calibration import Efficiency
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
-from boresight.verdicts.numbers import quantity
+from boresight.verdicts.numbers import number, quantity
 
 
 def draw(drawn: Sequence[Part[Efficiency]]) -> go.Figure:
@@ -37,7 +37,7 @@ def _bars(one: Part[Efficiency], *, labelled: bool) -> go.Bar:
     trace, style, part = one
     ratios = _ratios(part)
     names = [quantity(name, trace.result).markup for name in part.names]
-    text = [f"{ratio:.3g}" if np.isfinite(ratio) else "" for ratio in ratios] if labelled else None
+    text = [number(ratio, 3) if np.isfinite(ratio) else "" for ratio in ratios] if labelled else None
     return theme.bars(style, names, ratios, "%{x}: %{y:.4g} times the bound", text=text)
 
 
@@ -45,7 +45,7 @@ def _headline(drawn: Sequence[Part[Efficiency]]) -> str:
     ratios = _ratios(drawn[0][2])
     if len(drawn) > 1 or not np.isfinite(ratios).any():
         return "Claimed sigma over the Cramér-Rao bound"
-    return f"Claimed sigma over the Cramér-Rao bound: {np.nanmin(ratios):.3g} to {np.nanmax(ratios):.3g}"
+    return f"Claimed sigma over the Cramér-Rao bound: {number(np.nanmin(ratios), 3)} to {number(np.nanmax(ratios), 3)}"
 
 
 def table(part: Efficiency) -> Table:

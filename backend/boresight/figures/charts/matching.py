@@ -16,6 +16,7 @@ from boresight.calibration.calibration import Calibration, Cycle
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, make_figure
 from boresight.figures.style import theme
+from boresight.verdicts.numbers import count, number
 
 PANELS: dict[str, Callable[[Cycle], float | None]] = {
     "matched stars": lambda cycle: cycle.matched,
@@ -59,9 +60,7 @@ def why_no_matching(result: Calibration) -> str | None:
 
 
 def _bars(style: theme.RunStyle, cycles: Sequence[Cycle], values: FloatArray, *, labelled: bool) -> go.Bar:
-    words = [
-        f"{value:,.0f}" if value >= 1000 or value == int(value) else f"{value:.4g}" for value in np.nan_to_num(values)
-    ]
+    words = [count(value) if value >= 1000 or value == int(value) else number(value) for value in np.nan_to_num(values)]
     numbers = [cycle.cycle for cycle in cycles]
     more = {"text": words if labelled else None, "offsetgroup": style.label}
     return theme.bars(style, numbers, values, "cycle %{x}: %{y:,.5g}", **more)

@@ -90,7 +90,7 @@ def round_ticks(values: FloatArray) -> list[float]:
 def _tick(value: float) -> str:
     """Write a tick in as few letters as it takes."""
     if value >= 1e6:
-        return f"{value:.0e}".replace("e+0", "e").replace("e+", "e")
+        return f"{value / 1e6:g}M"
     return f"{value / 1e3:g}k" if value >= 1e3 else f"{value:g}"
 
 

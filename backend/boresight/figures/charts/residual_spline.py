@@ -88,7 +88,7 @@ def _marks(part: ResidualSpline, side: str, label: str) -> go.Scatter:
 
 def _headline(part: ResidualSpline) -> str:
     p = part.test.p
-    chance = f"p = {p:.2g}" if p >= 1e-4 else "p < 0.0001"
+    chance = f"p = {number(p, 2)}" if p >= 1e-4 else "p < 0.0001"
     if not part.structure:
         return f"Nothing left beyond the noise, {chance}; at most {number(part.at_most_px, 2)} px (95 %)"
     largest = part.largest

@@ -348,7 +348,7 @@ def _rms_axes_headline(found: AxisResiduals) -> str:
     (along, sigma), (across, other) = (rms_with_sigma(found.by_axis[axis]) for axis in AXES[2:])
     apart = abs(along - across) > 3 * float(np.hypot(sigma, other))
     words = "differ by more than 3σ" if apart else "agree within 3σ"
-    return f"Along the radius {along:.3g} px, across it {across:.3g} px: they {words}"
+    return f"Along the radius {number(along, 3)} px, across it {number(across, 3)} px: they {words}"
 
 
 def table_rms_axes(found: AxisResiduals) -> Table:

@@ -17,7 +17,7 @@ from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
 from boresight.figures.style.axes import cells, detector_map, frame_maps
-from boresight.verdicts.numbers import quantity, signed
+from boresight.verdicts.numbers import number, quantity, signed
 
 LIMIT_SIGMA = 3.0
 
@@ -74,7 +74,7 @@ def _headline(drawn: Sequence[Part[TwoHalves]]) -> str:
         return f"Two halves of the data, {len(drawn)} runs"
     differ = not chi2.consistent and chi2.value > chi2.upper
     word = "differ by more than their noise" if differ else "agree"
-    return f"The halves {word}: χ² {chi2.value:.3g} for {chi2.dof} degrees of freedom"
+    return f"The halves {word}: χ² {number(chi2.value, 3)} for {chi2.dof} degrees of freedom"
 
 
 def table(part: TwoHalves) -> Table:

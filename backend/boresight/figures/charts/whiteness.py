@@ -15,7 +15,7 @@ from boresight.calibration.calibration import Whiteness
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
-from boresight.verdicts.numbers import quantity
+from boresight.verdicts.numbers import number, quantity
 
 
 def draw(drawn: Sequence[Part[Whiteness]]) -> go.Figure:
@@ -42,7 +42,7 @@ def _headline(drawn: Sequence[Part[Whiteness]]) -> str:
         return "Autocorrelation of the residuals"
     word = "white" if part.white else "not white"
     name = quantity(part.name, drawn[0][0].result).markup
-    return f"The residuals are {word}, for {name} (Ljung-Box p = {part.ljung_box.p:.2g})"
+    return f"The residuals are {word}, for {name} (Ljung-Box p = {number(part.ljung_box.p, 2)})"
 
 
 def table(part: Whiteness) -> Table:

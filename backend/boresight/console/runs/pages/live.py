@@ -13,7 +13,6 @@ from typing import Any
 from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse, JSONResponse, PlainTextResponse, Response
 
-from boresight.calibration.options import CalibrationSettings
 from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading, Who, csrf, get_server
 from boresight.console.pages.formats import seconds_since
@@ -21,7 +20,6 @@ from boresight.console.pages.rendering import make_change, read_texts, redirect,
 from boresight.console.runs import queries as run_queries
 from boresight.console.runs import service as runs
 from boresight.console.runs.tables import Run, RunEvent, parse_progress
-from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import RefusedInputError
 from boresight.platform.db.sessions import Session
 from boresight.platform.web.media import CameraFile
@@ -169,17 +167,10 @@ def make_live_part(request: Request, session: Session, run: Run) -> dict[str, An
         "notices": list_notices(session, run, log, workers.state() if workers else None),
         "fraction": progress.fraction or 0.0,
         "message": progress.message or "",
-        "frames_to_come": frames_to_come(session, run),
+        "frames_to_come": runs.frames_to_come(session, run),
         "pace": describe_progress(session, run),
         "heard_s": heard_s(run, log),
     }
-
-
-def frames_to_come(session: Session, run: Run) -> int | None:
-    """Return how many frames a run takes in one after another; None where it takes them all at once."""
-    if not CalibrationSettings.parse(run.settings).sequential:
-        return None
-    return session.get_known(TelemetrySet, run.telemetry_set_id).frames
 
 
 def describe_progress(session: Session, run: Run) -> str:
@@ -188,7 +179,7 @@ def describe_progress(session: Session, run: Run) -> str:
     fraction, elapsed_s = told.fraction or 0.0, told.elapsed_s or 0.0
     if not elapsed_s:
         return ""
-    frames = frames_to_come(session, run)
+    frames = runs.frames_to_come(session, run)
     if not frames or not fraction:
         return f"for {duration(elapsed_s)}"
     left = duration(elapsed_s * (1 - fraction) / fraction)
