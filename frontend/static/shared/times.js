@@ -52,16 +52,15 @@ function describeOffset(moments) {
 
 /** Write the time axes of a figure in the reader's form; under the pointer a local time stands beside. @param {Figure} figure */
 export function writeTimes({ data, layout }) {
-  for (const [name, axis] of Object.entries(layout)) {
-    if (!/^xaxis\d*$/.test(name) || axis.type !== "date") continue;
-    Object.assign(axis, describeAxis());
-    if (form !== "local") continue;
-    const drawn = data.filter(({ x, xaxis = "x" }) => Array.isArray(x) && x.length && `xaxis${xaxis.slice(1)}` === name);
-    const moments = drawn.flatMap(({ x }) => /** @type {string[]} */ (x)).sort();
-    if (axis.title?.text && moments.length) axis.title.text += `; ${describeOffset(moments)}`;
-    for (const trace of drawn) {
-      trace.hovertext = /** @type {string[]} */ (trace.x).map((text) => showTime(new Date(`${text}Z`)));
-      trace.hovertemplate = trace.hovertemplate?.replace("%{x}", "%{hovertext}");
-    }
+  const axes = Object.entries(layout).filter(([name, axis]) => /^xaxis\d*$/.test(name) && axis.type === "date");
+  for (const [, axis] of axes) Object.assign(axis, describeAxis());
+  if (form !== "local") return;
+  const names = new Set(axes.map(([name]) => name));
+  const drawn = data.filter(({ x, xaxis = "x" }) => Array.isArray(x) && names.has(`xaxis${xaxis.slice(1)}`));
+  for (const trace of drawn) {
+    trace.hovertext = /** @type {string[]} */ (trace.x).map((text) => showTime(new Date(`${text}Z`)));
+    trace.hovertemplate = trace.hovertemplate?.replace("%{x}", "%{hovertext}");
   }
+  const moments = drawn.flatMap(({ x }) => /** @type {string[]} */ (x)).sort();
+  for (const [, { title }] of axes) if (title?.text && moments.length) title.text += `; ${describeOffset(moments)}`;
 }
