@@ -23,6 +23,8 @@ interface Trace {
   customdata?: Column;
   xaxis?: string;
   fillcolor?: string;
+  hovertemplate?: string;
+  hovertext?: string[];
   line?: object;
   meta?: { follow?: Follow; sigmas?: number };
 }
@@ -39,6 +41,7 @@ interface Axis {
   autorange?: boolean;
   matches?: string;
   type?: string;
+  title?: { text?: string };
 }
 
 type AxisName = `xaxis${string}` | `yaxis${string}`;

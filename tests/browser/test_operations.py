@@ -148,3 +148,29 @@ def test_a_drift_alarm_is_seen_handled_understood_and_over(people, store, drifti
         window.open(address)
         expect(window.page.locator(".subtitle")).to_have_text("closed")
         window.shoot("83-alarm-closed")
+
+
+TICKS = "[...document.querySelectorAll('plot-figure .xaxislayer-above text')].map(tick => tick.textContent)"
+HOVERED = "[...document.querySelectorAll('plot-figure .figure-canvas')].flatMap(it => it.data.flatMap(one => one.hovertext ?? []))"
+LOOK_OF_FORM = {"iso": r"\d{4}-\d\d-\d\d", "day_of_year": r"\d{4}-\d{3}"}
+
+
+def test_clock_and_time_axes_are_in_the_form_that_was_chosen(people, drifting):
+    with people.seat("analyst") as window:
+        for form in ("iso", "local", "day_of_year"):
+            window.open("/preferences")
+            window.page.locator("#zone").fill("Asia/Kathmandu")
+            window.page.locator(f"#form-{form}").check()
+            window.shoot(f"84-preferences-{form}")
+            window.page.get_by_role("button", name="Save").click()
+            expect(window.page.locator("html")).to_have_attribute("data-times", form)
+            window.open(f"/sensors/{drifting}/trend")
+            window.figures_drawn()
+            day = LOOK_OF_FORM.get(form, LOOK_OF_FORM["iso"])
+            expect(window.page.locator("#clock")).to_have_text(re.compile(rf"^{day} "))
+            ticks = window.page.evaluate(TICKS)
+            assert ticks
+            assert all(re.fullmatch(rf"({day})|\d\d:\d\d:\d\d({day})?", tick) for tick in ticks), ticks
+            hovered = window.page.evaluate(HOVERED)
+            assert bool(hovered) == (form == "local")
+            assert all("+05:45)" in text for text in hovered)

@@ -353,6 +353,8 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "end_session": _session,
     "end_other_sessions": lambda _: ("victor", {}),
     "log_out": lambda _: ("victor", {}),
+    "get_preferences": lambda _: ("victor", {}),
+    "set_preference": lambda _: ("victor", {"name": "times", "json": {"value": {"form": "iso"}}}),
 }
 
 

@@ -1,15 +1,6 @@
-/** The UTC clock with day of year, `2026-325 03:04:11Z`, and the ages of everything marked <time class="age">. */
+/** The clock in the form that the reader chose, and the ages of everything marked <time class="age">. */
 import { findAll, make } from "./dom.js";
-
-/** @param {number} value */
-const pad = (value, width = 2) => String(value).padStart(width, "0");
-
-/** A date as operators read it. @param {Date} date */
-function dayOfYear(date) {
-  const day = Math.floor((date.getTime() - Date.UTC(date.getUTCFullYear(), 0, 1)) / 86400000) + 1;
-  const time = `${pad(date.getUTCHours())}:${pad(date.getUTCMinutes())}:${pad(date.getUTCSeconds())}`;
-  return `${date.getUTCFullYear()}-${pad(day, 3)} ${time}Z`;
-}
+import { showTime } from "./times.js";
 
 /** A span in its two largest units, as the server prints it. @param {number} seconds */
 function span(seconds) {
@@ -30,7 +21,7 @@ export function roughSpan(seconds) {
 
 function tick() {
   const clock = document.getElementById("clock");
-  if (clock) clock.textContent = dayOfYear(new Date());
+  if (clock) clock.textContent = showTime(new Date());
 }
 
 /** @param {HTMLTimeElement} element */
@@ -43,7 +34,7 @@ const refreshAges = () => findAll("time.age", HTMLTimeElement).forEach(refreshAg
 
 /** How long ago a time was, kept up to date; the time itself in its tooltip. @param {string} utc */
 export function makeAge(utc) {
-  const element = make("time", { className: "age", dateTime: utc, title: `${utc.slice(0, 19)} UTC` });
+  const element = make("time", { className: "age", dateTime: utc, title: showTime(new Date(utc)) });
   refreshAge(element);
   return element;
 }

@@ -2,6 +2,7 @@
  * The surface of a figure. Figures arrive in the dark template and carry those of the other themes in `layout.meta`:
  * a page shows its own, paper and every exported image the light one, black on white.
  */
+import { writeTimes } from "./times.js";
 
 const HEADING_PX = 28;
 const BAND_OPACITY = 0.4; // in high contrast
@@ -16,6 +17,7 @@ export const usePaper = (paper) => void (isPaper = paper);
 /** @param {Figure} figure @param {object | undefined} template @returns {Figure} */
 function copied(figure, template) {
   const { data, layout } = structuredClone(figure);
+  writeTimes({ data, layout });
   return { data, layout: template ? { ...layout, template: structuredClone(template) } : layout };
 }
 

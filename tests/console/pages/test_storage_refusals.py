@@ -31,6 +31,7 @@ FORMS = {  # who sends which form to which page
     "/users/{user_id}/end-sessions": ("adele", {}),
     "/sessions/{session_id:int}/end": ("ada", {}),
     "/sessions/end-others": ("ada", {}),
+    "/preferences": ("ada", {"form": "iso"}),
     "/users/keys": ("ada", {"label": "k", "scopes": ["read"]}),
     "/users/keys/{key_id}/revoke": ("ada", {}),
     "/change-proposals/{proposal_id:int}/decide": ("agnes", {"action": "confirm", "version": "1"}),

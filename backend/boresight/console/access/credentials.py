@@ -31,12 +31,13 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from boresight.console.access import api_keys, sessions, users
+from boresight.console.access import api_keys, preferences, sessions, users
 from boresight.console.access.queries import CredentialRows
 from boresight.errors import BoresightError, PasswordDueError, SessionEndedError, UnauthenticatedError
 from boresight.platform.actors import Actor
 from boresight.platform.db.data_version import DataVersion, DataVersionReader
 from boresight.platform.db.sessions import Engine, open_reading
+from boresight.platform.db.times import STYLE, TimeStyle
 from boresight.platform.web.concurrency_limit import ALWAYS, Refuse
 from boresight.platform.web.response_cache import DATA_VERSION, SHARING, Sharing
 from boresight.settings import Settings
@@ -121,6 +122,7 @@ class LogInCookie:
 
 MOST_REMEMBERED = 10_000
 LISTENING = "/api/v1/events"
+TIMES = "times"  # in the state of a request: how its person has times shown
 BACKGROUND = (b"x-boresight-background", b"1")  # a page that renews itself says so
 WHILE_PASSWORD_IS_DUE = (
     "/api/v1/sessions",
@@ -151,6 +153,7 @@ class Identity:
     use: CredentialUse
     rows: CredentialRows
     data_version: DataVersion | None = None  # the data version at which this was read
+    times: TimeStyle = STYLE  # how the person has times shown
 
 
 class CredentialCache:
@@ -220,6 +223,7 @@ async def authenticate(scope: Scope) -> None:
     state, server = scope["state"], scope["app"].state
     state.pop("actor", None)
     state.pop(SHARING, None)
+    state.pop(TIMES, None)
     if not carries_credentials(scope, server.log_in_cookie.name):
         return
     state[DATA_VERSION] = await server.data_version_poller.now()
@@ -269,6 +273,7 @@ def _note(request: Request, known: Identity) -> Actor:
         state["csrf_token"] = known.csrf_token
     if known.sharing is not None:
         state[SHARING] = known.sharing
+    state[TIMES] = known.times
     actor = known.actor.with_request(state["request_id"])
     state["actor"] = actor
     return actor
@@ -308,13 +313,20 @@ def _identify_log_in_owner(request: Request) -> Identity:
         sets_password = request.url.path in (*WHILE_PASSWORD_IS_DUE, due)
         actor = users.get_actor(session, log_in.user_id, log_in.id, sets_password=sets_password)
         rows = CredentialRows.read(session, "session", log_in.id)
+        times = preferences.get_time_style(session, log_in.user_id)
     use = partial(request.app.state.maintenance.session_used, log_in.id, log_in.last_used_utc)
     if not use(active=is_active(request.scope)):
         raise SessionEndedError("idle")
     others = tuple(sorted(pair for pair in request.cookies.items() if pair[0] != cookie.name))
     gaps = (content.csrf_token.encode(), str(escape(actor.printed_name or actor.name)).encode())
-    sharing = None if sets_password else Sharing((actor.user_id, others), (actor.roles, others), gaps)
-    return Identity(actor, content.csrf_token, sharing, content.ends_s, use, rows)
+    sharing = None if sets_password else Sharing((actor.user_id, others), (actor.roles, times, others), gaps)
+    return Identity(actor, content.csrf_token, sharing, content.ends_s, use, rows, times=times)
+
+
+def get_times(request: Request) -> TimeStyle:
+    """Return how the person who asks has times shown; of a key and of nobody, as they are shown until a person chooses."""
+    times: TimeStyle = request.scope["state"].get(TIMES, STYLE)
+    return times
 
 
 def is_still_valid(request: Request) -> bool:

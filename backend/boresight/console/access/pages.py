@@ -1,9 +1,10 @@
-"""Pages of people, API keys and log-ins, of logging in and out, and of setting one's own password."""
+"""Pages of people, API keys and log-ins, of logging in and out, and of one's own password and preferences."""
 
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
 from functools import partial
 from typing import Annotated, Any
 
@@ -11,7 +12,7 @@ from fastapi import APIRouter, Depends, Form, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.console.access import api_keys, sessions, users
+from boresight.console.access import api_keys, preferences, sessions, users
 from boresight.console.access.credentials import current_actor
 from boresight.console.access.dependencies import (
     KNOWN,
@@ -30,6 +31,7 @@ from boresight.console.pages.rendering import RefusalContext, attempt, make_chan
 from boresight.errors import RefusedInputError, SessionEndedError, UnauthenticatedError
 from boresight.platform.actors import SCOPES, Actor, SessionLimits, require_person, require_role
 from boresight.platform.db.sessions import Session, utc_now
+from boresight.platform.db.times import TimeForm, TimeStyle, list_zones
 from boresight.platform.web.paging import parse_row_id
 
 router = APIRouter(dependencies=[Depends(csrf)])
@@ -392,3 +394,46 @@ async def change_password(
 def set_password(actor: Actor, user_id: int, session: Session, password: NewPassword, current: PasswordProof) -> None:
     """Change the password of who acts."""
     users.change_password(session, actor, user_id, password, current)
+
+
+preference_router = APIRouter(prefix="/preferences", dependencies=[Depends(csrf)])
+FORMS: Mapping[TimeForm, str] = {
+    "day_of_year": "UTC with the day of the year",
+    "iso": "UTC by the calendar (ISO 8601)",
+    "local": "UTC by the calendar, local time beside it",
+}
+EXAMPLE = datetime(2026, 11, 21, 3, 4, 5, tzinfo=UTC)
+
+
+@preference_router.get("", response_class=HTMLResponse)
+def preferences_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
+    """Show how one has pages shown."""
+    times = preferences.get_time_style(session, actor.user_id)
+    return _preferences_page(request, times, None)
+
+
+def _preferences_page(request: Request, times: TimeStyle, refusal: RefusalContext | None) -> HTMLResponse:
+    beside = times.zone if refusal is None and times.form == "local" else "Europe/Amsterdam"
+    return render(
+        request,
+        "access/preferences.html",
+        refused=refusal,
+        refusal=refusal,
+        chosen=times,
+        forms=tuple(FORMS.items()),
+        examples={form: TimeStyle(form, beside).show(EXAMPLE) for form in FORMS},
+        zones=list_zones(),
+    )
+
+
+@preference_router.post("", response_class=HTMLResponse)
+async def choose_times(
+    request: Request, actor: Who, form: Annotated[TimeForm, Form()] = "day_of_year", zone: Annotated[str, Form()] = ""
+) -> Response:
+    """Choose how times are shown."""
+    typed = TimeStyle(form, zone.strip())
+    change = partial(preferences.set_preference, actor=actor, name="times", value=asdict(typed))
+    outcome = await attempt(request, change)
+    if outcome.refusal is not None:
+        return await run_in_threadpool(_preferences_page, request, typed, outcome.refusal)
+    return redirect("/preferences", flash="Times are shown so from now on, and are taken in every form.")

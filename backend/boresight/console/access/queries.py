@@ -1,13 +1,14 @@
-"""Queries on people, API keys and log-ins, and on the rows that a cached identity depends on."""
+"""Queries on people, API keys, log-ins and preferences, and on the rows that a cached identity depends on."""
 
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import sqlalchemy as sa
 
-from boresight.console.access.tables import ApiKey, LoginSession, User
+from boresight.console.access.tables import ApiKey, LoginSession, User, UserPreference
 from boresight.platform.db.data_version import DataVersionReader
 from boresight.platform.db.sessions import Session
 
@@ -114,9 +115,26 @@ def read_newest_revocation(session: Session) -> tuple[str | None, str | None]:
     return revoked, session.scalar(sa.select(sa.func.max(User.disabled_utc)))
 
 
+def read_preferences(session: Session, user_id: int) -> dict[str, Any]:
+    """Return what a person chose, by name."""
+    query = sa.select(UserPreference.name, UserPreference.value).where(UserPreference.user_id == user_id)
+    return {row[0]: row[1] for row in session.execute(query)}
+
+
+def write_preference(session: Session, user_id: int, name: str, value: Any) -> None:
+    """Keep what a person chose, in place of what they chose before."""
+    query = sa.select(UserPreference).where(UserPreference.user_id == user_id, UserPreference.name == name)
+    row = session.scalar(query)
+    if row is None:
+        session.put(UserPreference(user_id=user_id, name=name, value=value))
+    else:
+        row.value = value
+
+
+_TIMES = "(SELECT p.value FROM user_preferences p WHERE p.user_id = u.id AND p.name = 'times')"
 _OWNER = "u.id, u.name, u.printed_name, u.roles, u.disabled_utc, u.must_change_password"
 _QUESTIONS = {
-    "session": f"SELECT s.token_hash, s.ended_because, {_OWNER} FROM login_sessions s "  # noqa: S608 - our own words
+    "session": f"SELECT s.token_hash, s.ended_because, {_OWNER}, {_TIMES} FROM login_sessions s "  # noqa: S608 - our own words
     "JOIN users u ON u.id = s.user_id WHERE s.id = :number",
     "key": f"SELECT k.key_hash, k.scopes, k.expires_utc, k.revoked_utc, {_OWNER} FROM api_keys k "  # noqa: S608 - likewise
     "JOIN users u ON u.id = k.user_id WHERE k.prefix = :number",

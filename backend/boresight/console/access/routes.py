@@ -1,16 +1,16 @@
-"""Operations on people, API keys and log-ins, and logging in and out."""
+"""Operations on people, API keys, log-ins and preferences, and logging in and out."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import Depends, Query
 from pydantic import BaseModel, ConfigDict, Field, SecretStr
 from starlette.requests import Request
 from starlette.responses import Response
 
-from boresight.console.access import api_keys, schemas, sessions, users
+from boresight.console.access import api_keys, preferences, schemas, sessions, users
 from boresight.console.access.dependencies import (
     LoggingIn,
     MaybeSeenTag,
@@ -283,3 +283,25 @@ def _shown(row: LoginSession, actor: Actor, settings: Settings) -> Beside:
 
 
 session_router.routes.extend(entrance.routes)
+
+
+preference_router = operations("/preferences", tags=["preferences"])
+
+
+class PreferenceValue(Shape):
+    """What a person prefers from now on."""
+
+    value: Any = Field(description="As `GET /preferences` shows it.", examples=[{"form": "iso"}])
+
+
+@preference_router.get("", summary="Read one's preferences", response_model=dict[str, Any])
+def get_preferences(actor: Who, session: Reading) -> dict[str, Any]:
+    """Return how one has pages shown, by the name of the preference; `times` has `form` (day_of_year, iso, local) and `zone`."""
+    return preferences.get_preferences(session, actor.user_id)
+
+
+@preference_router.post("/{name}:set", summary="Set a preference", response_model=dict[str, Any])
+def set_preference(name: str, given: PreferenceValue, actor: Who, session: Writing) -> dict[str, Any]:
+    """Keep what one prefers under a name, and return every preference; people only."""
+    preferences.set_preference(session, actor, name, given.value)
+    return preferences.get_preferences(session, actor.user_id)

@@ -1,6 +1,8 @@
-"""People, their keys and their log-ins."""
+"""People, their keys, their log-ins and their preferences."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
@@ -91,3 +93,15 @@ class LoginSession(Base):
     ended_because: Mapped[str | None] = mapped_column(sa.Text)
     address: Mapped[str] = mapped_column(sa.Text)
     user_agent: Mapped[str] = mapped_column(sa.Text)
+
+
+class UserPreference(Base):
+    """What a person prefers under a name that `preferences` knows; a row is there once it was chosen."""
+
+    __tablename__ = "user_preferences"
+    __table_args__ = (sa.UniqueConstraint("user_id", "name"), STRICT)
+    sealing = Sealing(unsealed="moves as a person likes, and decides nothing but what that person is shown")
+    id: Mapped[int] = mapped_column(primary_key=True)
+    user_id: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
+    name: Mapped[str] = mapped_column(sa.Text)
+    value: Mapped[Any] = mapped_column(JsonText)

@@ -148,7 +148,7 @@ def _page(
         people=[user for user in users.list_users(session) if user.disabled_utc is None],
         names=read_names(session),
         may_handle=bool(actor.roles.intersection(alarms.HANDLERS)) and row.closed_utc is None,
-        until=typed.get("until") or utc_after(A_SHIFT_S)[:16] + "Z",
+        until=typed.get("until") or utc_after(A_SHIFT_S),
         typed=typed,
         refusal=refusal,
     )

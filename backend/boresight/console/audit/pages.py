@@ -19,7 +19,6 @@ from boresight.console.access.dependencies import KNOWN, Blobs, Reading
 from boresight.console.audit.queries import name_objects
 from boresight.console.jobs.dependencies import ServerMaintenance
 from boresight.console.operation import Beside
-from boresight.console.pages.formats import day_of_year, instant
 from boresight.console.pages.rendering import render
 from boresight.console.pages.tables import (
     Table,
@@ -41,7 +40,7 @@ from boresight.verdicts.numbers import MISSING, QUANTITIES, parameter
 LONGEST_VALUE = 120
 HASH = re.compile(r"[0-9a-f]{64}")
 HASH_DIGITS = 8
-TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{6}Z")
+
 UNITS = (("_px", "px"), ("_m", "m"), ("_rad", "rad"), ("_deg", "°"), ("_s", "s"), ("_bytes", "B"), ("_days", "d"))
 NAMES = {
     "bound": "Bound",
@@ -155,8 +154,6 @@ def _number(value: float) -> str:
 def _text(text: str) -> str:
     if HASH.fullmatch(text):
         return text[:HASH_DIGITS]
-    if TIME.fullmatch(text):
-        return day_of_year(instant(text))
     return text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]}…"
 
 

@@ -5,11 +5,15 @@ Red is kept for what needs a person now, so a cancelled run or a refused request
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from datetime import UTC, datetime
 
+from jinja2 import pass_context
+from jinja2.runtime import Context
 from markupsafe import Markup, escape
 
+from boresight.platform.db.times import STYLE, TimeStyle
 from boresight.verdicts.numbers import (
     MISSING,
     count,
@@ -40,18 +44,35 @@ def instant(text: str) -> datetime:
     return datetime.fromisoformat(text).astimezone(UTC)
 
 
-def day_of_year(moment: datetime) -> str:
-    """Print a time as an operator reads it, year and day of year: `2026-325 03:04:11Z`."""
-    return f"{moment:%Y-%j %H:%M:%S}Z"
+def _style(context: Context) -> TimeStyle:
+    """Return how the person whom a page is for has times shown."""
+    frame = context.get("frame")
+    return STYLE if frame is None else frame.times
 
 
-def utc(text: str | None) -> Markup | str:
-    """Print a stored time with its day of year; the calendar date in its tooltip."""
+def time_element(text: str | None, style: TimeStyle) -> Markup | str:
+    """Print a stored time in a person's form; in the tooltip the calendar date, or the day of year where the calendar is shown."""
     if not text:
         return MISSING
-    moment = instant(text)
-    calendar = f"{moment:%Y-%m-%d %H:%M:%S} UTC"
-    return Markup('<time datetime="{}" title="{}">{}</time>').format(text, calendar, day_of_year(moment))
+    moment, other = instant(text), TimeStyle("iso") if style.form == "day_of_year" else STYLE
+    return Markup('<time datetime="{}" title="{}">{}</time>').format(text, other.show(moment), style.show(moment))
+
+
+@pass_context
+def utc(context: Context, text: str | None) -> Markup | str:
+    """Print a stored time in the form that the reader chose."""
+    return time_element(text, _style(context))
+
+
+STORED_TIME = re.compile(r"\b\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?Z")
+
+
+@pass_context
+def with_times(context: Context, text: str) -> str:
+    """Print a text with every stored time in it in the form that the reader chose, as a form's field takes it."""
+    style = _style(context)
+    found = STORED_TIME.sub(lambda one: style.show(instant(one[0])), text)
+    return Markup(found) if isinstance(text, Markup) else found  # noqa: S704 - what was markup, with a time in it
 
 
 def seconds_since(text: str | None, now: datetime | None = None) -> float | None:
@@ -59,13 +80,15 @@ def seconds_since(text: str | None, now: datetime | None = None) -> float | None
     return ((now or datetime.now(UTC)) - instant(text)).total_seconds() if text else None
 
 
-def age(text: str | None) -> Markup | str:
+@pass_context
+def age(context: Context, text: str | None) -> Markup | str:
     """Print how long ago a stored time was: `3 h 20 min ago`, the time itself in its tooltip."""
     seconds = seconds_since(text)
     if seconds is None or not text:
         return MISSING
     words = "just now" if seconds < 10 else f"{duration(seconds)} ago"
-    return Markup('<time class="age" datetime="{}" title="{} UTC">{}</time>').format(text, text[:19], words)
+    shown = _style(context).show(instant(text))
+    return Markup('<time class="age" datetime="{}" title="{}">{}</time>').format(text, shown, words)
 
 
 def short_hash(text: str | None) -> Markup | str:
@@ -94,6 +117,7 @@ FILTERS = (
     sigmas,
     size,
     utc,
+    with_times,
     duration,
     seconds_since,
     age,

@@ -23,17 +23,18 @@ from fastapi import Request
 from fastapi.concurrency import run_in_threadpool
 
 from boresight.console import list_queries as lists
-from boresight.console.access.credentials import get_actor
+from boresight.console.access.credentials import get_actor, get_times
 from boresight.console.access.dependencies import get_server
 from boresight.console.alarms import service as alarms
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet import status as fleet
 from boresight.console.jobs.maintenance import ChainStatus
-from boresight.console.pages.formats import LEVELS, day_of_year
+from boresight.console.pages.formats import LEVELS
 from boresight.errors import PasswordDueError, UnauthenticatedError
 from boresight.platform.actors import Actor
 from boresight.platform.db.data_version import DataVersion, DataVersionReader
 from boresight.platform.db.sessions import Engine, Session, open_reading
+from boresight.platform.db.times import TimeStyle
 from boresight.platform.web.response_cache import NAME_GAP, TOKEN_GAP, has_gaps, mark_outdated
 
 HELD_S = 30.0
@@ -217,6 +218,7 @@ class PageFrame:
     csrf_token: str
     path: str
     now: str
+    times: TimeStyle
     fleet: FleetStatus
     approvals_waiting: int | None
     alarms_unacknowledged: int | None
@@ -273,7 +275,7 @@ def make_page_frame(request: Request, *, is_answer: bool = True) -> PageFrame:
     """Gather the frame's values for a request; `is_answer` is False where the page shows a refusal."""
     actor: Any = getattr(request.state, "actor", None)
     fleet, waiting, alarms = _fleet(request, actor)
-    flash, token = _read_flash(request), getattr(request.state, "csrf_token", "")
+    flash, token, times = _read_flash(request), getattr(request.state, "csrf_token", ""), get_times(request)
     if is_answer and flash is None and has_gaps(request):  # the endpoint may depend on the roles only
         actor, token = Actor(None, NAME_GAP, NAME_GAP, actor.roles, ""), TOKEN_GAP
     server = get_server(request)
@@ -282,7 +284,8 @@ def make_page_frame(request: Request, *, is_answer: bool = True) -> PageFrame:
         actor=actor,
         csrf_token=token,
         path=request.url.path,
-        now=day_of_year(datetime.now(UTC)),
+        now=times.show(datetime.now(UTC)),
+        times=times,
         fleet=fleet,
         approvals_waiting=waiting,
         alarms_unacknowledged=alarms,

@@ -27,6 +27,7 @@ from boresight.disks import storage_error
 from boresight.errors import ForbiddenError, RefusedInputError
 from boresight.images.limits import ImageSource, is_image
 from boresight.platform.db.sessions import Engine, Session, open_reading
+from boresight.platform.db.times import read_time
 from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.web.paging import parse_row_id
 from boresight.platform.web.text_validation import normal_name
@@ -165,8 +166,9 @@ def import_request(session: Session, upload: Upload) -> telemetry_sets.ImportReq
     key = upload.fields.get("profile", "").strip()
     if not key:
         return None
-    fields = {name: upload.fields.get(name, "").strip() or None for name in ("time", "elements")}
-    return telemetry_sets.ImportRequest(profiles.find_profile(session, key), **fields)
+    time, elements = (upload.fields.get(name, "").strip() or None for name in ("time", "elements"))
+    profile = profiles.find_profile(session, key)
+    return telemetry_sets.ImportRequest(profile, time and read_time(time), elements)
 
 
 @contextmanager

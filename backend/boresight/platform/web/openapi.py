@@ -56,6 +56,7 @@ TAGS = [
     {"name": "API keys", "description": "Keys for programs."},
     {"name": "webhooks", "description": "Programs that are notified of events."},
     {"name": "sessions", "description": "Logging in and out."},
+    {"name": "preferences", "description": "How one has pages shown."},
     {"name": "server", "description": "Health, readiness, metrics."},
 ]
 

@@ -114,7 +114,7 @@ def _of_silence(run: Run) -> list[StateNotice]:
 
 def _stopping_sentence(run: Run, log: Sequence[RunEvent]) -> str:
     asked = [line.at_utc for line in log if line.state == "CANCELLING"]
-    since = f"Asked at {clock(asked[-1])}, {duration(seconds_since(asked[-1]))} ago. " if asked else ""
+    since = f"Asked at {asked[-1]}, {duration(seconds_since(asked[-1]))} ago. " if asked else ""
     return (
         f"Stopping: {_reason(run)} {since}The worker checks for this five times a second; one that does not react is "
         "stopped with its process after some seconds."
@@ -124,13 +124,8 @@ def _stopping_sentence(run: Run, log: Sequence[RunEvent]) -> str:
 def _lost_sentence(run: Run) -> str:
     """Describe when the worker was last heard of, and that its partial result is void."""
     heard = parse_progress(run.progress).at_utc or run.lease_until_utc or run.ended_utc
-    told = f"The worker stopped reporting at {clock(heard)}; no result is trusted."
+    told = f"The worker stopped reporting at {heard or 'an unknown time'}; no result is trusted."
     return " ".join(filter(None, [told, _reason(run), "Run it again to get one."]))
-
-
-def clock(text: str | None) -> str:
-    """Print a stored time to the second."""
-    return text[:19].replace("T", " ") + "Z" if text else "an unknown time"
 
 
 def _queue_sentence(session: Session, run: Run, workers: Mapping[str, Any] | None) -> str:

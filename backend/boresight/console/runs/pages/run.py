@@ -23,6 +23,7 @@ from starlette.datastructures import QueryParams
 from boresight.calibration.calibration import Calibration, Inputs
 from boresight.calibration.exports import EXPORT_FORMATS
 from boresight.calibration.options import get_method_title
+from boresight.console.access.credentials import get_times
 from boresight.console.access.dependencies import Reading, Who, csrf, get_server
 from boresight.console.approvals import gates
 from boresight.console.approvals import queries as approval_queries
@@ -30,7 +31,7 @@ from boresight.console.approvals.pages.gates import assess_set
 from boresight.console.fleet.tables import Sensor
 from boresight.console.notes import queries as note_queries
 from boresight.console.notes import service as notes
-from boresight.console.pages.formats import short_hash, utc, words
+from boresight.console.pages.formats import short_hash, time_element, words
 from boresight.console.pages.rendering import attempt, redirect, redirect_refused, render
 from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets import service as parameter_sets
@@ -71,6 +72,7 @@ from boresight.figures.tables import (
 )
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
+from boresight.platform.db.times import TimeStyle
 from boresight.verdicts.answers import Headline, make_four_views, make_headline
 from boresight.verdicts.gates.judgement import gate_rows
 from boresight.verdicts.history import RmsTail, read_history, settled_step, sigma_of_rms, summarise_tail
@@ -344,7 +346,7 @@ def make_record_part(review: RunReview) -> dict[str, Any]:
     """Gather who ran what, where the numbers come from, the log and the notes."""
     by = read_names(review.session).person(review.run.launched_by)
     return {
-        "header": make_run_header(review.run, by, review.data, review.validation),
+        "header": make_run_header(review.run, by, review.data, review.validation, get_times(review.request)),
         "notes": notes.list_notes(review.session, "runs", review.run.id),
         **make_provenance_part(review),
         **make_log_part(review.request, review.session, review.run),
@@ -531,15 +533,17 @@ def _why_no_set(run: Run) -> str | None:
     return f"No parameter set can be made from a result that ended as {words(status)}."
 
 
-def make_run_header(run: Run, by: str, data: TelemetrySet, validation: TelemetrySet | None) -> list[tuple[str, Any]]:
+def make_run_header(
+    run: Run, by: str, data: TelemetrySet, validation: TelemetrySet | None, times: TimeStyle
+) -> list[tuple[str, Any]]:
     """Lay out who ran what on which data, and when."""
     return [
         ("Data", _set_link(data)),
         ("Validation", _set_link(validation) if validation else "none"),
         ("Launched by", by),
-        ("Launched", utc(run.launched_utc)),
-        ("Started", utc(run.started_utc)),
-        ("Ended", utc(run.ended_utc)),
+        ("Launched", time_element(run.launched_utc, times)),
+        ("Started", time_element(run.started_utc, times)),
+        ("Ended", time_element(run.ended_utc, times)),
         ("Duration", duration(compute_run_seconds(run))),
         ("Attempt", count(run.attempt) if run.attempt else MISSING),
     ]

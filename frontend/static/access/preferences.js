@@ -1,0 +1,6 @@
+/** The zone of this computer is proposed where none was chosen, and the choice of local time by whoever types one. */
+import { need } from "../shared/dom.js";
+
+const zone = need("#zone", HTMLInputElement);
+zone.value ||= new Intl.DateTimeFormat().resolvedOptions().timeZone;
+zone.addEventListener("input", () => (need("#form-local", HTMLInputElement).checked = true));

@@ -1,0 +1,135 @@
+"""Preferences: each person's own, kept under known names; above all how times are shown, and that they are taken as shown."""
+
+import html
+import re
+from datetime import datetime
+from urllib.parse import quote
+
+import pytest
+
+from boresight.console.access import preferences, users
+from boresight.console.access.queries import write_preference
+from boresight.errors import ForbiddenError, NotFoundError, RefusedInputError
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.db.sessions import open_reading, open_writing, utc_after
+from boresight.platform.db.times import STYLE, TIME_FORMS, TimeStyle, read_time
+from tests.console.alarms.test_pages import drifting  # noqa: F401 - a fixture
+from tests.sites import PEOPLE
+
+ZONE = "Asia/Kathmandu"
+PAGES = (
+    "/",
+    "/sensors/1",
+    "/sensors/1/timeline",
+    "/telemetry",
+    "/runs",
+    "/runs/1?part=record",
+    "/parameter-sets",
+    "/audit",
+    "/users",
+)
+MOMENT = re.compile(r"<time[^>]*datetime=\"([^\"]+)\"[^>]*title=\"([^\"]+)\"[^>]*>([^<]+)</time>")
+
+
+def _moment(stored):
+    return datetime.fromisoformat(stored)
+
+
+def _choose(site, name, form):
+    answer = site.visitor(name).post("/preferences", form=form, zone=ZONE)
+    assert answer.status_code == 303, answer.text
+
+
+@pytest.mark.parametrize("form", TIME_FORMS)
+def test_every_page_shows_its_times_in_the_chosen_form(site, form):
+    _choose(site, "adele", form)
+    style, seen = TimeStyle(form, ZONE), 0
+    for path in PAGES:
+        page = site.visitor("adele").get(path)
+        assert f'data-times="{form}"' in page
+        for stored, title, shown in MOMENT.findall(page):
+            seen += 1
+            exact = read_time(stored)[:19]
+            assert read_time(html.unescape(title))[:19] == exact
+            if "ago" not in shown and shown != "just now":
+                assert html.unescape(shown) == style.show(_moment(stored)), path
+    assert seen > 30
+
+
+@pytest.mark.parametrize("form", TIME_FORMS)
+@pytest.mark.usefixtures("drifting")
+def test_every_field_for_a_time_takes_what_is_shown(site, form):
+    style = TimeStyle(form, ZONE)
+    _choose(site, "ada", "iso")  # whichever is chosen
+    ada = site.visitor("ada")
+    later = quote(style.show(_moment(utc_after(3600))))
+    assert not MOMENT.findall(ada.get(f"/audit?since={later}"))
+    assert len(MOMENT.findall(ada.get(f"/audit?until={later}"))) > 5
+    for path in ("/sensors/1", "/sensors/1/timeline"):
+        assert "PS-" in ada.get(f"{path}?at={later}")
+    for operation in ("sensors/1/history", "sensors/1/timeline"):
+        name = "until" if operation.endswith("timeline") else "at"
+        assert ada.send("GET", f"/api/v1/{operation}?{name}={later}").status_code == 200
+    page = ada.get("/alarms/1")
+    version = page.split('name="version" value="')[1].split('"')[0]
+    until = style.show(_moment(utc_after(7200)))
+    assert ada.post("/alarms/1/shelve", version=version, until=until, text="A pass comes.").status_code == 303
+    assert TimeStyle("iso").show(_moment(read_time(until))) in ada.get("/alarms/1")
+
+
+def test_fields_are_filled_in_as_times_are_shown(site):
+    _choose(site, "ada", "local")
+    page = site.visitor("ada").get("/sensors/1")
+    filled = html.unescape(re.search(r'id="at" name="at" value="([^"]+)"', page)[1])
+    assert filled.endswith("+05:45)")
+    assert "PS-" in site.visitor("ada").get(f"/sensors/1?at={quote(filled)}")
+
+
+def test_people_of_the_same_roles_share_no_page_across_their_forms(site):
+    with open_writing(site.engine) as session:
+        users.change_roles(session, COMMAND_LINE, list(PEOPLE).index("victor") + 1, ["analyst"])
+    _choose(site, "ada", "iso")
+    for _ in range(2):
+        assert 'data-times="iso"' in site.visitor("ada").get("/telemetry")
+        assert 'data-times="day_of_year"' in site.visitor("victor").get("/telemetry")
+    ada = site.visitor("ada")
+    for form in TIME_FORMS:  # under one log-in, whose identity is remembered
+        ada.post("/preferences", form=form, zone=ZONE)
+        assert f'data-times="{form}"' in ada.get("/telemetry")
+
+
+def test_a_zone_that_is_not_known_is_refused_and_nothing_is_kept(site):
+    answer = site.visitor("ada").post("/preferences", form="local", zone="Mars/Utopia")
+    assert answer.status_code == 422
+    assert "Mars/Utopia" in answer.text
+    assert 'data-times="day_of_year"' in site.visitor("ada").get("/preferences")
+
+
+def test_preferences_are_of_people_and_under_known_names(site):
+    ada, alan = site.actor("ada"), site.actor("alan")
+    with open_writing(site.engine) as session:
+        assert preferences.set_preference(session, ada, "times", {"form": "iso", "zone": ZONE}) == {
+            "form": "iso",
+            "zone": "UTC",
+        }
+        preferences.set_preference(session, ada, "times", {"form": "local", "zone": ZONE})
+        with pytest.raises(NotFoundError):
+            preferences.set_preference(session, ada, "colour", "red")
+        with pytest.raises(ForbiddenError):
+            preferences.set_preference(session, COMMAND_LINE, "times", {"form": "iso"})
+        for value in ("iso", {"form": "julian"}, {"form": "local"}, {"form": ["iso"]}, None):
+            with pytest.raises(RefusedInputError):
+                preferences.set_preference(session, ada, "times", value)
+    with open_reading(site.engine) as session:
+        assert preferences.get_time_style(session, ada.user_id) == TimeStyle("local", ZONE)
+        assert preferences.get_time_style(session, alan.user_id) == STYLE
+
+
+def test_a_value_that_is_not_known_any_more_counts_as_not_chosen(site):
+    with open_writing(site.engine) as session:
+        write_preference(session, 1, "times", {"form": "julian"})
+        write_preference(session, 1, "forgotten", 1)
+    with open_reading(site.engine) as session:
+        assert set(preferences.get_preferences(session, 1)) == set(preferences.PREFERENCES)
+        assert preferences.get_time_style(session, 1) == STYLE
+    assert 'data-times="day_of_year"' in site.visitor("ada").get("/")
