@@ -27,6 +27,7 @@ NOUNS = (
     "campaigns",
     "webhooks",
     "audit",
+    "help",
     "search",
     "administration",
     "jobs",  # no noun: the background services, over the nouns whose work they do

@@ -44,6 +44,8 @@ ADDRESSES = {
     "webhooks": "/webhooks",
     "change-proposals": "/change-proposals?show=all",
     "administration": "/administration",
+    "glossary": "/help/glossary",
+    "settings": "/help/settings",
     "no-such-page": "/runs/999999",
     "forbidden": "/",
 }

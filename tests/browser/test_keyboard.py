@@ -268,3 +268,28 @@ def test_ctrl_k_finds_a_run_and_a_page_and_leads_there(people, batch_run):
         expect(window.page.get_by_role("option", name=re.compile("Audit"))).to_be_visible()
         keyboard.press("Escape")
         expect(window.page.get_by_role("dialog", name="Find")).to_be_hidden()
+
+
+def test_ctrl_k_finds_a_setting_and_presses_what_only_shows_but_nothing_that_writes(people, sensor_id):
+    with people.seat("analyst") as window:
+        keyboard, option = window.page.keyboard, window.page.get_by_role("option")
+        window.open(f"/sensors/{sensor_id}")
+        expect(window.page.locator("#palette-open")).to_be_visible()  # its module listens
+        keyboard.press("Control+k")
+        keyboard.type("add note")
+        expect(option.first).to_contain_text("Command")
+        keyboard.press("Enter")
+        expect(window.page.get_by_role("button", name="Add note")).to_be_focused()
+        assert window.page.url.endswith(f"/sensors/{sensor_id}")
+        keyboard.press("Control+k")
+        keyboard.type("theme")
+        theme = window.page.evaluate("document.documentElement.dataset.theme")
+        keyboard.press("Enter")
+        window.page.wait_for_function("was => document.documentElement.dataset.theme !== was", arg=theme)
+        window.page.evaluate("localStorage.removeItem('boresight-theme')")
+        keyboard.press("Control+k")
+        keyboard.type("session hours")
+        expect(option.first).to_contain_text("BORESIGHT_SESSION_HOURS")
+        assert window.barriers() == []
+        keyboard.press("Enter")
+        window.page.wait_for_url("**/help/settings#setting-session_hours")
