@@ -293,3 +293,24 @@ def test_ctrl_k_finds_a_setting_and_presses_what_only_shows_but_nothing_that_wri
         assert window.barriers() == []
         keyboard.press("Enter")
         window.page.wait_for_url("**/help/settings#setting-session_hours")
+
+
+def test_a_term_is_explained_at_its_focus_and_under_the_pointer_until_escape(people, sensor_id):
+    with people.seat("analyst") as window:
+        window.open(f"/sensors/{sensor_id}")
+        expect(window.page.locator("#palette-open")).to_be_visible()  # every module is there
+        term, tip = window.page.locator("h2 .term").first, window.page.get_by_role("tooltip")
+        term.focus()
+        expect(tip).to_have_text(term.get_attribute("data-meaning"))
+        expect(term).to_have_accessible_description(term.get_attribute("data-meaning"))
+        assert window.barriers(drawings=False) == []
+        press(window, "Escape")
+        expect(tip).to_be_hidden()
+        other = window.page.locator("dt .term").first
+        other.hover()
+        expect(tip).to_have_text(other.get_attribute("data-meaning"))
+        tip.hover()
+        expect(tip).to_be_visible()
+        window.page.mouse.move(0, 0)
+        term.evaluate("term => term.blur()")
+        expect(tip).to_be_hidden()

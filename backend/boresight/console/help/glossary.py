@@ -1,7 +1,13 @@
-"""The terms of the console, read from `docs/glossary.md`: what each means, and where on the glossary's page it stands."""
+"""The terms of the console, read from `docs/glossary.md`, and where they are explained.
+
+A page that is rendered explains each term where it is first a label: a heading, a row or column of a table, a fact, a legend.
+There it is a link to the glossary, or the button that sorts the column, with the meaning at it, which `glossary.js` shows under
+the pointer and at the focus.
+"""
 
 from __future__ import annotations
 
+import html
 import re
 import unicodedata
 from collections.abc import Mapping, Sequence
@@ -11,6 +17,11 @@ from functools import cache
 from boresight.resources import folder
 
 LINE = re.compile(r"- \*\*(?P<names>[^*]+)\*\*: (?P<meaning>.+\.)(?: `[\w.]+`)+")
+LABEL = re.compile(
+    r'<(?:a class="sort"|button [^>]*data-sort=)[^>]*>(?P<column>[^<>]+)(?=<)'
+    r'|<(?:h[1-3]|dt|th|legend)\b(?![^>]*class="sr")[^>]*>\s*(?P<label>[^<>]+?)(?=\s*<)'
+)
+OTHERWISE = frozenset({"state", "term", "cause"})  # also of runs, of noise, of failures
 
 
 @dataclass(frozen=True)
@@ -54,3 +65,27 @@ def list_terms() -> Sequence[GlossaryTerm]:
 def terms_by_name() -> Mapping[str, GlossaryTerm]:
     """Return every term by each of its names, in small letters."""
     return {name.lower(): term for term in list_terms() for name in term.names}
+
+
+def find_term(label: str) -> GlossaryTerm | None:
+    """Return the term that a label names, also in the plural."""
+    word = label.lower()
+    return None if word in OTHERWISE else terms_by_name().get(word) or terms_by_name().get(word.removesuffix("s"))
+
+
+def mark_terms(page: str) -> str:
+    """Explain each term of a page where it is first a label."""
+    seen: set[str] = set()
+
+    def mark(found: re.Match[str]) -> str:
+        label = found["label"] or found["column"]
+        term = find_term(html.unescape(label))
+        if term is None or term.anchor in seen:
+            return found[0]
+        seen.add(term.anchor)
+        meaning = f'data-meaning="{html.escape(term.meaning)}"'
+        if found["column"]:
+            return f"{found[0].removesuffix(f'>{label}')} {meaning}>{label}"
+        return f'{found[0].removesuffix(label)}<a class="term" href="{term.address}" {meaning}>{label}</a>'
+
+    return LABEL.sub(mark, page)
