@@ -8,7 +8,7 @@ import { describeError, fetchJson } from "./requests.js";
 
 const QUIET_MS = 150;
 const HERE = "main .tabs a[href], main .page-head a.button[href], main .next-act a[href], main .contents a[href]";
-const COMMANDS = "main button, #theme, #keys-open";
+const COMMANDS = "main button, #theme, #notify, #keys-open";
 const NO_COMMAND = "table button, .notice button, .field button";
 /** @typedef {{ kind: string, title: string, note: string, href: string, button?: HTMLButtonElement }} Found */
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Request
-from fastapi.responses import HTMLResponse
+from fastapi.responses import HTMLResponse, JSONResponse
 
 from boresight.console import list_queries as lists
 from boresight.console.access.dependencies import Reading, ServerPolicy, Who, Workers, depend_on_server, same_for_one
@@ -322,6 +322,22 @@ def _counts(standings: Sequence[SensorStatus]) -> dict[str, int]:
 OverviewCache = Annotated[VersionedCache[FleetView], depend_on_server("overview")]
 
 
+def _look(request: Request, session: Session, cache: VersionedCache[FleetView]) -> FleetView:
+    """Return the fleet as of the newest commit, before anything else is read."""
+    ages = time.monotonic() // HELD_S  # times in the rows are recomputed when this changes
+    overview, is_older = cache.answer_to(ages, partial(_fleet, session), request.state.came_s)
+    if is_older:
+        mark_outdated(request)
+    return overview
+
+
+@router.get("/waiting", response_class=JSONResponse, dependencies=[Depends(same_for_one)])
+def waiting(request: Request, session: Reading, actor: Who, policy: ServerPolicy, cache: OverviewCache) -> JSONResponse:
+    """Tell how much waits for this person, and the first of it: the number in the browser's tab, and its notifications."""
+    _, actions = _mine(session, actor, policy, _look(request, session, cache))
+    return JSONResponse({"count": actions.count, "first": [asdict(action) for action in actions.first]})
+
+
 @router.get("/", response_class=HTMLResponse, dependencies=[Depends(same_for_one)])
 def overview_page(
     request: Request,
@@ -333,12 +349,7 @@ def overview_page(
     view: str = "",
 ) -> HTMLResponse:
     """Show what waits for this person, then the fleet: a row a sensor, or tiles where they were chosen last."""
-    ages = time.monotonic() // HELD_S  # times in the rows are recomputed when this changes
-    overview, is_older = cache.answer_to(
-        ages, partial(_fleet, session), request.state.came_s
-    )  # before anything else is read
-    if is_older:
-        mark_outdated(request)
+    overview = _look(request, session, cache)
     signatures, actions = _mine(session, actor, policy, overview)
     workers = dispatcher.state() if dispatcher else None
     return render(
