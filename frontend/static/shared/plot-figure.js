@@ -6,13 +6,14 @@
  * the PNG button; an image is always on white. `scale` is log or linear, for the axes that a figure offers both for. Of a
  * figure that was thinned (`meta.detail`) a zoomed window is asked for again, in full. Charts of one axis share a cursor.
  * A `small` one fills its place, and its panel's link opens the large one. What is folded away is drawn when it is unfolded.
- * The figure of a running run says as of which frame it is (`meta.as_of`).
+ * The figure of a running run says as of which frame it is (`meta.as_of`). What is zoomed stands in the address (view-address.js).
  */
 import { find, make } from "./dom.js";
 import { linkCursor, unlinkCursor } from "./plot-cursor.js";
 import { onTheme, onWhite } from "./plot-theme.js";
-import { clear, draw, fit, makeImage, isDrawn, load, getRange } from "./plotly.js";
+import { clear, draw, fit, makeImage, isDrawn, load, getRange, zoomTo } from "./plotly.js";
 import { BACKGROUND, Problem, fetchJson, describeError } from "./requests.js";
+import { getZoom, keepZoom } from "./view-address.js";
 
 const SLOW_MS = 10_000;
 const NARROW_PX = 560;
@@ -45,10 +46,10 @@ const utcTime = () => `${new Date().toISOString().slice(11, 19)}Z`;
  * @returns {[number, number] | null | undefined}
  */
 function readWindow(change) {
-  const axis = Object.keys(change).find((name) => /^xaxis\d*\.(range\[0\]|autorange)$/.test(name))?.split(".")[0];
+  const axis = Object.keys(change).find((name) => /^xaxis\d*\.(range\[0\]|range|autorange)$/.test(name))?.split(".")[0];
   if (!axis) return undefined;
   const [from, to] = [change[`${axis}.range[0]`], change[`${axis}.range[1]`]];
-  return typeof from === "number" && typeof to === "number" ? [from, to] : change[`${axis}.autorange`] ? null : undefined;
+  return typeof from === "number" && typeof to === "number" ? [from, to] : change[`${axis}.autorange`] || change[`${axis}.range`] ? null : undefined;
 }
 
 /** Whether an axis shows a window. @param {[number, number] | undefined} range @param {[number, number]} window */
@@ -81,6 +82,7 @@ export class PlotFigure extends HTMLElement {
     const { signal } = this.#abort;
     this.addEventListener("figure-refresh", () => this.refresh(BACKGROUND), { signal });
     document.addEventListener("boresight:theme", () => this.#draw(), { signal });
+    addEventListener("hashchange", () => this.#zoom(), { signal });
     this.#resizer.observe(this.canvas);
     this.#say("loading", "Loading the figure.");
     near.observe(this);
@@ -150,7 +152,13 @@ export class PlotFigure extends HTMLElement {
     const { data, layout } = this.#scaled(onTheme(figure));
     const isFirst = !isDrawn(this.canvas);
     await draw(this.canvas, { data, layout: { ...layout, ...this.#size() } });
-    if (isFirst && !this.isSmall) this.canvas.on?.("plotly_relayout", (change) => this.#look(change));
+    if (isFirst && !this.isSmall) {
+      this.canvas.on?.("plotly_relayout", (change) => {
+        keepZoom(this.#name, change);
+        this.#look(change);
+      });
+      if (getZoom(this.#name).size) await this.#zoom();
+    }
     if (!this.isSmall) linkCursor(this.canvas, layout.meta?.axis);
     const [axis, step] = figure.layout.meta?.as_of ?? [];
     this.tellPlace(axis, step);
@@ -159,6 +167,15 @@ export class PlotFigure extends HTMLElement {
     if (this.isSmall) this.#headline.hidden = true;
     if (this.#png) this.#png.disabled = false;
     this.dispatchEvent(new CustomEvent("figure-drawn", { bubbles: true }));
+  }
+
+  /** Show what the address says of this chart. */
+  async #zoom() {
+    if (!this.isSmall && isDrawn(this.canvas)) await zoomTo(this.canvas, getZoom(this.#name));
+  }
+
+  get #name() {
+    return this.getAttribute("name") ?? "";
   }
 
   get isSmall() {
