@@ -45,6 +45,7 @@ ADDRESSES = {
     "change-proposals": "/change-proposals?show=all",
     "administration": "/administration",
     "glossary": "/help/glossary",
+    "saved-views": "/saved-views",
     "settings": "/help/settings",
     "no-such-page": "/runs/999999",
     "forbidden": "/",

@@ -58,6 +58,16 @@ def _new_profile(house: House) -> dict[str, Any]:
     return {**PROFILE, "name": f"st-{len(known)}"}
 
 
+def _view(house: House) -> Made:
+    known = house.person("victor").get("/api/v1/saved-views").json()["items"]
+    return "victor", {"json": {"name": "Runs", "path": f"/runs?sensor={len(known) + 1}"}}
+
+
+def _saved_view(house: House) -> Made:
+    who, options = _view(house)
+    return who, {"view_id": house.person(who).post("/api/v1/saved-views", **options).json()["id"]}
+
+
 def _archive_profile(house: House) -> Made:
     number = _saved_profile(house)["id"]
     read = house.person("ada").get(f"/api/v1/import-profiles/{number}")
@@ -323,6 +333,9 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "activate_parameter_set": onboard.activate,
     "stream_events": lambda _: ("victor", {}),
     "list_audit": lambda _: ("victor", {}),
+    "list_saved_views": lambda _: ("victor", {}),
+    "save_view": _view,
+    "remove_view": _saved_view,
     "verify_audit": lambda _: ("victor", {}),
     "export_audit": lambda _: ("victor", {}),
     "get_audit_verifier": lambda _: ("victor", {}),

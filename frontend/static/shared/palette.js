@@ -1,10 +1,11 @@
 /**
- * The palette: Ctrl-K (or ⌘-K) finds sensors, runs, sets, requests, telemetry and alarms by name or number, settings, terms, pages, and
+ * The palette: Ctrl-K (or ⌘-K) finds favourites and saved views, sensors, runs, sets, requests, telemetry and alarms by name or number, settings, terms, pages, and
  * the links and buttons of the page at hand. It leads to places, opens dialogs and presses what only shows; a button that would send a
  * form that writes gets the focus and is not pressed.
  */
 import { find, findAll } from "./dom.js";
 import { describeError, fetchJson } from "./requests.js";
+import { listViews } from "./saved-views.js";
 
 const QUIET_MS = 150;
 const HERE = "main .tabs a[href], main .page-head a.button[href], main .next-act a[href], main .contents a[href]";
@@ -35,6 +36,8 @@ class Palette {
   #timer = 0;
   #asked = 0;
   #at = 0;
+  /** @type {Found[]} favourites and saved views */
+  #saved = [];
 
   /** @param {HTMLDialogElement} dialog @param {HTMLInputElement} field @param {HTMLElement} list */
   constructor(dialog, field, list) {
@@ -51,6 +54,10 @@ class Palette {
     this.dialog.showModal();
     this.field.focus();
     this.#show(this.#near(""));
+    listViews().then((saved) => {
+      this.#saved = saved;
+      if (!this.field.value) this.#show(this.#near(""));
+    });
   }
 
   /** Pages, and links and buttons of this page, that contain the text. @param {string} text @returns {Found[]} */
@@ -59,7 +66,7 @@ class Palette {
     /** @param {string} kind @param {string} selector */
     const links = (kind, selector) =>
       findAll(selector, HTMLAnchorElement).map((link) => ({ kind, title: getName(link), note: "", href: link.href }));
-    const all = [...links("Here", HERE), ...listCommands(), ...links("Page", "nav.side a[href]")];
+    const all = [...this.#saved, ...links("Here", HERE), ...listCommands(), ...links("Page", "nav.side a[href]")];
     return all.filter((one) => one.title.toLowerCase().includes(wanted));
   }
 
@@ -78,7 +85,10 @@ class Palette {
       } catch (error) {
         said = describeError(error);
       }
-      if (asked === this.#asked) this.#show([...found, ...this.#near(text)], said);
+      if (asked !== this.#asked) return;
+      const near = this.#near(text);
+      const saved = near.filter((one) => this.#saved.includes(one));
+      this.#show([...saved, ...found, ...near.filter((one) => !saved.includes(one))], said);
     }, QUIET_MS);
   }
 

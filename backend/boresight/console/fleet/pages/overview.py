@@ -30,6 +30,7 @@ from boresight.console.pages.rendering import render
 from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.runs import service as runs
 from boresight.console.runs.tables import TERMINAL_RUN_STATES
+from boresight.console.saved_views import service as saved_views
 from boresight.platform.actors import Actor, Policy
 from boresight.platform.audit import log as audit
 from boresight.platform.db.data_version import VersionedCache
@@ -40,6 +41,7 @@ from boresight.verdicts.verdict import RunSummary, parse_run_summary
 RECENT_EVENTS = 12
 MOST_ACTIONS = 8
 MOST_TILES = 120
+MOST_FAVOURITES = 12
 RUNS_IN_A_SPARKLINE = 16
 VIEWS = ("rows", "tiles")
 CAME_BACK = ("STALE", "REJECTED")  # states of a request that its submitter is shown
@@ -352,6 +354,7 @@ def overview_page(
     overview = _look(request, session, cache)
     signatures, actions = _mine(session, actor, policy, overview)
     workers = dispatcher.state() if dispatcher else None
+    favourites = saved_views.list_favourites(session, actor)[:MOST_FAVOURITES]
     return render(
         request,
         "fleet/overview.html",
@@ -361,6 +364,7 @@ def overview_page(
             signatures.count,
             actions.count,
             tuple(actions.first),
+            tuple((row.path, row.name) for row in favourites),
             tuple((workers or {}).items()),
         ),
         view=view if view in VIEWS else VIEWS[0],
@@ -368,6 +372,7 @@ def overview_page(
         levels=LEVELS,
         counts=_counts(overview.standings),
         actions=actions.first,
+        favourites=favourites,
         more_actions=actions.count - len(actions.first),
         waiting_for_me=signatures.count,
         events=overview.events,
