@@ -95,6 +95,7 @@ def test_scale_and_tail_are_in_the_address_so_that_a_second_person_sees_the_same
         assert second.page.evaluate(TAIL) == 60
 
 
+DOUBLE_CLICK_MS = 400  # a press so soon after the last one would be a double click
 RANGES = """name => { const drawn = document.querySelector(`#figure-${name} .js-plotly-plot`)._fullLayout;
     return [...drawn.xaxis.range, ...drawn.yaxis.range]; }"""
 
@@ -112,6 +113,7 @@ def test_zoom_and_cursor_are_in_the_address_so_that_a_copied_link_opens_the_same
     mouse.up()
     window.page.wait_for_url(re.compile("#zoom.run-.*-rms=x_"))
     window.figures_drawn()
+    window.page.wait_for_timeout(DOUBLE_CLICK_MS)
     chart.click(position={"x": 100, "y": 50})
     window.page.wait_for_url(re.compile("&at=frame_"))
     window.page.locator("h1").hover()

@@ -353,6 +353,7 @@ def document() -> dict[str, Any]:
             {"at_utc": "2026-01-21T00:00:00.000000Z", "state": "SENT", "parameter_set_id": 2, "name": "PS-ST1-2"}
         ],
         "truth": {"f_m": 0.016001, "b2_per_m2": 12.0},
+        "annotations": [],
         "drift": {"verdict": "HOLDS"},
     }
 
@@ -384,6 +385,20 @@ def test_baselines_truth_temperature_and_records_have_their_places(document: dic
     assert _named(figure, "Truth")[1].y[0] == pytest.approx(2.0)
     assert list(_named(figure, "Temperature")[0].y) == [22.0, 23.0, 25.0]
     assert "PS-ST1-2 SENT" in _named(figure, "Records")[0].text
+
+
+def test_an_annotation_is_a_line_through_all_panels_whose_label_is_text_and_no_markup(document: dict[str, Any]) -> None:
+    said = {
+        "at_utc": "2026-01-04T00:00:00.000000Z",
+        "text": "<b>Safe mode</b> of six long hours & more",
+        "printed_name": "Ana",
+    }
+    figure = trend.draw({**document, "annotations": [said]})
+    line = figure.layout.shapes[-1]
+    assert (line.x0, line.x1, line.y0, line.y1) == ("2026-01-04T00:00:00.000", "2026-01-04T00:00:00.000", 0, 1)
+    label = figure.layout.annotations[-1]
+    assert label.text == "&lt;b&gt;Safe mode&lt;/b&gt; of six lon…"
+    assert label.hovertext == "&lt;b&gt;Safe mode&lt;/b&gt; of six long hours &amp; more (Ana)"
 
 
 def test_another_model_stands_apart_nothing_yet_says_what_to_do_and_two_hundred_stay_small(
