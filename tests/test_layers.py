@@ -15,6 +15,7 @@ RANKS = {"tables": 0, "queries": 1, "service": 2, "schemas": 3, "dependencies": 
 # Services of a noun use those of nouns before it, and of none after it.
 NOUNS = (
     "access",
+    "saved_views",
     "notes",
     "telemetry",
     "runs",
@@ -27,6 +28,7 @@ NOUNS = (
     "campaigns",
     "webhooks",
     "audit",
+    "help",
     "search",
     "administration",
     "jobs",  # no noun: the background services, over the nouns whose work they do

@@ -8,7 +8,7 @@ _PACKAGE = Path(__file__).resolve().parent
 
 
 def folder(name: str) -> Path:
-    """Return the folder `frontend` or `migrations`, from the installed wheel or from the checkout."""
+    """Return the folder `frontend`, `migrations` or `docs`, from the installed wheel or from the checkout."""
     for candidate in (_PACKAGE / name, _PACKAGE.parents[1] / name):
         if candidate.is_dir():
             return candidate

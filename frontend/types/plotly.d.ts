@@ -84,20 +84,21 @@ interface Figure {
   layout: Layout;
 }
 
-/** What a person changed of the axes: `xaxis.range[0]`, `xaxis.range[1]`, `xaxis.autorange`. */
-type ZoomChange = Record<string, number | boolean | undefined>;
+/** What a person changed of the axes: `xaxis.range[0]`, `xaxis.range[1]`, `xaxis.autorange`; ends of a time axis are dates. */
+type ZoomChange = Record<string, number | string | boolean | number[] | undefined>;
 
 /** The element that a figure is drawn in; it has more once it is drawn. */
 interface Canvas extends HTMLDivElement {
   data?: Trace[];
   layout?: Layout;
   on?(name: "plotly_relayout" | "plotly_beforehover", hear: (change: ZoomChange) => void): void;
+  on?(name: "plotly_doubleclick", hear: () => void): void;
 }
 
 interface PlotlyLibrary {
   react(canvas: Canvas, data: Trace[], layout: Layout, config: Record<string, boolean>): Promise<Canvas>;
   update(canvas: Canvas, traces: Record<string, unknown[]>, layout: Record<string, unknown>, which: number[]): Promise<Canvas>;
-  relayout(canvas: Canvas, layout: Layout): Promise<Canvas>;
+  relayout(canvas: Canvas, changes: Layout | Record<string, unknown>): Promise<Canvas>;
   purge(canvas: Canvas): void;
   toImage(figure: Figure, options: { format: "png"; width: number; height: number; scale: number }): Promise<string>;
 }

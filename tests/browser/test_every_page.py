@@ -44,6 +44,9 @@ ADDRESSES = {
     "webhooks": "/webhooks",
     "change-proposals": "/change-proposals?show=all",
     "administration": "/administration",
+    "glossary": "/help/glossary",
+    "saved-views": "/saved-views",
+    "settings": "/help/settings",
     "no-such-page": "/runs/999999",
     "forbidden": "/",
 }

@@ -268,3 +268,81 @@ def test_ctrl_k_finds_a_run_and_a_page_and_leads_there(people, batch_run):
         expect(window.page.get_by_role("option", name=re.compile("Audit"))).to_be_visible()
         keyboard.press("Escape")
         expect(window.page.get_by_role("dialog", name="Find")).to_be_hidden()
+
+
+def test_ctrl_k_finds_a_setting_and_presses_what_only_shows_but_nothing_that_writes(people, sensor_id):
+    with people.seat("analyst") as window:
+        keyboard, option = window.page.keyboard, window.page.get_by_role("option")
+        window.open(f"/sensors/{sensor_id}")
+        expect(window.page.locator("#palette-open")).to_be_visible()  # its module listens
+        keyboard.press("Control+k")
+        keyboard.type("add note")
+        expect(option.first).to_contain_text("Command")
+        keyboard.press("Enter")
+        expect(window.page.get_by_role("button", name="Add note")).to_be_focused()
+        assert window.page.url.endswith(f"/sensors/{sensor_id}")
+        keyboard.press("Control+k")
+        keyboard.type("theme")
+        theme = window.page.evaluate("document.documentElement.dataset.theme")
+        keyboard.press("Enter")
+        window.page.wait_for_function("was => document.documentElement.dataset.theme !== was", arg=theme)
+        window.page.evaluate("localStorage.removeItem('boresight-theme')")
+        keyboard.press("Control+k")
+        keyboard.type("session hours")
+        expect(option.first).to_contain_text("BORESIGHT_SESSION_HOURS")
+        assert window.barriers() == []
+        keyboard.press("Enter")
+        window.page.wait_for_url("**/help/settings#setting-session_hours")
+
+
+def test_a_term_is_explained_at_its_focus_and_under_the_pointer_until_escape(people, sensor_id):
+    with people.seat("analyst") as window:
+        window.open(f"/sensors/{sensor_id}")
+        expect(window.page.locator("#palette-open")).to_be_visible()  # every module is there
+        term, tip = window.page.locator("h2 .term").first, window.page.get_by_role("tooltip")
+        term.focus()
+        expect(tip).to_have_text(term.get_attribute("data-meaning"))
+        expect(term).to_have_accessible_description(term.get_attribute("data-meaning"))
+        assert window.barriers(drawings=False) == []
+        press(window, "Escape")
+        expect(tip).to_be_hidden()
+        other = window.page.locator("dt .term").first
+        other.hover()
+        expect(tip).to_have_text(other.get_attribute("data-meaning"))
+        tip.hover()
+        expect(tip).to_be_visible()
+        window.page.mouse.move(0, 0)
+        term.evaluate("term => term.blur()")
+        expect(tip).to_be_hidden()
+
+
+def test_a_star_and_a_saved_view_are_first_in_ctrl_k(people, sensor_id):
+    with people.seat("analyst") as window:
+        keyboard, option = window.page.keyboard, window.page.get_by_role("option")
+        window.open(f"/sensors/{sensor_id}")
+        star = window.page.get_by_role("button", name="Favourite")
+        expect(star).to_have_attribute("aria-pressed", "false")
+        star.click()
+        expect(star).to_have_attribute("aria-pressed", "true")
+        window.open("/runs?state=FAILED&sort=run")
+        window.page.locator(".list-tools").get_by_role("button", name="Save view").click()
+        dialog = window.page.get_by_role("dialog", name="Save this view")
+        dialog.get_by_label("Name").fill("Failed ones")
+        assert window.barriers() == []
+        dialog.get_by_role("button", name="Save").click()
+        expect(window.page.get_by_role("status").filter(has_text="Failed ones")).to_be_visible()
+        assert window.page.url.endswith("/runs?state=FAILED&sort=run")
+        window.open("/")
+        expect(window.page.locator("#palette-open")).to_be_visible()  # its module listens
+        keyboard.press("Control+k")
+        expect(option.nth(0)).to_contain_text("Favourite")
+        expect(option.nth(1)).to_contain_text("Failed ones")
+        keyboard.type("failed ones")
+        expect(option.first).to_contain_text("View")
+        keyboard.press("Enter")
+        window.page.wait_for_url("**/runs?state=FAILED&sort=run")
+        window.open("/saved-views")
+        assert window.barriers() == []
+        for left in (1, 0):
+            window.page.get_by_role("button", name="Remove").first.click()
+            expect(window.page.locator("tbody tr")).to_have_count(left)

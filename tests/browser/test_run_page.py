@@ -94,6 +94,41 @@ def test_scale_and_tail_are_in_the_address_so_that_a_second_person_sees_the_same
         assert second.page.evaluate(TAIL) == 60
 
 
+DOUBLE_CLICK_MS = 400  # a press so soon after the last one would be a double click
+RANGES = """name => { const drawn = document.querySelector(`#figure-${name} .js-plotly-plot`)._fullLayout;
+    return [...drawn.xaxis.range, ...drawn.yaxis.range]; }"""
+
+
+def test_zoom_and_cursor_are_in_the_address_so_that_a_copied_link_opens_the_same_view(window, people, sequential_run):
+    window.open(f"/runs/{sequential_run}?part=convergence#errors")
+    window.figures_drawn()
+    assert window.page.url.endswith("#errors")
+    chart, mouse = window.figure("rms").locator(".nsewdrag").first, window.page.mouse
+    chart.scroll_into_view_if_needed()
+    box = chart.bounding_box()
+    mouse.move(box["x"] + 60, box["y"] + 20)
+    mouse.down()
+    mouse.move(box["x"] + 260, box["y"] + 90, steps=4)
+    mouse.up()
+    window.page.wait_for_url(re.compile("#zoom.run-.*-rms=x_"))
+    window.figures_drawn()
+    window.page.wait_for_timeout(DOUBLE_CLICK_MS)
+    chart.click(position={"x": 100, "y": 50})
+    window.page.wait_for_url(re.compile("&at=frame_"))
+    window.page.locator("h1").hover()
+    expect(window.page.locator(LINES)).to_have_count(10)
+    zoomed = window.page.evaluate(RANGES, "rms")
+    with people.seat("approver") as second:
+        second.open(window.page.url)
+        second.figures_drawn()
+        expect(second.page.locator(LINES)).to_have_count(10)
+        assert second.page.evaluate(RANGES, "rms") == pytest.approx(zoomed, rel=1e-5)
+        second.page.keyboard.press("Escape")
+        expect(second.page.locator(LINES)).to_have_count(0)
+        second.figure("rms").locator(".nsewdrag").first.dblclick()
+        second.page.wait_for_url(re.compile("part=convergence$"))
+
+
 def test_the_runs_beside_are_one_step_away_in_the_same_part(window, batch_run, sequential_run):
     window.open(f"/runs/{sequential_run}?part=record")
     window.page.locator("a[rel=prev]").click()

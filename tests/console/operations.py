@@ -58,6 +58,27 @@ def _new_profile(house: House) -> dict[str, Any]:
     return {**PROFILE, "name": f"st-{len(known)}"}
 
 
+def _annotation(house: House) -> Made:
+    body = {"at_utc": "2026-11-21T03:04:05Z", "text": "Safe mode."}
+    return "ada", {"sensor_id": house.new_sensor()["id"], "json": body}
+
+
+def _annotated(house: House) -> Made:
+    who, options = _annotation(house)
+    house.person(who).post(f"/api/v1/sensors/{options['sensor_id']}/annotations", json=options["json"])
+    return "victor", {"sensor_id": options["sensor_id"]}
+
+
+def _view(house: House) -> Made:
+    known = house.person("victor").get("/api/v1/saved-views").json()["items"]
+    return "victor", {"json": {"name": "Runs", "path": f"/runs?sensor={len(known) + 1}"}}
+
+
+def _saved_view(house: House) -> Made:
+    who, options = _view(house)
+    return who, {"view_id": house.person(who).post("/api/v1/saved-views", **options).json()["id"]}
+
+
 def _archive_profile(house: House) -> Made:
     number = _saved_profile(house)["id"]
     read = house.person("ada").get(f"/api/v1/import-profiles/{number}")
@@ -324,6 +345,11 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "activate_parameter_set": onboard.activate,
     "stream_events": lambda _: ("victor", {}),
     "list_audit": lambda _: ("victor", {}),
+    "list_annotations": _annotated,
+    "annotate": _annotation,
+    "list_saved_views": lambda _: ("victor", {}),
+    "save_view": _view,
+    "remove_view": _saved_view,
     "verify_audit": lambda _: ("victor", {}),
     "export_audit": lambda _: ("victor", {}),
     "get_audit_verifier": lambda _: ("victor", {}),

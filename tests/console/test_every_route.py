@@ -108,6 +108,7 @@ BODIES: dict[str, dict[str, Any]] = {
     "get_parameter_set_camera_file": {"params": {"to": "opencv"}},
     "get_run_camera_file": {"params": {"to": "opencv"}},
     "edit_sensor": {"json": {"name": "x"}},
+    "annotate": {"json": {"at_utc": "2026-01-01", "text": "x"}},
     "submit_parameter_set": {"json": {"reason": "x"}},
     "approve": {"json": {"meaning": "x", "password": PASSWORD}},
     "refuse": {"json": {"meaning": "x", "password": PASSWORD, "comment": "x"}},

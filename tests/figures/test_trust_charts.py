@@ -353,6 +353,7 @@ def document() -> dict[str, Any]:
             {"at_utc": "2026-01-21T00:00:00.000000Z", "state": "SENT", "parameter_set_id": 2, "name": "PS-ST1-2"}
         ],
         "truth": {"f_m": 0.016001, "b2_per_m2": 12.0},
+        "annotations": [],
         "drift": {"verdict": "HOLDS"},
     }
 
@@ -417,6 +418,20 @@ def test_labels_at_one_edge_are_half_the_time_apart() -> None:
     drawn = trend._beyond(marks, 1.0, "triangle-up", (marks[0][0], marks[-1][0]))
     assert [bool(text) for text in drawn.text] == [True, False, False, True, False]
     assert list(drawn.textposition)[::4] == ["middle right", "middle left"]
+
+
+def test_an_annotation_is_a_line_through_all_panels_whose_label_is_text_and_no_markup(document: dict[str, Any]) -> None:
+    said = {
+        "at_utc": "2026-01-04T00:00:00.000000Z",
+        "text": "<b>Safe mode</b> of six long hours & more",
+        "printed_name": "Ana",
+    }
+    figure = trend.draw({**document, "annotations": [said]})
+    line = figure.layout.shapes[-1]
+    assert (line.x0, line.x1, line.y0, line.y1) == ("2026-01-04T00:00:00.000", "2026-01-04T00:00:00.000", 0, 1)
+    label = figure.layout.annotations[-1]
+    assert label.text == "&lt;b&gt;Safe mode&lt;/b&gt; of six lon…"
+    assert label.hovertext == "&lt;b&gt;Safe mode&lt;/b&gt; of six long hours &amp; more (Ana)"
 
 
 def test_another_model_stands_apart_nothing_yet_says_what_to_do_and_two_hundred_stay_small(

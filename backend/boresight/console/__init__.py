@@ -9,6 +9,7 @@ from boresight.console.fleet import tables as fleet_tables
 from boresight.console.notes import tables as note_tables
 from boresight.console.parameter_sets import tables as parameter_set_tables
 from boresight.console.runs import tables as run_tables
+from boresight.console.saved_views import tables as saved_view_tables
 from boresight.console.telemetry import tables as telemetry_tables
 from boresight.console.uplinks import tables as uplink_tables
 from boresight.console.webhooks import tables as webhook_tables
@@ -27,6 +28,7 @@ TABLES = (
     note_tables,
     parameter_set_tables,
     run_tables,
+    saved_view_tables,
     telemetry_tables,
     uplink_tables,
     webhook_tables,

@@ -20,6 +20,7 @@ from boresight.console.notes import routes as notes
 from boresight.console.parameter_sets import routes as parameter_sets
 from boresight.console.runs import figure_routes as figures
 from boresight.console.runs import routes as runs
+from boresight.console.saved_views import routes as saved_views
 from boresight.console.telemetry import routes as telemetry
 from boresight.console.uplinks import routes as uplinks
 from boresight.console.webhooks import routes as webhooks
@@ -36,6 +37,7 @@ NOUNS = (
     uplinks,
     alarms,
     notes,
+    saved_views,
     events,
     audit,
     access,

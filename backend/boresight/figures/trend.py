@@ -1,4 +1,4 @@
-"""Every parameter over the mission: calibrations at the time of their data, baselines, truth, temperature, records on board.
+"""Every parameter over the mission: calibrations at the time of their data, baselines, truth, temperature, records, annotations.
 
 Drawn from the document of `boresight.trend/1`. A parameter is shown by its difference from the baseline of now, which is the
 line at zero; where another camera model has none, from its first calibration.
@@ -13,6 +13,7 @@ its value, so that an old one does not press all others into a line.
 
 from __future__ import annotations
 
+import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -46,7 +47,8 @@ MARGIN, EDGE = 0.1, 0.05  # of what a panel shows
 APART = 0.5  # of the time shown, between two labels at one edge
 BEYOND = "Beyond the scale"
 COUNTED, LEFT_OUT = theme.RUN_COLOURS[0], theme.RUN_COLOURS[7]
-WARMTH = theme.RUN_COLOURS[1]
+WARMTH, SAID = theme.RUN_COLOURS[1], theme.RUN_COLOURS[3]
+LONGEST_LABEL = 28
 
 
 def draw(trend: Document, model: str | None = None) -> go.Figure:
@@ -74,6 +76,7 @@ def draw(trend: Document, model: str | None = None) -> go.Figure:
     if warm:
         _temperature(figure, points, len(names) + 1)
     _records(figure, trend, rows)
+    _annotations(figure, trend)
     theme.dress(figure, title=_headline(trend, points, own=own), height_px=sum(heights) + 120, hovermode="closest")
     figure.update_layout(margin_r=40)  # half of the last date
     figure.update_xaxes(type="date", showgrid=True)
@@ -293,6 +296,38 @@ def _records(figure: go.Figure, trend: Document, row: int) -> None:
         col=1,
     )
     figure.update_yaxes(type="category", categoryarray=["on board", "baseline"], showgrid=False, row=row, col=1)
+
+
+def _annotations(figure: go.Figure, trend: Document) -> None:
+    """Draw what people said of a time: a line through all panels, its label at the top, the whole of it under the pointer."""
+    for said in trend["annotations"]:
+        x, text = _x(said["at_utc"]), html.escape(said["text"], quote=False)
+        label = (
+            text if len(text) <= LONGEST_LABEL else f"{html.escape(said['text'][: LONGEST_LABEL - 1], quote=False)}…"
+        )
+        figure.add_shape(
+            type="line",
+            x0=x,
+            x1=x,
+            y0=0,
+            y1=1,
+            xref="x",
+            yref="paper",
+            line={"color": SAID, "width": 1.4, "dash": "dot"},
+        )
+        figure.add_annotation(
+            x=x,
+            y=1,
+            xref="x",
+            yref="paper",
+            text=label,
+            hovertext=f"{text} ({html.escape(said['printed_name'], quote=False)})",
+            showarrow=False,
+            textangle=-90,
+            xanchor="right",
+            yanchor="top",
+            font={"color": SAID, "size": 11},
+        )
 
 
 def _x(at_utc: str) -> str:

@@ -1,18 +1,43 @@
 /**
- * The palette: Ctrl-K (or ⌘-K) finds sensors, runs, sets, requests, telemetry and alarms by name or number, pages, and the links of the
- * page at hand. It leads to places and opens dialogs; it never acts by itself.
+ * The palette: Ctrl-K (or ⌘-K) finds favourites and saved views, sensors, runs, sets, requests, telemetry and alarms by name or number, settings, terms, pages, and
+ * the links and buttons of the page at hand. It leads to places, opens dialogs and presses what only shows; a button that would send a
+ * form that writes gets the focus and is not pressed.
  */
 import { find, findAll } from "./dom.js";
 import { describeError, fetchJson } from "./requests.js";
+import { listViews } from "./saved-views.js";
 
 const QUIET_MS = 150;
 const HERE = "main .tabs a[href], main .page-head a.button[href], main .next-act a[href], main .contents a[href]";
-/** @typedef {{ kind: string, title: string, note: string, href: string }} Found */
+const COMMANDS = "main button, #theme, #notify, #keys-open";
+const NO_COMMAND = "table button, .notice button, .field button";
+/** @typedef {{ kind: string, title: string, note: string, href: string, button?: HTMLButtonElement }} Found */
+
+/** What a link or a button is called. @param {HTMLElement} control */
+const getName = (control) => (control.ariaLabel || control.textContent || control.title).trim().replace(/\s+/g, " ");
+
+/** The buttons of this page that can be pressed. @returns {Found[]} */
+function listCommands() {
+  const buttons = findAll(COMMANDS, HTMLButtonElement).filter((one) => !one.disabled && one.checkVisibility() && !one.matches(NO_COMMAND));
+  return buttons.map((button) => ({ kind: "Command", title: getName(button), note: writes(button) ? "shows it" : "", href: "", button }));
+}
+
+/** @param {HTMLButtonElement} button */
+const writes = (button) => button.type === "submit" && button.form?.getAttribute("method") === "post";
+
+/** Press a button, or only show the one that writes. @param {HTMLButtonElement} button */
+function take(button) {
+  button.focus();
+  if (writes(button)) button.scrollIntoView({ block: "center" });
+  else button.click();
+}
 
 class Palette {
   #timer = 0;
   #asked = 0;
   #at = 0;
+  /** @type {Found[]} favourites and saved views */
+  #saved = [];
 
   /** @param {HTMLDialogElement} dialog @param {HTMLInputElement} field @param {HTMLElement} list */
   constructor(dialog, field, list) {
@@ -29,15 +54,19 @@ class Palette {
     this.dialog.showModal();
     this.field.focus();
     this.#show(this.#near(""));
+    listViews().then((saved) => {
+      this.#saved = saved;
+      if (!this.field.value) this.#show(this.#near(""));
+    });
   }
 
-  /** Pages and links of this page that contain the text. @param {string} text @returns {Found[]} */
+  /** Pages, and links and buttons of this page, that contain the text. @param {string} text @returns {Found[]} */
   #near(text) {
     const wanted = text.toLowerCase();
     /** @param {string} kind @param {string} selector */
     const links = (kind, selector) =>
-      findAll(selector, HTMLAnchorElement).map((link) => ({ kind, title: link.textContent?.trim().replace(/\s+/g, " ") ?? "", note: "", href: link.href }));
-    const all = [...links("Here", HERE), ...links("Page", "nav.side a[href]")];
+      findAll(selector, HTMLAnchorElement).map((link) => ({ kind, title: getName(link), note: "", href: link.href }));
+    const all = [...this.#saved, ...links("Here", HERE), ...listCommands(), ...links("Page", "nav.side a[href]")];
     return all.filter((one) => one.title.toLowerCase().includes(wanted));
   }
 
@@ -56,7 +85,10 @@ class Palette {
       } catch (error) {
         said = describeError(error);
       }
-      if (asked === this.#asked) this.#show([...found, ...this.#near(text)], said);
+      if (asked !== this.#asked) return;
+      const near = this.#near(text);
+      const saved = near.filter((one) => this.#saved.includes(one));
+      this.#show([...saved, ...found, ...near.filter((one) => !saved.includes(one))], said);
     }, QUIET_MS);
   }
 
@@ -71,7 +103,10 @@ class Palette {
 
   /** @param {Found} one @param {number} place */
   #option(one, place) {
-    const link = Object.assign(document.createElement("a"), { href: one.href, id: `palette-${place}`, tabIndex: -1 });
+    const { button } = one;
+    const link = Object.assign(document.createElement("a"), { id: `palette-${place}`, tabIndex: -1 });
+    if (!button) link.href = one.href;
+    else link.addEventListener("click", () => setTimeout(() => take(button))); // when the palette has closed and given back the focus
     link.setAttribute("role", "option");
     for (const [name, text] of Object.entries({ "palette-kind": one.kind, "palette-title": one.title, "palette-note": one.note })) {
       const part = document.createElement("span");

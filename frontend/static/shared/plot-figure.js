@@ -6,15 +6,16 @@
  * the PNG button; an image is always on white. `scale` is log or linear, for the axes that a figure offers both for. Of a
  * figure that was thinned (`meta.detail`) a zoomed window is asked for again, in full. Charts of one axis share a cursor.
  * A `small` one fills its place, and its panel's link opens the large one. What is folded away is drawn when it is unfolded.
- * The figure of a running run says as of which frame it is (`meta.as_of`).
+ * The figure of a running run says as of which frame it is (`meta.as_of`). What is zoomed stands in the address (view-address.js).
  */
 import { makeAge } from "./clock.js";
 import { find, findAll, make } from "./dom.js";
 import { count } from "./numbers.js";
 import { linkCursor, unlinkCursor } from "./plot-cursor.js";
 import { onTheme, onWhite, usePaper } from "./plot-theme.js";
-import { clear, draw, fit, makeImage, isDrawn, load, getRange } from "./plotly.js";
+import { clear, draw, fit, makeImage, isDrawn, load, getRange, zoomTo } from "./plotly.js";
 import { BACKGROUND, Problem, fetchJson, describeError } from "./requests.js";
+import { getZoom, keepZoom } from "./view-address.js";
 
 const SLOW_MS = 10_000;
 const NARROW_PX = 560;
@@ -52,10 +53,10 @@ const utcTime = () => `${new Date().toISOString().slice(11, 19)}Z`;
  * @returns {[number, number] | null | undefined}
  */
 function readWindow(change) {
-  const axis = Object.keys(change).find((name) => /^xaxis\d*\.(range\[0\]|autorange)$/.test(name))?.split(".")[0];
+  const axis = Object.keys(change).find((name) => /^xaxis\d*\.(range\[0\]|range|autorange)$/.test(name))?.split(".")[0];
   if (!axis) return undefined;
   const [from, to] = [change[`${axis}.range[0]`], change[`${axis}.range[1]`]];
-  return typeof from === "number" && typeof to === "number" ? [from, to] : change[`${axis}.autorange`] ? null : undefined;
+  return typeof from === "number" && typeof to === "number" ? [from, to] : change[`${axis}.autorange`] || change[`${axis}.range`] ? null : undefined;
 }
 
 /** Whether an axis shows a window. @param {[number, number] | undefined} range @param {[number, number]} window */
@@ -90,6 +91,7 @@ export class PlotFigure extends HTMLElement {
     const { signal } = this.#abort;
     this.addEventListener("figure-refresh", () => this.refresh(BACKGROUND), { signal });
     document.addEventListener("boresight:theme", () => this.#draw(), { signal });
+    addEventListener("hashchange", () => this.#zoom(), { signal });
     this.#resizer.observe(this.canvas);
     this.#say("loading", "Loading the figure.");
     near.observe(this);
@@ -167,7 +169,13 @@ export class PlotFigure extends HTMLElement {
     const began = performance.now();
     await draw(this.canvas, { data, layout: { ...layout, ...this.#size() } });
     this.#costMs = performance.now() - began;
-    if (isFirst && !this.isSmall) this.canvas.on?.("plotly_relayout", (change) => this.#look(change));
+    if (isFirst && !this.isSmall) {
+      this.canvas.on?.("plotly_relayout", (change) => {
+        keepZoom(this.#name, change);
+        this.#look(change);
+      });
+      if (getZoom(this.#name).size) await this.#zoom();
+    }
     if (!this.isSmall) linkCursor(this.canvas, layout.meta?.axis);
     this.tellPlace(figure.layout.meta?.as_of);
     this.#headline.textContent = plain(figure.layout.title?.text);
@@ -181,6 +189,15 @@ export class PlotFigure extends HTMLElement {
   print(paper) {
     this.#paper = paper;
     return isDrawn(this.canvas) && this.checkVisibility() ? this.#draw() : undefined;
+  }
+
+  /** Show what the address says of this chart. */
+  async #zoom() {
+    if (!this.isSmall && isDrawn(this.canvas)) await zoomTo(this.canvas, getZoom(this.#name));
+  }
+
+  get #name() {
+    return this.getAttribute("name") ?? "";
   }
 
   get isSmall() {

@@ -79,6 +79,25 @@ export async function draw(canvas, { data, layout }) {
  */
 export const change = async (canvas, traces, layout, which) => void (await (await load()).update(canvas, traces, layout, which));
 
+/**
+ * Have axes of a drawn figure show a part of them, and all others everything; axes that it has not are left alone.
+ * @param {Canvas} canvas
+ * @param {Map<AxisName, [number | string, number | string]>} zoom
+ */
+export async function zoomTo(canvas, zoom) {
+  /** @type {Record<string, unknown>} */
+  const changes = {};
+  for (const name of Object.keys(inner(canvas)._fullLayout ?? {}).filter(isAxis)) {
+    const ends = zoom.get(name);
+    if (ends) [changes[`${name}.range[0]`], changes[`${name}.range[1]`]] = ends;
+    else if (inner(canvas).layout?.[name]?.autorange === false) changes[`${name}.autorange`] = true;
+  }
+  if (Object.keys(changes).length) await (await load()).relayout(canvas, changes);
+}
+
+/** @param {string} name @returns {name is AxisName} */
+const isAxis = (name) => /^[xy]axis\d*$/.test(name);
+
 /** Fit a drawn figure to its place. @param {Canvas} canvas @param {{ width: number, height: number, autosize: boolean }} size */
 export function fit(canvas, size) {
   const drawn = inner(canvas)._fullLayout;

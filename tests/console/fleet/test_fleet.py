@@ -236,6 +236,8 @@ def test_a_failed_run_is_serious_for_the_fleet_on_every_page(site, read):
 def test_the_approver_and_nobody_else_is_asked_to_sign_and_none_but_an_analyst_offered_a_launch(site, read):
     name = submitted(site)
     assert f"{name} waits for your signature." in read(site.visitor("alan").get("/"))
+    waiting = site.visitor("alan").send("GET", "/waiting").json()
+    assert (waiting["count"], [one["address"] for one in waiting["first"]]) == (1, ["/approvals/1"])
     for other in ("ada", "victor", "adele"):
         page = site.visitor(other).get("/")
         assert "waits for your signature" not in read(page)

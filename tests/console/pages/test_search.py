@@ -1,5 +1,6 @@
 """What the palette finds: anything by a part of its name or by its number, for who is logged in, however strange the text."""
 
+from collections import Counter
 from dataclasses import replace
 
 import httpx
@@ -26,6 +27,13 @@ def found(site):
         ("focus step", "Run", "/runs/3"),
         ("#2", "Run", "/runs/2"),
         ("calibration", "Telemetry", "/telemetry/1"),
+        ("tolerance", "Setting", "/help/settings#option-match_rule"),
+        ("--noise-model", "Setting", "/help/settings#option-noise_model"),
+        ("session hours", "Setting", "/help/settings#setting-session_hours"),
+        ("BORESIGHT_PORT", "Setting", "/help/settings#setting-port"),
+        ("Cramér", "Term", "/help/glossary#term-cramer-rao-bound"),
+        ("nees", "Term", "/help/glossary#term-nis"),
+        ("gloss", "Help", "/help/glossary"),
     ],
 )
 def test_a_part_of_a_name_or_a_number_finds_its_page(found, text, kind, href):
@@ -40,3 +48,16 @@ def test_a_strange_text_finds_nothing_and_harms_nothing(found, text):
 def test_nothing_is_found_for_who_is_not_logged_in(site):
     answer = replace(site.visitor("victor"), cookies=httpx.Cookies()).send("GET", "/search", params={"q": "st16"})
     assert answer.status_code in {303, 401}
+
+
+@pytest.mark.parametrize("text", ["set", "tolerance", "boresight_", "nees"])
+def test_each_setting_and_term_that_is_found_stands_where_its_address_says(site, found, text):
+    for one in found(text):
+        page, _, place = one["href"].partition("#")
+        assert not place or f'id="{place}"' in site.visitor("victor").get(page)
+
+
+def test_of_no_kind_are_more_than_six_found(found):
+    kinds = Counter(one["kind"] for one in found("se"))
+    assert kinds["Setting"] == 6
+    assert max(kinds.values()) == 6

@@ -32,6 +32,7 @@ from boresight.errors import RefusedInputError, SessionEndedError, Unauthenticat
 from boresight.platform.actors import SCOPES, Actor, SessionLimits, require_person, require_role
 from boresight.platform.db.sessions import Session, utc_now
 from boresight.platform.db.times import TimeForm, TimeStyle, list_zones
+from boresight.platform.web.origins import is_own_path
 from boresight.platform.web.paging import parse_row_id
 
 router = APIRouter(dependencies=[Depends(csrf)])
@@ -292,8 +293,7 @@ login_router = APIRouter()
 
 def local_path(address: str) -> str:
     """Return an address of this server unchanged, and the start page in place of any other."""
-    inside = address.startswith("/") and not address.startswith(("//", "/\\"))
-    return address if inside and address.isprintable() else "/"
+    return address if is_own_path(address) else "/"
 
 
 @login_router.get("/login", response_class=HTMLResponse)

@@ -128,6 +128,15 @@ class OnBoardMark(SetName):
     state: str
 
 
+class TrendAnnotation(Shape):
+    """What a person says of a time of the mission."""
+
+    at_utc: str
+    text: str
+    printed_name: str
+    made_utc: str
+
+
 class Advice(Shape):
     """Whether to recalibrate now."""
 
@@ -150,5 +159,6 @@ class Trend(Shape):
     baselines: list[TrendBaseline]
     on_board: list[OnBoardMark]
     truth: Document | None
+    annotations: list[TrendAnnotation]
     drift: Drift
     advice: Advice

@@ -27,6 +27,8 @@ from boresight.console.fleet.trend import (
     judge_drift,
     read_trend,
 )
+from boresight.console.notes.queries import list_annotations
+from boresight.console.notes.tables import Annotation
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.db.sessions import Session
@@ -151,10 +153,12 @@ def make_trend_document(session: Session, sensor_id: int) -> dict[str, Any]:
     """Return a sensor over the mission, with the drift tests and the advice."""
     trend = read_trend(session, sensor_id)
     found = judge_drift(trend)
-    return write_trend_document(trend, found, advise(trend, found))
+    return write_trend_document(trend, found, advise(trend, found), list_annotations(session, sensor_id))
 
 
-def write_trend_document(trend: Trend, found: DriftResult, advice: Advice) -> dict[str, Any]:
+def write_trend_document(
+    trend: Trend, found: DriftResult, advice: Advice, annotations: Sequence[Annotation] = ()
+) -> dict[str, Any]:
     """Write a trend."""
     baseline = trend.baseline
     return {
@@ -169,11 +173,13 @@ def write_trend_document(trend: Trend, found: DriftResult, advice: Advice) -> di
         "baselines": [asdict(period) for period in trend.periods],
         "on_board": [asdict(record) for record in trend.on_board],
         "truth": trend.sensor.truth,
+        "annotations": [{name: getattr(row, name) for name in ANNOTATION} for row in annotations],
         "drift": drifts.document(found),
         "advice": {"answer": advice.answer, "sentence": advice.sentence, "reasons": list(advice.reasons)},
     }
 
 
+ANNOTATION = ("at_utc", "text", "printed_name", "made_utc")
 POINT = (
     "run_id", "label", "method", "camera_model", "telemetry_set_id", "telemetry", "begins_utc", "at_utc", "ends_utc", "timed",
     "temperature_c", "parameters", "sigma", "stars", "rms_arc_rad", "counted", "left_out", "said",

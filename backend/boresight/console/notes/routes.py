@@ -7,7 +7,7 @@ from pydantic import Field
 from boresight.console.access.dependencies import Reading, Who, Writing
 from boresight.console.notes import schemas
 from boresight.console.notes import service as notes
-from boresight.console.notes.tables import Note
+from boresight.console.notes.tables import Annotation, Note
 from boresight.console.operation import operations
 from boresight.console.schemas import Shape
 from boresight.platform.web.paging import Id, Listing, Page
@@ -45,6 +45,34 @@ def list_sensor_notes(sensor_id: Id, session: Reading) -> Listing[Note]:
 def add_sensor_note(sensor_id: Id, new: NewNote, actor: Who, session: Writing) -> Note:
     """Add a note to a sensor; notes cannot be edited."""
     return notes.add_note(session, actor, "sensors", sensor_id, new.text)
+
+
+class NewAnnotation(Shape):
+    """A time of the mission and what is said of it."""
+
+    at_utc: str = Field(examples=["2026-11-21T03:04:05Z"])
+    text: str = Field(examples=["Safe mode; heaters off for six hours."])
+
+
+@router.get(
+    "/sensors/{sensor_id}/annotations",
+    summary="Read the annotations of a trend",
+    response_model=Page[schemas.Annotation],
+)
+def list_annotations(sensor_id: Id, session: Reading) -> Listing[Annotation]:
+    """Read what is said of times of a sensor's mission, by these times."""
+    return Listing(notes.list_annotations(session, sensor_id))
+
+
+@router.post(
+    "/sensors/{sensor_id}/annotations",
+    summary="Annotate a trend",
+    status_code=201,
+    response_model=schemas.Annotation,
+)
+def annotate(sensor_id: Id, new: NewAnnotation, actor: Who, session: Writing) -> Annotation:
+    """Say something of a time of a sensor's mission; it is drawn on the trend and never edited."""
+    return notes.annotate(session, actor, sensor_id, new.at_utc, new.text)
 
 
 @router.get(

@@ -17,3 +17,15 @@ class Note(Row):
     printed_name: str
     text: str
     made_utc: str
+
+
+class Annotation(Row):
+    """What a person says of a time of a sensor's mission, drawn on its trend; never edited."""
+
+    id: int
+    sensor_id: int
+    at_utc: str
+    user_id: int
+    printed_name: str
+    text: str
+    made_utc: str

@@ -1,4 +1,4 @@
-"""Notes that people leave on runs, sensors and parameter sets."""
+"""Notes that people leave on runs, sensors and parameter sets, and annotations at a time of a sensor's mission."""
 
 from __future__ import annotations
 
@@ -25,4 +25,18 @@ class Note(Base):
     user_id: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
     printed_name: Mapped[str] = mapped_column(sa.Text)
     text: Mapped[str] = mapped_column(sa.Text)
+    made_utc: Mapped[str] = mapped_column(sa.Text)
+
+
+class Annotation(Base):
+    """What a person says of a time of a sensor's mission, drawn on its trend; never edited."""
+
+    __tablename__ = "annotations"
+    __table_args__ = (sa.Index("ix_annotations_sensor_id", "sensor_id"), STRICT)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    sensor_id: Mapped[int] = mapped_column(sa.ForeignKey("sensors.id"))
+    at_utc: Mapped[str] = mapped_column(sa.Text)
+    text: Mapped[str] = mapped_column(sa.Text)
+    user_id: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
+    printed_name: Mapped[str] = mapped_column(sa.Text)
     made_utc: Mapped[str] = mapped_column(sa.Text)

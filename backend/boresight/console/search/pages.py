@@ -1,4 +1,4 @@
-"""What the palette (Ctrl-K) finds in the store: sensors, runs, sets, requests, telemetry and alarms by name or number.
+"""What the palette (Ctrl-K) finds by name or number: sensors, runs, sets, requests, telemetry, alarms, settings, terms and help.
 
 Pages and the commands of the page at hand are in the page already, and the palette takes them from there.
 """
@@ -7,22 +7,33 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from itertools import islice
 from typing import Any
 
 from fastapi import APIRouter, Depends
 from fastapi.responses import JSONResponse
 
+from boresight.calibration.options import OPTIONS
 from boresight.console import list_queries as lists
 from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading
 from boresight.console.alarms.tables import Alarm
 from boresight.console.approvals.tables import Approval
+from boresight.console.help.glossary import list_terms
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import Run
 from boresight.platform.db.sessions import Session
 from boresight.platform.web.paging import parse_row_id
+from boresight.settings import SETTINGS
 
 LONGEST_TEXT, MOST_OF_A_KIND = 64, 6
+SHORTEST_WORD = 2  # of what is no row: one letter would find them all
+HELP = {
+    "Glossary": "/help/glossary",
+    "Settings": "/help/settings",
+    "REST API": "/docs",
+    "Gallery of figures": "/gallery",
+}
 
 router = APIRouter(dependencies=[Depends(get_actor)])
 
@@ -59,6 +70,28 @@ def _find(session: Session, text: str) -> Iterator[Found]:
     for row in _rows(session, "telemetry", text, "-uploaded"):
         yield Found("Telemetry", row.name, row.purpose, f"/telemetry/{row.id}")
     yield from map(_alarm, lists.read_page(session, "alarms", {"sensor_name": text}, "-alarm", limit=MOST_OF_A_KIND))
+    if len(text) >= SHORTEST_WORD:
+        for fitting in (_settings(text.lower()), _terms(text.lower()), _help(text.lower())):
+            yield from islice(fitting, MOST_OF_A_KIND)
+
+
+def _settings(text: str) -> Iterator[Found]:
+    for option in OPTIONS.values():
+        if any(text in name.lower() for name in (option.title, option.name, option.flag or "")):
+            yield Found("Setting", option.title, option.sentence, f"/help/settings#option-{option.name}")
+    for setting in SETTINGS:
+        if any(text in name.lower() for name in (setting.variable, setting.name.replace("_", " "))):
+            yield Found("Setting", setting.variable, setting.sentence, f"/help/settings#setting-{setting.name}")
+
+
+def _terms(text: str) -> Iterator[Found]:
+    for term in list_terms():
+        if any(text in name.lower() for name in term.names):
+            yield Found("Term", ", ".join(term.names), term.meaning, term.address)
+
+
+def _help(text: str) -> Iterator[Found]:
+    yield from (Found("Help", title, "", href) for title, href in HELP.items() if text in title.lower())
 
 
 def _rows(session: Session, name: str, text: str, sort: str) -> list[Any]:

@@ -131,3 +131,8 @@ def is_local(request: Request) -> bool:
         request.url.hostname,
     )  # checked last, because the name of another site may resolve to this machine
     return not forwarded and all(map(is_loopback, hosts))
+
+
+def is_own_path(address: str) -> bool:
+    """Whether an address is a path of this server, wherever a browser reads it."""
+    return address.startswith("/") and not address.startswith(("//", "/\\")) and address.isprintable()

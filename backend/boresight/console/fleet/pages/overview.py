@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Request
-from fastapi.responses import HTMLResponse
+from fastapi.responses import HTMLResponse, JSONResponse
 
 from boresight.console import list_queries as lists
 from boresight.console.access.dependencies import Reading, ServerPolicy, Who, Workers, depend_on_server, same_for_one
@@ -32,6 +32,7 @@ from boresight.console.pages.rendering import render
 from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.runs import service as runs
 from boresight.console.runs.tables import TERMINAL_RUN_STATES
+from boresight.console.saved_views import service as saved_views
 from boresight.platform.actors import Actor, Policy
 from boresight.platform.audit import log as audit
 from boresight.platform.db.data_version import VersionedCache
@@ -42,6 +43,7 @@ from boresight.verdicts.verdict import RunSummary, parse_run_summary
 RECENT_EVENTS = 12
 MOST_ACTIONS = 8
 MOST_TILES = 120
+MOST_FAVOURITES = 12
 RUNS_IN_A_SPARKLINE = 16
 VIEWS = ("rows", "tiles")
 CAME_BACK = ("STALE", "REJECTED")  # states of a request that its submitter is shown
@@ -343,6 +345,22 @@ def _counts(standings: Sequence[SensorStatus]) -> dict[str, int]:
 OverviewCache = Annotated[VersionedCache[FleetView], depend_on_server("overview")]
 
 
+def _look(request: Request, session: Session, cache: VersionedCache[FleetView]) -> FleetView:
+    """Return the fleet as of the newest commit, before anything else is read."""
+    ages = time.monotonic() // HELD_S  # times in the rows are recomputed when this changes
+    overview, is_older = cache.answer_to(ages, partial(_fleet, session), request.state.came_s)
+    if is_older:
+        mark_outdated(request)
+    return overview
+
+
+@router.get("/waiting", response_class=JSONResponse, dependencies=[Depends(same_for_one)])
+def waiting(request: Request, session: Reading, actor: Who, policy: ServerPolicy, cache: OverviewCache) -> JSONResponse:
+    """Tell how much waits for this person, and the first of it: the number in the browser's tab, and its notifications."""
+    _, actions = _mine(session, actor, policy, _look(request, session, cache))
+    return JSONResponse({"count": actions.count, "first": [asdict(action) for action in actions.first]})
+
+
 @router.get("/", response_class=HTMLResponse, dependencies=[Depends(same_for_one)])
 def overview_page(
     request: Request,
@@ -354,14 +372,10 @@ def overview_page(
     view: str = "",
 ) -> HTMLResponse:
     """Show what waits for this person, then the fleet: a row a sensor, or tiles where they were chosen last."""
-    ages = time.monotonic() // HELD_S  # times in the rows are recomputed when this changes
-    overview, is_older = cache.answer_to(
-        ages, partial(_fleet, session), request.state.came_s
-    )  # before anything else is read
-    if is_older:
-        mark_outdated(request)
+    overview = _look(request, session, cache)
     signatures, actions = _mine(session, actor, policy, overview)
     workers = dispatcher.state() if dispatcher else None
+    favourites = saved_views.list_favourites(session, actor)[:MOST_FAVOURITES]
     return render(
         request,
         "fleet/overview.html",
@@ -371,6 +385,7 @@ def overview_page(
             signatures.count,
             actions.count,
             tuple(actions.first),
+            tuple((row.path, row.name) for row in favourites),
             tuple((workers or {}).items()),
         ),
         view=view if view in VIEWS else VIEWS[0],
@@ -378,6 +393,7 @@ def overview_page(
         levels=LEVELS,
         counts=_counts(overview.standings),
         actions=actions.first,
+        favourites=favourites,
         more_actions=actions.count - len(actions.first),
         waiting_for_me=signatures.count,
         events=overview.events,

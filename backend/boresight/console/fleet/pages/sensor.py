@@ -30,7 +30,7 @@ from boresight.console.fleet.tables import Sensor
 from boresight.console.fleet.trend import read_trend
 from boresight.console.fleet.trend_document import advise, make_trend_document
 from boresight.console.notes import service as notes
-from boresight.console.pages.rendering import RefusalContext, attempt, redirect, render
+from boresight.console.pages.rendering import RefusalContext, attempt, make_change, redirect, render
 from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs import queries as run_queries
@@ -145,10 +145,20 @@ LEVEL_OF_DRIFT = {"DRIFT": "serious", "GROUND SHIFT": "caution", "HOLDS": "norma
 @router.get("/sensors/{sensor_id:int}/trend", response_class=HTMLResponse, dependencies=[KNOWN])
 def trend_page(request: Request, session: Reading, sensor_id: int) -> HTMLResponse:
     """Show a sensor over the mission."""
+    return _trend(request, sensor_id, {}, None, session)
+
+
+def _trend(
+    request: Request, sensor_id: int, typed: Mapping[str, str], refusal: RefusalContext | None, session: Session
+) -> HTMLResponse:
     document = make_trend_document(session, sensor_id)
     return render(
         request,
         "fleet/trend.html",
+        refused=refusal,
+        refusal=refusal.sentence if refusal else "",
+        typed=typed,
+        now=utc_now()[:19] + "Z",
         sensor=session.get_known(Sensor, sensor_id),
         trend=document,
         models=[None, *dict.fromkeys(point["camera_model"] for point in document["others"])],
@@ -336,6 +346,17 @@ async def edit(
 
 def _edit(actor: Actor, sensor_id: int, text: str, version: int | None, session: Session) -> Sensor:
     return sensors.edit_sensor(session, actor, sensor_id, read_document(text), version)
+
+
+@sensor_router.post("/sensors/{sensor_id:int}/annotations", response_class=HTMLResponse)
+async def annotate(
+    request: Request, actor: Who, sensor_id: int, at: Annotated[str, Form()] = "", text: Annotated[str, Form()] = ""
+) -> Response:
+    """Say something of a time of the mission; it stands on the trend."""
+    change = partial(notes.annotate, actor=actor, sensor_id=sensor_id, at=at, text=text)
+    again = partial(_trend, request, sensor_id, {"at": at, "text": text})
+    address = f"/sensors/{sensor_id}/trend#annotations"
+    return await make_change(request, change, address, "Your annotation stands on the trend.", again=again)
 
 
 EVENTS_A_PAGE = 50

@@ -1,0 +1,91 @@
+"""The terms of the console, read from `docs/glossary.md`, and where they are explained.
+
+A page that is rendered explains each term where it is first a label: a heading, a row or column of a table, a fact, a legend.
+There it is a link to the glossary, or the button that sorts the column, with the meaning at it, which `glossary.js` shows under
+the pointer and at the focus.
+"""
+
+from __future__ import annotations
+
+import html
+import re
+import unicodedata
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+
+from boresight.resources import folder
+
+LINE = re.compile(r"- \*\*(?P<names>[^*]+)\*\*: (?P<meaning>.+\.)(?: `[\w.]+`)+")
+LABEL = re.compile(
+    r'<(?:a class="sort"|button [^>]*data-sort=)[^>]*>(?P<column>[^<>]+)(?=<)'
+    r'|<(?:h[1-3]|dt|th|legend)\b(?![^>]*class="sr")[^>]*>\s*(?P<label>[^<>]+?)(?=\s*<)'
+)
+OTHERWISE = frozenset({"state", "term", "cause"})  # also of runs, of noise, of failures
+
+
+@dataclass(frozen=True)
+class GlossaryTerm:
+    """One entry: its names, the first one leading, its meaning, and the heading that it stands under."""
+
+    names: tuple[str, ...]
+    meaning: str
+    heading: str
+
+    @property
+    def anchor(self) -> str:
+        """Its place on the glossary's page."""
+        letters = unicodedata.normalize("NFKD", self.names[0]).encode("ascii", "ignore").decode()
+        return "term-" + re.sub(r"\W+", "-", letters.lower())
+
+    @property
+    def address(self) -> str:
+        """Where it is explained."""
+        return f"/help/glossary#{self.anchor}"
+
+
+def read_terms(text: str) -> Sequence[GlossaryTerm]:
+    """Read the entries of a glossary, without the code names behind them."""
+    terms, heading = [], ""
+    for line in text.splitlines():
+        heading = line.removeprefix("## ") if line.startswith("## ") else heading
+        if (found := LINE.fullmatch(line)) is not None:
+            names = tuple(found["names"].split(", "))
+            terms.append(GlossaryTerm(names, re.sub("[*`]", "", found["meaning"]), heading))
+    return tuple(terms)
+
+
+@cache
+def list_terms() -> Sequence[GlossaryTerm]:
+    """Return every term, in the glossary's order."""
+    return read_terms((folder("docs") / "glossary.md").read_text(encoding="utf-8"))
+
+
+@cache
+def terms_by_name() -> Mapping[str, GlossaryTerm]:
+    """Return every term by each of its names, in small letters."""
+    return {name.lower(): term for term in list_terms() for name in term.names}
+
+
+def find_term(label: str) -> GlossaryTerm | None:
+    """Return the term that a label names, also in the plural."""
+    word = label.lower()
+    return None if word in OTHERWISE else terms_by_name().get(word) or terms_by_name().get(word.removesuffix("s"))
+
+
+def mark_terms(page: str) -> str:
+    """Explain each term of a page where it is first a label."""
+    seen: set[str] = set()
+
+    def mark(found: re.Match[str]) -> str:
+        label = found["label"] or found["column"]
+        term = find_term(html.unescape(label))
+        if term is None or term.anchor in seen:
+            return found[0]
+        seen.add(term.anchor)
+        meaning = f'data-meaning="{html.escape(term.meaning)}"'
+        if found["column"]:
+            return f"{found[0].removesuffix(f'>{label}')} {meaning}>{label}"
+        return f'{found[0].removesuffix(label)}<a class="term" href="{term.address}" {meaning}>{label}</a>'
+
+    return LABEL.sub(mark, page)

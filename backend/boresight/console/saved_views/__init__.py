@@ -1,0 +1,1 @@
+"""Views of pages under a name, and favourites."""

@@ -1,0 +1,63 @@
+"""Every page explains a term where it is first a label, once, by the glossary's own words."""
+
+import html
+import re
+
+import pytest
+
+from boresight.console.help.glossary import find_term, list_terms, mark_terms
+
+LINK = re.compile(r'<a class="term" href="([^"]+)" data-meaning="([^"]+)">([^<]+)</a>')
+
+
+def test_the_glossary_is_read_whole_and_every_term_has_a_place_of_its_own(site):
+    page = site.visitor("victor").get("/help/glossary")
+    anchors = [term.anchor for term in list_terms()]
+    assert len(anchors) == len(set(anchors)) >= 75
+    assert [page.count(f'id="{anchor}"') for anchor in anchors] == [1] * len(anchors)
+    assert LINK.findall(page) == []
+
+
+@pytest.mark.parametrize(
+    ("label", "anchor"),
+    [
+        ("Baseline", "term-baseline"),
+        ("Parameter sets", "term-parameter-set"),
+        ("NEES", "term-nis"),
+        ("Sigma", "term-covariance"),
+        ("State", None),
+        ("Label", None),
+    ],
+)
+def test_a_label_is_known_in_the_plural_too_and_not_where_it_means_something_else(label, anchor):
+    term = find_term(label)
+    assert (term and term.anchor) == anchor
+
+
+def test_a_term_is_explained_where_it_is_first_a_label_and_nowhere_else():
+    page = '<p>Drift</p><h2 id="x">Drift</h2><dl><dt>Drift <span>1</span></dt></dl><th scope="col">Gates</th>'
+    marked = mark_terms(page)
+    assert [(place, label) for place, _, label in LINK.findall(marked)] == [
+        ("/help/glossary#term-drift", "Drift"),
+        ("/help/glossary#term-gate", "Gates"),
+    ]
+    assert marked.startswith('<p>Drift</p><h2 id="x"><a class="term"')
+    assert re.sub(r"</?a[^>]*>", "", marked) == page
+
+
+def test_a_column_that_is_sorted_is_explained_at_its_button_and_what_is_not_seen_nowhere():
+    page = '<th scope="col"><button type="button" data-sort="word">Baseline</button></th><h2 class="sr">Verdict</h2>'
+    meaning = html.escape(find_term("baseline").meaning)
+    assert mark_terms(page) == page.replace('"word">', f'"word" data-meaning="{meaning}">')
+
+
+@pytest.mark.parametrize(
+    ("path", "least"),
+    [("/sensors/1", 4), ("/runs", 1), ("/runs/1", 2), ("/parameter-sets", 1), ("/parameter-sets/1", 2)],
+)
+def test_a_page_explains_its_terms_by_the_glossary_each_once(site, path, least):
+    found = LINK.findall(site.visitor("ada").get(path))
+    meanings = {term.address: term.meaning for term in list_terms()}
+    assert len(found) >= least
+    assert len({place for place, _, _ in found}) == len(found)
+    assert all(html.unescape(meaning) == meanings[place] for place, meaning, _ in found)
