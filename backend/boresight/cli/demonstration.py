@@ -1,26 +1,46 @@
-"""The demonstration: six simulated star trackers, their telemetry, their first runs, and one person for every role."""
+"""The demonstration: six simulated star trackers with telemetry and runs, one person for every role, and what they did.
+
+`create_demonstration` makes what depends on nothing. `continue_demonstration` goes on where a run has ended, by the services that
+pages use and as the people of the demonstration, so that every request, signature, record and alarm is one that the console made:
+
+======  ==========================================================================================================
+ST16-1  a filter that runs on for ten minutes, as ST16-5's; both sets are of `WATCHED_FRAMES` frames
+ST16-2  a parameter set that waits for approval
+ST16-3  a set that was approved, promoted, exported and sent, and of which nothing was read back yet
+ST16-4  a year of passes, one a fortnight, while the focal length shortens; the baseline is of the first: a drift alarm
+ST16-6  a run that failed, for its telemetry has no times
+======  ==========================================================================================================
+"""
 
 from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from boresight.cameras import CAMERA_MODELS
-from boresight.console.access import users
-from boresight.console.access.passwords import prepare_unjudged
+from boresight.console.access import passwords, users
+from boresight.console.approvals import gates, review
+from boresight.console.approvals import queries as approval_rows
+from boresight.console.approvals import service as approvals
 from boresight.console.fleet import queries as sensor_queries
 from boresight.console.fleet import service as sensors
+from boresight.console.fleet.tables import Sensor as SensorRow
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs import service as runs
+from boresight.console.runs.tables import RUN_STATES, TERMINAL_RUN_STATES, Run
 from boresight.console.telemetry import queries as set_rows
 from boresight.console.telemetry import service as telemetry_sets
-from boresight.console.uplinks import table_definitions
-from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.console.uplinks import packages, table_definitions
+from boresight.console.uplinks import service as uplinks
+from boresight.errors import BoresightError, NotFoundError
+from boresight.platform.actors import COMMAND_LINE, POLICY, Actor, Policy
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing
 from boresight.simulation.scenes import Scenario, calibration_scenario, simulate, validation_scenario
@@ -30,9 +50,14 @@ from boresight.telemetry.read.readers import write_parquet
 from boresight.telemetry.sensors import sensor_document
 from boresight.uplink.table_definition import plain_definition
 
-WATCHED_NUMBER, WATCHED_FRAMES_PER_S = 1, 3.5
-OTHER_FRAMES_PER_S = 20.0
-FILTER_LABEL = "Square-root filter, fed as frames come down"
+WATCHED_NUMBERS, WATCHED_FRAMES, WATCHED_FRAMES_PER_S = (1, 5), 600, 1.0
+WAITING_NUMBER, SENT_NUMBER, DRIFTING_NUMBER, FAILED_NUMBER = 2, 3, 4, 6
+PASSES, PASS_FRAMES, DAYS_APART, DRIFT_M_PER_DAY = 26, 40, 14, -3.5e-8
+FAILED_FRAMES = 60
+BATCH, FILTER = {"method": "batch"}, {"method": "sqrf", "variant": "no-q"}
+WATCHED_FILTER = FILTER | {"replay_frames_per_s": WATCHED_FRAMES_PER_S}
+LIVE = ("QUEUED", "RUNNING", "CANCELLING")
+ACCEPTED = "Accepted in the demonstration: the camera is simulated, and its truth is known."
 
 
 @dataclass(frozen=True)
@@ -58,26 +83,54 @@ LOG_INS = tuple(
 
 
 def create_demonstration(
-    engine: Engine, blobs: BlobStore, catalogue: Catalogue, report: Callable[[str], None]
+    engine: Engine, blobs: BlobStore, catalogue: Catalogue, report: Callable[[str], None], watched: int = 2
 ) -> list[LogIn]:
-    """Fill a store with the demonstration, or with the missing parts of it."""
+    """Fill a store with the demonstration, or with the missing parts of it; `watched` filters run on for ten minutes."""
     started_s = time.perf_counter()
     fleet = _Fleet(engine, blobs, catalogue, _make_people(engine))
     report(f"{len(LOG_INS)} people can log in.")
-    trackers = {number: fleet.sensor_id(number) for number in SENSOR_NUMBERS}
-    report(f"{len(trackers)} simulated star trackers are registered.")
-    for number, sensor_id in trackers.items():
-        fleet.add_sets(sensor_id, number)
-        is_new = fleet.launch(sensor_id, "Batch", {"method": "batch"})
+    for number in SENSOR_NUMBERS:
+        fleet.register(number)
+    report(f"{len(SENSOR_NUMBERS)} simulated star trackers are registered.")
+    for number in SENSOR_NUMBERS:
+        fleet.add_sets(number)
+        is_new = fleet.launch(number, "Batch", BATCH, validation="validation")
         report(f"{st16_sensor(number).name} has its telemetry, and {_of_runs('its batch run', 'is', is_new)}.")
-    new_filters = 0
-    for number, sensor_id in trackers.items():
-        pace = WATCHED_FRAMES_PER_S if number == WATCHED_NUMBER else OTHER_FRAMES_PER_S
-        settings = {"method": "sqrf", "variant": "no-q", "replay_frames_per_s": pace}
-        new_filters += fleet.launch(sensor_id, FILTER_LABEL, settings)
-    of_filters = _of_runs("The filters", "are", new_filters > 0)
+    label = "Square-root filter, fed as frames come down"
+    new = [
+        fleet.launch(number, label, WATCHED_FILTER, validation="validation", unless=LIVE)
+        for number in WATCHED_NUMBERS[:watched]
+    ]
+    fleet.add_set(calibration_scenario(FAILED_NUMBER, FAILED_FRAMES), "without-times", timeless=True)
+    fleet.launch(FAILED_NUMBER, "Downlinked without times", BATCH, "without-times")
+    first, held_out = _name_pass(0), f"{_name_pass(0)}-validation"
+    fleet.add_set(_make_pass(0, calibration_scenario(DRIFTING_NUMBER)), first)
+    fleet.add_set(_make_pass(0, validation_scenario(DRIFTING_NUMBER)), held_out, "validation")
+    fleet.launch(DRIFTING_NUMBER, f"Pass 1 of {PASSES}", BATCH, first, held_out)
+    new += [fleet.launch(number, "Square-root filter", FILTER, validation="validation") for number in SENSOR_NUMBERS]
+    of_filters = _of_runs("The filters", "are", any(new))
     report(f"{of_filters}; the demonstration is ready after {time.perf_counter() - started_s:.1f} s.")
     return list(LOG_INS)
+
+
+def continue_demonstration(
+    engine: Engine, blobs: BlobStore, catalogue: Catalogue, report: Callable[[str], None], policy: Policy = POLICY
+) -> Iterator[None]:
+    """Have the people of the demonstration go on with what has ended; yields each time that it waits for runs."""
+    fleet = _Fleet(engine, blobs, catalogue, _make_people(engine), policy)
+    steps = [fleet.ask_for_approval(), fleet.send_half_way(), fleet.fly_a_year()]
+    while steps:
+        for step in list(steps):
+            try:
+                said = next(step, None)
+            except BoresightError as refusal:  # such as of a visitor who was there first
+                steps.remove(step)
+                said = f"A part of the demonstration is left out: {refusal}"
+            if said is None:
+                steps.remove(step)
+            elif said:
+                report(said)
+        yield
 
 
 def _of_runs(what: str, verb: str, is_new: bool) -> str:
@@ -90,7 +143,7 @@ def _make_people(engine: Engine) -> Actor:
     with open_reading(engine) as session:
         missing = [person for person in LOG_INS if _user_id(session, person.name) is None]
     for person in missing:
-        password = prepare_unjudged(person.password)  # they are printed on the screen anyway
+        password = passwords.prepare_unjudged(person.password)  # they are printed on the screen anyway
         with open_writing(engine) as session:
             if _user_id(session, person.name) is None:  # another server may have been faster
                 users.create_user(
@@ -114,64 +167,188 @@ def _user_id(session: Session, name: str) -> int | None:
 
 @dataclass(frozen=True)
 class _Fleet:
-    """Fills the store as the analyst; each missing item is one transaction."""
+    """Fills the store as the analyst, and goes on as those whose turn it is; each missing item is one transaction."""
 
     engine: Engine
     blobs: BlobStore
     catalogue: Catalogue
     analyst: Actor
+    policy: Policy = POLICY
 
-    def sensor_id(self, number: int) -> int:
-        """Return the id of a simulated sensor, registered if needed."""
+    def register(self, number: int) -> None:
+        """Register a simulated sensor that is missing."""
         sensor = st16_sensor(number)
         names = CAMERA_MODELS[sensor.camera_model].parameter_names
         truth = dict(zip(names, st16_truth(number).tolist(), strict=True))
         with open_writing(self.engine) as session:
-            for row in sensor_queries.list_sensors(session):
-                if row.name == sensor.name:
-                    return row.id
-            document = sensor_document(sensor)
-            sensor_id = sensors.register_sensor(session, self.analyst, document, simulated=True, truth=truth).id
-            table = plain_definition(sensor.camera_model)
-            table_definitions.set_definition(
-                session, self.analyst, sensor_id, table, "The simulated flight software's.", 0
-            )
-            return sensor_id
+            if sensor_queries.find_sensor(session, sensor.name) is None:
+                document = sensor_document(sensor)
+                sensor_id = sensors.register_sensor(session, self.analyst, document, simulated=True, truth=truth).id
+                table = plain_definition(sensor.camera_model)
+                reason = "The simulated flight software's."
+                table_definitions.set_definition(session, self.analyst, sensor_id, table, reason, 0)
 
-    def add_sets(self, sensor_id: int, number: int) -> None:
+    def add_sets(self, number: int) -> None:
         """Add the calibration and the validation set of a sensor."""
-        for purpose, scenario in (
-            ("calibration", calibration_scenario(number)),
-            ("validation", validation_scenario(number)),
-        ):
-            with open_writing(self.engine) as session:
-                if _oldest_set(session, sensor_id, purpose, archived=True) is None:
-                    self._simulate_set(session, sensor_id, purpose, scenario)
+        frames = {"frames": WATCHED_FRAMES} if number in WATCHED_NUMBERS else {}
+        self.add_set(calibration_scenario(number, **frames), "calibration")
+        self.add_set(validation_scenario(number), "validation", "validation")
 
-    def _simulate_set(self, session: Session, sensor_id: int, purpose: str, scenario: Scenario) -> None:
-        """Simulate a telemetry set and upload it as a Parquet file."""
+    def add_set(self, scenario: Scenario, name: str, purpose: str = "calibration", *, timeless: bool = False) -> None:
+        """Simulate a telemetry set and upload it as a Parquet file, unless it is there or was archived."""
+        with open_reading(self.engine) as session:
+            sensor = _get_sensor(session, scenario.sensor.name)
+            file_name = f"{sensor.name}-{name}.parquet"
+            if set_rows.find_set_named(session, sensor.id, file_name) is not None:
+                return
         telemetry = simulate(scenario, np.random.default_rng(scenario.seed), self.catalogue)
         with tempfile.TemporaryDirectory(prefix="boresight-demo-") as folder:
-            path = Path(folder) / f"{scenario.sensor.name}-{purpose}.parquet"
-            write_parquet(telemetry, path)
-            telemetry_sets.add_telemetry_set(
-                session, self.analyst, self.blobs, self.catalogue, sensor_id, path, path.name, purpose
-            )
+            path = Path(folder) / file_name
+            write_parquet(replace(telemetry, time_utc=None) if timeless else telemetry, path)
+            with (
+                telemetry_sets.hold_prepared(sensor.document, self.catalogue, path, file_name) as prepared,
+                open_writing(self.engine) as session,
+            ):
+                telemetry_sets.store_prepared(session, self.analyst, self.blobs, sensor.id, prepared, purpose)
 
-    def launch(self, sensor_id: int, label: str, settings: Mapping[str, Any]) -> bool:
-        """Queue a run with validation, unless the sensor has one of the same method; return whether it was queued."""
+    def launch(
+        self,
+        number: int,
+        label: str,
+        settings: Mapping[str, Any],
+        name: str = "calibration",
+        validation: str | None = None,
+        *,
+        unless: Sequence[str] = RUN_STATES,
+    ) -> bool:
+        """Queue a run of a set, unless that has one of the method in some states; return whether it was queued."""
         with open_writing(self.engine) as session:
-            calibration = _oldest_set(session, sensor_id, "calibration", archived=False)
-            validation = _oldest_set(session, sensor_id, "validation", archived=False)
-            had_one = runs.list_runs(session, sensor_id=sensor_id, method=settings["method"], limit=1)
-            if calibration is None or had_one:
+            sensor = _get_sensor(session, st16_sensor(number).name)
+            known = [
+                None if one is None else set_rows.find_set_named(session, sensor.id, f"{sensor.name}-{one}.parquet")
+                for one in (name, validation)
+            ]
+            used, held_out = (row if row and row.archived_utc is None else None for row in known)
+            if used is None or runs.list_runs(
+                session, telemetry_set_id=used.id, method=settings["method"], state=unless, limit=1
+            ):
                 return False
-            runs.launch(
-                session, self.analyst, sensor_id, calibration, settings, validation_set_id=validation, label=label
-            )
+            held_out_id = None if held_out is None else held_out.id
+            runs.launch(session, self.analyst, sensor.id, used.id, settings, validation_set_id=held_out_id, label=label)
             return True
 
+    def ask_for_approval(self) -> Iterator[str]:
+        """Submit a set, which waits for an approver from then on."""
+        row = yield from self._submit(WAITING_NUMBER, "Lower validation RMS than the ground calibration.")
+        if row is not None:
+            yield f"{row.name} waits for the approver."
 
-def _oldest_set(session: Session, sensor_id: int, purpose: str, *, archived: bool) -> int | None:
-    """Return a sensor's oldest set of a purpose, of those in use or of all."""
-    return set_rows.find_oldest_set(session, sensor_id, purpose, archived=archived)
+    def send_half_way(self) -> Iterator[str]:
+        """Submit, sign, promote, export and send a set; nothing is read back."""
+        row = yield from self._submit(SENT_NUMBER, "Recalibrated after the first orbits.")
+        if row is None:
+            return
+        self._sign_and_promote(row)
+        with open_reading(self.engine) as session:
+            row = session.get_known(ParameterSet, row.id)
+        if (row.ground_state, row.onboard_state) == ("BASELINE", "NOT SENT"):
+            operator, _ = self._log_in("operator")
+            with open_writing(self.engine) as session:
+                package = packages.build(session, operator, self.blobs, row.id, policy=self.policy)
+                uplinks.record(session, operator, row.id, "SENT", "Simulated pass 1.", package_id=package.id)
+        yield f"{row.name} is sent; nothing was read back yet."
+
+    def fly_a_year(self) -> Iterator[str]:
+        """Make the first pass's set the baseline, then calibrate the passes that came after it."""
+        row = yield from self._submit(DRIFTING_NUMBER, "The first calibration on orbit.", _name_pass(0))
+        if row is None:
+            return
+        self._sign_and_promote(row)
+        for k in range(1, PASSES):
+            self.add_set(_make_pass(k, calibration_scenario(DRIFTING_NUMBER, PASS_FRAMES)), _name_pass(k))
+            yield ""
+        for k in range(1, PASSES):  # together: the alarm's sentence changes with each group that ends
+            self.launch(DRIFTING_NUMBER, f"Pass {k + 1} of {PASSES}", BATCH, _name_pass(k))
+        yield f"{PASSES} passes of {row.document['sensor']} are there, a year of them."
+
+    def _submit(self, number: int, reason: str, name: str = "calibration") -> Generator[str, None, ParameterSet | None]:
+        """Wait for the batch run of a set and submit what it found, unless that was done; None where it found nothing."""
+        while (run := self._find_batch_run(number, name)) is not None and run.state not in TERMINAL_RUN_STATES:
+            yield ""
+        if run is None or run.state != "SUCCEEDED":
+            return None
+        with open_writing(self.engine) as session:
+            row = parameter_sets.create_from_run(session, self.analyst, self.blobs, run.id)
+        if row.ground_state == "CANDIDATE":
+            with open_reading(self.engine) as session:
+                assessment = gates.measure(session, self.blobs, self.catalogue, row.id)
+            with open_writing(self.engine) as session:
+                approvals.submit(
+                    session, self.analyst, self.blobs, row.id, reason, row.version, assessment, policy=self.policy
+                )
+        return row
+
+    def _find_batch_run(self, number: int, name: str) -> Run | None:
+        """Return the first batch run of a set."""
+        with open_reading(self.engine) as session:
+            sensor = _get_sensor(session, st16_sensor(number).name)
+            used = set_rows.find_set_named(session, sensor.id, f"{sensor.name}-{name}.parquet")
+            found = [] if used is None else runs.list_runs(session, telemetry_set_id=used.id, method="batch")
+            return found[-1] if found else None
+
+    def _sign_and_promote(self, row: ParameterSet) -> None:
+        """Approve the open request for a set as the approver, and promote it as the operator, unless that was done."""
+        with open_reading(self.engine) as session:
+            state = session.get_known(ParameterSet, row.id).ground_state
+        if state == "SUBMITTED":
+            approver, proof = self._log_in("approver")
+            with open_writing(self.engine) as session:
+                request = approval_rows.find_latest_approval(session, row.id, "OPEN")
+                points = [] if request is None else review.list_points(session, request)
+                accepted = [review.Acknowledgement(point.kind, point.name, ACCEPTED) for point in points]
+                decided = approvals.Decision("APPROVE", "I approve this set for baseline.", "", accepted)
+                if request is not None:
+                    approvals.sign(session, approver, request.id, decided, proof, request.version, policy=self.policy)
+        if state in {"SUBMITTED", "APPROVED"}:
+            operator, proof = self._log_in("operator")
+            with open_writing(self.engine) as session:
+                version = session.get_known(ParameterSet, row.id).version
+                approvals.promote(session, operator, row.id, version, "Signed.", proof, policy=self.policy)
+
+    def _log_in(self, name: str) -> tuple[Actor, passwords.PasswordProof]:
+        """Return a person of the demonstration who gave the printed password, with its proof."""
+        password = next(person.password for person in LOG_INS if person.name == name)
+        with open_reading(self.engine) as session:
+            stored = passwords.read_stored_under(session, name)
+        proof = passwords.check(stored, password)
+        with open_reading(self.engine) as session:
+            return users.authenticate(session, proof), proof
+
+
+def _get_sensor(session: Session, name: str) -> SensorRow:
+    """Return a sensor that was registered before."""
+    sensor = sensor_queries.find_sensor(session, name)
+    if sensor is None:
+        raise NotFoundError(f"{name} is not registered; start the demonstration again.")
+    return sensor
+
+
+def _make_pass(k: int, scenario: Scenario) -> Scenario:
+    """Return a scenario as pass k of a year that ends with it: the more days are left, the longer the focal length."""
+    names, truth, days_left = (
+        CAMERA_MODELS[scenario.sensor.camera_model].parameter_names,
+        scenario.truth.copy(),
+        _days_left(k),
+    )
+    truth[names.index("f_m")] -= DRIFT_M_PER_DAY * days_left
+    orbit = replace(scenario.orbit, start_utc=scenario.orbit.start_utc - np.timedelta64(days_left, "D"))
+    return replace(scenario, truth=truth, orbit=orbit, seed=1000 * scenario.seed + k)
+
+
+def _days_left(k: int) -> int:
+    return DAYS_APART * (PASSES - k)
+
+
+def _name_pass(k: int) -> str:
+    day = calibration_scenario(DRIFTING_NUMBER).orbit.start_utc - np.timedelta64(_days_left(k), "D")
+    return f"pass-{day.astype('datetime64[D]')}"

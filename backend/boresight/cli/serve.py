@@ -8,7 +8,7 @@ import signal
 import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +18,9 @@ from boresight.errors import RefusedInputError
 from boresight.settings import Settings, private_files, read_settings, use_kernel_folder
 
 DEMO_FOLDER = ".demo"
+DEMO_SETTINGS = {"BORESIGHT_WORKERS": "3"}  # two are held for ten minutes by filters that are watched
 POLL_S = 0.1
+REST_S = 0.3  # between two steps of the demonstration, so that its visitor's pages come first
 
 host_option = click.option("--host", help="Address to listen on, instead of the setting.")
 port_option = click.option("--port", type=click.IntRange(1, 65535), help="Port to listen on, instead of the setting.")
@@ -48,17 +50,19 @@ def demo(host: str | None, port: int | None, data: Path | None) -> None:
     """
     if data is None and not os.environ.get("BORESIGHT_DATA_FOLDER"):
         data = Path(DEMO_FOLDER)
-    settings = replace(read_serve_settings(data, host, port), mode="SIM")
+    settings = replace(read_serve_settings(data, host, port, DEMO_SETTINGS), mode="SIM")
     _claim_port(settings)
     threading.Thread(target=_populate, args=(settings,), name="boresight-demonstration", daemon=True).start()
     _serve(settings)
 
 
-def read_serve_settings(data: Path | None, host: str | None = None, port: int | None = None) -> Settings:
-    """Read the settings, overridden by the command line."""
+def read_serve_settings(
+    data: Path | None, host: str | None = None, port: int | None = None, defaults: Mapping[str, str] | None = None
+) -> Settings:
+    """Read the settings, overridden by the command line; `defaults` are in place of their own."""
     given = {"HOST": host, "PORT": port, "DATA_FOLDER": data}
     named = {f"BORESIGHT_{name}": str(value) for name, value in given.items() if value is not None}
-    return read_settings({**os.environ, **named})
+    return read_settings({**(defaults or {}), **os.environ, **named})
 
 
 def _address(settings: Settings) -> str:
@@ -105,7 +109,7 @@ def _serve(settings: Settings, on_open: Callable[[], None] | None = None) -> Non
 def _populate(settings: Settings) -> None:
     """Make the demonstration as soon as the server answers, so that its first page does not wait for it."""
     _wait_until_served(settings)
-    from boresight.cli.demonstration import LOG_INS, create_demonstration
+    from boresight.cli.demonstration import LOG_INS, continue_demonstration, create_demonstration
     from boresight.platform.blobs.opening import open_blobs
     from boresight.platform.db.sessions import open_engine
     from boresight.sky.catalogue import load_catalogue
@@ -116,12 +120,19 @@ def _populate(settings: Settings) -> None:
     click.echo("\n  The fleet is being created and calibrated now. Stop with Ctrl-C.\n")
     engine = open_engine(settings.database_url)
     try:
-        catalogue = load_catalogue(settings.catalogue_folder)
-        create_demonstration(engine, open_blobs(settings.blob_place), catalogue, lambda step: click.echo(f"  {step}"))
+        catalogue, blobs = load_catalogue(settings.catalogue_folder), open_blobs(settings.blob_place)
+        watched = max(0, settings.workers - 1)  # one is left to whoever visits
+        create_demonstration(engine, blobs, catalogue, _say, watched)
+        for _ in continue_demonstration(engine, blobs, catalogue, _say, settings.policy):
+            time.sleep(REST_S)
     except Exception as error:  # noqa: BLE001 - a thread's last words; the server goes on
         click.echo(f"boresight: the demonstration could not be completed: {error}", err=True)
     finally:
         engine.dispose()
+
+
+def _say(step: str) -> None:
+    click.echo(f"  {step}")
 
 
 def _wait_until_served(settings: Settings) -> None:

@@ -18,11 +18,10 @@ def find_set_with_bytes(session: Session, sensor_id: int, original_sha256: str) 
     return session.scalar(query.where(TelemetrySet.original_sha256 == original_sha256))
 
 
-def find_oldest_set(session: Session, sensor_id: int, purpose: str, *, archived: bool) -> int | None:
-    """Return the number of a sensor's oldest set of a purpose, of those in use or of all."""
-    query = sa.select(sa.func.min(TelemetrySet.id))
-    query = query.where(TelemetrySet.sensor_id == sensor_id, TelemetrySet.purpose == purpose)
-    return session.scalar(query if archived else query.where(TelemetrySet.archived_utc.is_(None)))
+def find_set_named(session: Session, sensor_id: int, name: str) -> TelemetrySet | None:
+    """Return the oldest set of a sensor with a name, an archived one too."""
+    query = sa.select(TelemetrySet).where(TelemetrySet.sensor_id == sensor_id, TelemetrySet.name == name)
+    return session.scalar(query.order_by(TelemetrySet.id).limit(1))
 
 
 def read_heads(session: Session, sensor_ids: Collection[int], newest: int, set_ids: Collection[int]) -> list[Any]:
