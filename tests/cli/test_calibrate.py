@@ -4,6 +4,7 @@ import hashlib
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import click
 import numpy as np
@@ -54,6 +55,30 @@ def test_the_estimate_is_within_five_sigma_of_the_truth(calibration_result, simu
     truth = json.loads((simulated / "truth.json").read_text())
     for name, value in calibration_result["parameters"].items():
         assert abs(value - truth[name]) < 5 * calibration_result["sigma"][name]
+
+
+@pytest.mark.parametrize("method", ["batch", "sqrf"])
+def test_several_sets_are_one_calibration_that_knows_more_and_names_each(boresight, simulated, method):
+    both = [simulated / "calibration.csv", simulated / "validation.csv", "--sensor", simulated / "sensor.json"]
+    one, joint = (
+        json.loads(accepted(boresight("calibrate", *words, "--method", method, "--json", "-")).stdout)
+        for words in ([both[0], *both[2:]], both)
+    )
+    assert [Path(path).name for path in both[:2]] == [each["name"] for each in joint["inputs"]["passes"]]
+    assert [each["sha256"] for each in joint["inputs"]["passes"]] == [
+        joint["inputs"]["sha256s"][role] for role in ("telemetry_1", "telemetry_2")
+    ]
+    assert joint["stars"] > one["stars"]
+    assert all(joint["sigma"][name] < one["sigma"][name] for name in one["free"])
+    assert "passes" not in one["inputs"]
+
+
+def test_a_set_that_is_named_twice_is_refused_in_one_line(boresight, simulated, tmp_path):
+    again = tmp_path / "again.csv"
+    again.write_bytes((simulated / "calibration.csv").read_bytes())
+    words = [simulated / "calibration.csv", again, "--sensor", simulated / "sensor.json"]
+    assert_refused(boresight("calibrate", *words), "again.csv is the file calibration.csv again", lines=1)
+    assert_refused(boresight("calibrate", *words[1:], words[0], "--server", "http://127.0.0.1:9"), "server", lines=1)
 
 
 @pytest.mark.parametrize("words", [("--method", "guess"), ("--variant", "r"), ("--linearisations", "0"), ("--wrong",)])

@@ -28,6 +28,7 @@ from boresight.calibration.corrections import Corrections
 from boresight.calibration.estimate import Estimate, Parameters, never
 from boresight.calibration.evaluation.pixel_residuals import FreeCovariance
 from boresight.calibration.evaluation.result_evaluation import evaluate_result, validate, with_advice
+from boresight.calibration.joint.passes import passes_of
 from boresight.calibration.matching.match_report import CyclesEnd, Estimation
 from boresight.calibration.matching.matched import Dataset, Matched
 from boresight.calibration.matching.verification import advise
@@ -37,8 +38,7 @@ from boresight.calibration.problem import Problem
 from boresight.calibration.telemetry_pieces import (
     JUDGED_STARS,
     PREPARED,
-    StoredTable,
-    TelemetryFile,
+    TelemetryInput,
     copied,
     is_large,
     read_whole,
@@ -130,7 +130,7 @@ class CalibrationContext:
 
 @contextmanager
 def open_dataset(
-    telemetry: Telemetry | TelemetryFile | StoredTable,
+    telemetry: TelemetryInput,
     sensor: Sensor,
     catalogue: Catalogue,
     parameters: Parameters,
@@ -165,9 +165,7 @@ def choose_match_mode(telemetry: Telemetry, settings: CalibrationSettings) -> Ca
     return settings
 
 
-def open_validation_set(
-    telemetry: Telemetry | TelemetryFile | StoredTable, sensor: Sensor, most_rows: int
-) -> tuple[Telemetry, OffDetector]:
+def open_validation_set(telemetry: TelemetryInput, sensor: Sensor, most_rows: int) -> tuple[Telemetry, OffDetector]:
     """Read a validation set, of a large one parts that are evenly spread over it.
 
     Say which stars of all are off the detector.
@@ -188,12 +186,12 @@ def open_validation_set(
 
 
 def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the caller by name
-    telemetry: Telemetry | TelemetryFile | StoredTable,
+    telemetry: TelemetryInput,
     sensor: Sensor,
     catalogue: Catalogue,
     settings: CalibrationSettings,
     *,
-    validation: Telemetry | TelemetryFile | StoredTable | None = None,
+    validation: TelemetryInput | None = None,
     sha256s: Mapping[str, str] | None = None,
     report: Callable[[Progress], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
@@ -201,7 +199,7 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
     scratch_folder: Path | None = None,
     executor: Executor | None = None,
 ) -> Calibration:
-    """Estimate a sensor's parameters from a telemetry set.
+    """Estimate a sensor's parameters from a telemetry set, or from several as one.
 
     Parameters
     ----------
@@ -253,6 +251,7 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
                 from boresight.calibration.diagnosis.explain import explain_refusal  # noqa: PLC0415 - only refused sets
 
                 raise explain_refusal(error, telemetry, sensor, catalogue, cache_folder) from error
+    found = replace(found, inputs=replace(found.inputs, passes=passes_of(telemetry)))
     if hardly_matches(found):
         found = replace(found, advice=_explained(telemetry, sensor, catalogue, settings, context, found.advice))
         clock.lap("diagnose")
@@ -283,7 +282,7 @@ def hardly_matches(found: Calibration) -> bool:
 
 
 def _explained(
-    telemetry: Telemetry | TelemetryFile | StoredTable,
+    telemetry: TelemetryInput,
     sensor: Sensor,
     catalogue: Catalogue,
     settings: CalibrationSettings,

@@ -130,12 +130,34 @@ class StarsOffDetector:
 
 
 @dataclass(frozen=True, kw_only=True)
+class InputPass:
+    """One telemetry set of a joint calibration.
+
+    `first_frame`, `last_frame`: as the calibration numbers frames; its own numbers are those less `frame_offset`, and its own
+    rows those of the calibration less `row_offset`. `temperature_c`: mean over its detections.
+    """
+
+    name: str
+    sha256: str | None = None
+    frames: int
+    detections: int
+    first_frame: int
+    last_frame: int
+    frame_offset: int = 0
+    row_offset: int = 0
+    start_utc: str | None = None
+    end_utc: str | None = None
+    temperature_c: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """What a calibration was made from: content addresses by role, versions of what computed, and every setting."""
+    """What a calibration was made from: content addresses by role, versions of what computed, every setting, and its passes."""
 
     sha256s: dict[str, str] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=dict)
     settings: dict[str, Any] = field(default_factory=dict)
+    passes: list[InputPass] = field(default_factory=list)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -1141,6 +1163,8 @@ class Calibration:
         for name in ("stars_off_detector", "frames_done"):  # only while it is on its way, or at its end
             if document[name] is None:
                 del document[name]
+        if not self.inputs.passes:  # of one set
+            del document["inputs"]["passes"]
         return document
 
     def to_json(self) -> str:

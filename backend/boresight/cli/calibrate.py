@@ -11,7 +11,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from boresight.calibration.options import GROUPS, OPTIONS, CalibrationSettings, Option
-from boresight.cli.extract import extraction_options, take_extraction_choices, telemetry_of
+from boresight.cli.extract import extraction_options, passes_of, take_extraction_choices
 from boresight.cli.importing import profile_option
 from boresight.cli.input import INPUT_FILE
 from boresight.cli.output import check_writable, json_option, write_json
@@ -116,6 +116,8 @@ def calibrate(
 ) -> None:
     """Calibrate a sensor from TELEMETRY (CSV, JSON Lines or Parquet), or from images (FITS, PNG, TIFF or raw numbers).
 
+    Several sets of one sensor are one joint calibration: the fit of all their stars, whatever lies between the passes.
+
     Prints the parameters with their sigmas, what the fit is worth, and advice. A set from which nothing could be
     estimated, or a fit that diverged, writes its JSON and ends with exit code 1.
 
@@ -131,13 +133,17 @@ def calibrate(
         raise RefusedInputError("A profile is read here, and the calibration made elsewhere: import the file first.")
     with (
         progress(first_message(server_url)) as report,
-        telemetry_of(telemetry, profile, sensor_file, extraction, report) as source,
+        passes_of(telemetry, profile, sensor_file, extraction, report) as sources,
     ):
         if server_url is None:
-            found = estimate(source, place_sensor(sensor_file, site), validate=validate, progress=report, **settings)
+            found = estimate(sources, place_sensor(sensor_file, site), validate=validate, progress=report, **settings)
+        elif len(sources) > 1:
+            raise RefusedInputError(
+                f"{len(sources)} sets are calibrated as one here and not on a server: leave out --server, or name one set."
+            )
         else:
             with open_client(server_url) as server:
-                found = server.calibrate(source, str(sensor_file), validate=validate, progress=report, **settings)
+                found = server.calibrate(sources[0], str(sensor_file), validate=validate, progress=report, **settings)
     write_json(found.to_dict(), json_file)
     if json_file != "-" and found.status != "too_few_stars":
         click.echo("\n".join(summary_lines(found)))
