@@ -19,6 +19,7 @@ from boresight.cameras import CAMERA_MODELS
 from boresight.cli import main
 from boresight.cli.calibrate import Choice
 from boresight.cli.calibrate import calibrate as command
+from boresight.disks import compute_digest
 from boresight.simulation.sensors import st16_sensor, wu_sensor
 from boresight.telemetry.read.readers import read_telemetry
 from boresight.telemetry.sensors import sensor_document
@@ -71,6 +72,24 @@ def test_several_sets_are_one_calibration_that_knows_more_and_names_each(boresig
     assert joint["stars"] > one["stars"]
     assert all(joint["sigma"][name] < one["sigma"][name] for name in one["free"])
     assert "passes" not in one["inputs"]
+
+
+@pytest.mark.parametrize("method", ["batch", "sqrf"])
+def test_a_prior_makes_sigmas_smaller_and_the_terminal_says_how_much_came_from_it(
+    boresight, simulated, tmp_path, method
+):
+    sensor, former = ("--sensor", simulated / "sensor.json"), tmp_path / "former.json"
+    accepted(boresight("calibrate", simulated / "calibration.csv", *sensor, "--json", former))
+    words = ["calibrate", simulated / "validation.csv", *sensor, "--method", method]
+    alone = json.loads(accepted(boresight(*words, "--json", "-")).stdout)
+    done = accepted(boresight(*words, "--prior", former, "--json", tmp_path / "found.json"))
+    found = json.loads((tmp_path / "found.json").read_text())
+    assert all(found["sigma"][name] < alone["sigma"][name] for name in found["free"])
+    assert all(0 < found["prior"]["share"][name] < 1 for name in found["free"])
+    assert found["prior"]["sha256"] == found["inputs"]["sha256s"]["prior"] == compute_digest(former)
+    assert "came from former.json" in done.stdout
+    assert_refused(boresight("calibrate", simulated / "calibration.csv", *sensor, "--prior", former), "holds", lines=1)
+    assert_refused(boresight(*words, "--prior", former, "--server", "http://127.0.0.1:9"), "server", lines=1)
 
 
 def test_a_set_that_is_named_twice_is_refused_in_one_line(boresight, simulated, tmp_path):

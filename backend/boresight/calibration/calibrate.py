@@ -29,6 +29,13 @@ from boresight.calibration.estimate import Estimate, Parameters, never
 from boresight.calibration.evaluation.pixel_residuals import FreeCovariance
 from boresight.calibration.evaluation.result_evaluation import evaluate_result, validate, with_advice
 from boresight.calibration.joint.passes import passes_of
+from boresight.calibration.joint.prior import (
+    PriorSource,
+    TakenPrior,
+    refuse_without_prior,
+    take_prior,
+    without_held,
+)
 from boresight.calibration.matching.match_report import CyclesEnd, Estimation
 from boresight.calibration.matching.matched import Dataset, Matched
 from boresight.calibration.matching.verification import advise
@@ -185,13 +192,14 @@ def open_validation_set(telemetry: TelemetryInput, sensor: Sensor, most_rows: in
     return joined(kept), off
 
 
-def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the caller by name
+def calibrate(  # noqa: PLR0913 - what is calibrated, and eight choices of the caller by name
     telemetry: TelemetryInput,
     sensor: Sensor,
     catalogue: Catalogue,
     settings: CalibrationSettings,
     *,
     validation: TelemetryInput | None = None,
+    prior: PriorSource | None = None,
     sha256s: Mapping[str, str] | None = None,
     report: Callable[[Progress], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
@@ -209,6 +217,8 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
         Method and choices.
     validation
         A set that takes no part in the estimate, to check it by.
+    prior
+        A former calibration of the sensor, which the run starts from with its covariance; sets that it holds are left out.
     sha256s
         Content addresses of the input files by role, kept in the result.
     report
@@ -235,6 +245,14 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
     """
     clock = _Timer()
     parameters = select_free_parameters(sensor, settings)
+    taken: TakenPrior | None = None
+    left_out: list[str] = []
+    if prior is None:
+        refuse_without_prior(settings)
+    else:
+        telemetry, left_out = without_held(telemetry, prior, sha256s or {})
+        taken = take_prior(prior, sensor, parameters, settings, telemetry.begins)
+        parameters, sensor = replace(parameters, prior=taken.prior), replace(sensor, initial=taken.prior.x)
     context = CalibrationContext(cancelled or never, report, cache_folder, scratch_folder, executor)
     told = nullcontext() if report is None else report_waits_to(lambda message, _: report(Progress(0.0, message, None)))
     catalogue = catalogue.without(settings.leave_out_stars)
@@ -252,6 +270,9 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
 
                 raise explain_refusal(error, telemetry, sensor, catalogue, cache_folder) from error
     found = replace(found, inputs=replace(found.inputs, passes=passes_of(telemetry)))
+    if taken is not None and ended is not None and ended.estimate.status != "diverged":
+        use = taken.describe(ended.matched.problem, parameters, settings, ended.estimate)
+        found = with_advice(replace(found, prior=use), *taken.advice(use), *left_out)
     if hardly_matches(found):
         found = replace(found, advice=_explained(telemetry, sensor, catalogue, settings, context, found.advice))
         clock.lap("diagnose")

@@ -240,6 +240,38 @@ class Observability:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PriorAgreement:
+    """Chi-square between a prior and the data alone, over the directions that these determine."""
+
+    chi2: float
+    dof: int
+    p_value: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class PriorUse:
+    """What a calibration began with, and how much of it is left.
+
+    `telemetry_sha256s`: every set that the prior holds, and its own prior. `covariance`: `with-misfit` or `noise`. `parameters`,
+    `sigma`: SI, as taken in, inflated and aged by `drift_sigma` typical sigmas a square root of a day. `share`: of each variance
+    that came from the prior; None under process noise or forgetting.
+    """
+
+    name: str
+    sha256: str | None = None
+    telemetry_sha256s: list[str] = field(default_factory=list)
+    covariance: str
+    inflation: float
+    age_days: float | None = None
+    drift_sigma: float = 0.0
+    parameters: Values[float] = field(default_factory=Values)
+    sigma: Values[float] = field(default_factory=Values)
+    share: Values[float | None] = field(default_factory=Values)
+    agreement: PriorAgreement | None = None
+    sentence: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Robust:
     """A robust loss beside least squares on the same arcs.
 
@@ -1141,6 +1173,7 @@ class Calibration:
     timing_s: dict[str, float | None] = field(default_factory=dict)
     stars_off_detector: StarsOffDetector | None = None
     frames_done: int | None = None
+    prior: PriorUse | None = None
 
     @property
     def reliable_covariance(self) -> Covariance:
@@ -1160,7 +1193,11 @@ class Calibration:
     def to_dict(self) -> dict[str, Any]:
         """Return the calibration JSON as plain lists, numbers and None."""
         document: dict[str, Any] = to_plain(self)
-        for name in ("stars_off_detector", "frames_done"):  # only while it is on its way, or at its end
+        for name in (
+            "stars_off_detector",
+            "frames_done",
+            "prior",
+        ):  # only while it is on its way, or at its end; or of some
             if document[name] is None:
                 del document[name]
         if not self.inputs.passes:  # of one set

@@ -100,6 +100,7 @@ FAILED = ("diverged", "too_few_stars")
 @site_option
 @calibration_options
 @click.option("--validate", type=INPUT_FILE, help="Telemetry that takes no part, to check the result by.")
+@click.option("--prior", type=INPUT_FILE, help="Calibration JSON of this sensor to start from, with its covariance.")
 @extraction_options
 @profile_option
 @server_option
@@ -109,6 +110,7 @@ def calibrate(
     sensor_file: Path,
     site: str | None,
     validate: Path | None,
+    prior: Path | None,
     profile: str | None,
     server_url: str | None,
     json_file: str | None,
@@ -131,12 +133,15 @@ def calibrate(
     parse_settings(settings)
     if profile is not None and server_url is not None:
         raise RefusedInputError("A profile is read here, and the calibration made elsewhere: import the file first.")
+    if prior is not None and server_url is not None:
+        raise RefusedInputError("A prior is taken in here and not on a server: leave out --server, or --prior.")
     with (
         progress(first_message(server_url)) as report,
         passes_of(telemetry, profile, sensor_file, extraction, report) as sources,
     ):
         if server_url is None:
-            found = estimate(sources, place_sensor(sensor_file, site), validate=validate, progress=report, **settings)
+            sensor = place_sensor(sensor_file, site)
+            found = estimate(sources, sensor, validate=validate, prior=prior, progress=report, **settings)
         elif len(sources) > 1:
             raise RefusedInputError(
                 f"{len(sources)} sets are calibrated as one here and not on a server: leave out --server, or name one set."

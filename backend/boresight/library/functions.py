@@ -122,6 +122,7 @@ def calibrate(
     sensor: SensorSource,
     *,
     validate: TelemetrySource | None = None,
+    prior: ParameterSource | None = None,
     progress: Wanted = None,
     **settings: Unpack[Choices],
 ) -> Calibration:
@@ -138,6 +139,8 @@ def calibrate(
         A sensor file, what one says, or a sensor of this library.
     validate
         Telemetry that takes no part, to check the result by.
+    prior
+        A former calibration of the sensor, which this one starts from with its covariance; telemetry that it holds counts once.
     progress
         True shows progress, False nothing; a function is told (message, share). Left out, it is shown in terminals and notebooks.
     settings
@@ -152,7 +155,7 @@ def calibrate(
     RefusedInputError
         When something cannot be used: one sentence, with row and column where it has them.
     """
-    from boresight.library.inputs import list_sources, open_passes, open_telemetry, read_any_sensor
+    from boresight.library.inputs import list_sources, open_passes, open_telemetry, read_any_sensor, read_prior
     from boresight.library.results import Calibration
 
     chosen = parse_choices(settings)
@@ -168,6 +171,7 @@ def calibrate(
             else {f"telemetry_{number}": one for number, one in enumerate(several, 1)}
         )
         validation = None if validate is None else open_telemetry(validate, limits)
+        former = None if prior is None else read_prior(prior)
         catalogue = prepared.load_catalogue()
         prepared.report("building arcs and loading the compiled loops", None)
         found = estimate(
@@ -176,7 +180,8 @@ def calibrate(
             catalogue,
             chosen,
             validation=validation,
-            sha256s=_hash_files({**roles, "sensor": sensor, "validation": validate}),
+            prior=former,
+            sha256s=_hash_files({**roles, "sensor": sensor, "validation": validate, "prior": prior}),
             report=None if progress is False else lambda step: prepared.report(step.message, step.fraction),
             cache_folder=folder,
         )

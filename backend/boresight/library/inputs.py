@@ -18,6 +18,7 @@ import pyarrow.compute as pc
 
 from boresight.calibration.calibration import Calibration, parse_calibration
 from boresight.calibration.joint.passes import JointTelemetry, NamedTelemetry, join_sets
+from boresight.calibration.joint.prior import PriorSource
 from boresight.calibration.parameter_file import parse_parameters, read_document
 from boresight.calibration.telemetry_pieces import TelemetryFile
 from boresight.disks import compute_digest
@@ -237,6 +238,13 @@ def read_any_calibration(source: ParameterSource) -> Calibration:
     if isinstance(source, Calibration):
         return source
     return parse_calibration(read_parameter_document(source), describe_source(source))
+
+
+def read_prior(source: ParameterSource) -> PriorSource:
+    """Read a calibration to start from."""
+    path = Path(source) if isinstance(source, str | os.PathLike) else None
+    name = "The prior" if path is None else path.name
+    return PriorSource(read_any_calibration(source), name, None if path is None else compute_digest(path))
 
 
 def describe_source(source: ParameterSource) -> str:

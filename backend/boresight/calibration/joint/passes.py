@@ -76,6 +76,13 @@ class JointTelemetry:
         """How many rows all have together."""
         return sum(one.about_rows() for one in self.sets)
 
+    @property
+    def begins(self) -> np.datetime64:
+        """First known time of all."""
+        return min(
+            (one.head.begins for one in self.sets if not np.isnat(one.head.begins)), default=np.datetime64("NaT", "us")
+        )
+
     def large(self) -> bool:
         """Whether they are to be taken piece by piece."""
         return self.about_rows() >= self.large_rows
