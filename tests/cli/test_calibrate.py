@@ -4,6 +4,7 @@ import hashlib
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import click
 import numpy as np
@@ -18,6 +19,7 @@ from boresight.cameras import CAMERA_MODELS
 from boresight.cli import main
 from boresight.cli.calibrate import Choice
 from boresight.cli.calibrate import calibrate as command
+from boresight.disks import compute_digest
 from boresight.simulation.sensors import st16_sensor, wu_sensor
 from boresight.telemetry.read.readers import read_telemetry
 from boresight.telemetry.sensors import sensor_document
@@ -54,6 +56,48 @@ def test_the_estimate_is_within_five_sigma_of_the_truth(calibration_result, simu
     truth = json.loads((simulated / "truth.json").read_text())
     for name, value in calibration_result["parameters"].items():
         assert abs(value - truth[name]) < 5 * calibration_result["sigma"][name]
+
+
+@pytest.mark.parametrize("method", ["batch", "sqrf"])
+def test_several_sets_are_one_calibration_that_knows_more_and_names_each(boresight, simulated, method):
+    both = [simulated / "calibration.csv", simulated / "validation.csv", "--sensor", simulated / "sensor.json"]
+    one, joint = (
+        json.loads(accepted(boresight("calibrate", *words, "--method", method, "--json", "-")).stdout)
+        for words in ([both[0], *both[2:]], both)
+    )
+    assert [Path(path).name for path in both[:2]] == [each["name"] for each in joint["inputs"]["passes"]]
+    assert [each["sha256"] for each in joint["inputs"]["passes"]] == [
+        joint["inputs"]["sha256s"][role] for role in ("telemetry_1", "telemetry_2")
+    ]
+    assert joint["stars"] > one["stars"]
+    assert all(joint["sigma"][name] < one["sigma"][name] for name in one["free"])
+    assert "passes" not in one["inputs"]
+
+
+@pytest.mark.parametrize("method", ["batch", "sqrf"])
+def test_a_prior_makes_sigmas_smaller_and_the_terminal_says_how_much_came_from_it(
+    boresight, simulated, tmp_path, method
+):
+    sensor, former = ("--sensor", simulated / "sensor.json"), tmp_path / "former.json"
+    accepted(boresight("calibrate", simulated / "calibration.csv", *sensor, "--json", former))
+    words = ["calibrate", simulated / "validation.csv", *sensor, "--method", method]
+    alone = json.loads(accepted(boresight(*words, "--json", "-")).stdout)
+    done = accepted(boresight(*words, "--prior", former, "--json", tmp_path / "found.json"))
+    found = json.loads((tmp_path / "found.json").read_text())
+    assert all(found["sigma"][name] < alone["sigma"][name] for name in found["free"])
+    assert all(0 < found["prior"]["share"][name] < 1 for name in found["free"])
+    assert found["prior"]["sha256"] == found["inputs"]["sha256s"]["prior"] == compute_digest(former)
+    assert "came from former.json" in done.stdout
+    assert_refused(boresight("calibrate", simulated / "calibration.csv", *sensor, "--prior", former), "holds", lines=1)
+    assert_refused(boresight(*words, "--prior", former, "--server", "http://127.0.0.1:9"), "server", lines=1)
+
+
+def test_a_set_that_is_named_twice_is_refused_in_one_line(boresight, simulated, tmp_path):
+    again = tmp_path / "again.csv"
+    again.write_bytes((simulated / "calibration.csv").read_bytes())
+    words = [simulated / "calibration.csv", again, "--sensor", simulated / "sensor.json"]
+    assert_refused(boresight("calibrate", *words), "again.csv is the file calibration.csv again", lines=1)
+    assert_refused(boresight("calibrate", *words[1:], words[0], "--server", "http://127.0.0.1:9"), "server", lines=1)
 
 
 @pytest.mark.parametrize("words", [("--method", "guess"), ("--variant", "r"), ("--linearisations", "0"), ("--wrong",)])

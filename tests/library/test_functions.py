@@ -147,6 +147,17 @@ def test_every_setting_is_typed_by_its_kind():
     }
 
 
+def test_a_list_of_sets_is_one_calibration_whatever_holds_them(simulated, tmp_path):
+    simulated.save(tmp_path)
+    found = bs.calibrate([simulated.telemetry, tmp_path / "validation.csv"], simulated.sensor, progress=False)
+    assert [one.name for one in found.inputs.passes] == ["set 1", "validation.csv"]
+    assert list(found.inputs.sha256s) == ["telemetry_2"]
+    with pytest.raises(bs.RefusedInputError, match=r"holds the centroids of set 1: name"):
+        bs.calibrate([simulated.telemetry, tmp_path / "calibration.csv"], simulated.sensor, progress=False)
+    with pytest.raises(bs.RefusedInputError, match="name at least one"):
+        bs.calibrate([], simulated.sensor)
+
+
 def test_help_shows_every_setting():
     assert all(
         f"{name}=" in str(bs.calibrate.__signature__) and f"\n{name}\n" in bs.calibrate.__doc__ for name in OPTIONS

@@ -53,7 +53,7 @@ def advice(
         *_of_shift(problem, parameters, estimate, fit),
         *_of_curvature(observed, estimate, rise),
         *_of_weak_directions(observed, estimate),
-        *_of_consistency(fit, nis, settings, estimate),
+        *_of_consistency(fit, nis, parameters, settings, estimate),
         *estimate.remarks,
         *_of_data(problem),
         *_of_gain_form(problem, settings),
@@ -129,7 +129,9 @@ def is_overconfident(innovations: float, most: float, chi2_per_dof: float) -> bo
     return innovations > max(most, chi2_per_dof * 1.05)
 
 
-def _of_consistency(fit: ChiSquare, nis: ChiSquare, settings: CalibrationSettings, estimate: Estimate) -> Iterator[str]:
+def _of_consistency(
+    fit: ChiSquare, nis: ChiSquare, parameters: Parameters, settings: CalibrationSettings, estimate: Estimate
+) -> Iterator[str]:
     """Say where a filter claims too much; what the size of the residuals says is one of the tests of trust."""
     if estimate.status == "diverged":
         return
@@ -138,7 +140,7 @@ def _of_consistency(fit: ChiSquare, nis: ChiSquare, settings: CalibrationSetting
             f"The filter is over-confident (normalised innovations {nis.mean:.3g} per degree of freedom, at most "
             f"{nis.upper:.3g} expected): do not rely on its sigmas; compare it with a batch run."
         )
-    claimed = claim(estimate.A, estimate.P, settings.initial_sigma_scale) if settings.sequential else 1.0
+    claimed = claim(estimate.A, estimate.P, parameters.known_at_start(settings)) if settings.sequential else 1.0
     if claimed > OVERCLAIM:
         times = f"{claimed:.2g} times" if np.isfinite(claimed) else "far more than"
         yield (

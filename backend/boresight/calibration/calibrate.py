@@ -28,6 +28,14 @@ from boresight.calibration.corrections import Corrections
 from boresight.calibration.estimate import Estimate, Parameters, never
 from boresight.calibration.evaluation.pixel_residuals import FreeCovariance
 from boresight.calibration.evaluation.result_evaluation import evaluate_result, validate, with_advice
+from boresight.calibration.joint.passes import passes_of
+from boresight.calibration.joint.prior import (
+    PriorSource,
+    TakenPrior,
+    refuse_without_prior,
+    take_prior,
+    without_held,
+)
 from boresight.calibration.matching.match_report import CyclesEnd, Estimation
 from boresight.calibration.matching.matched import Dataset, Matched
 from boresight.calibration.matching.verification import advise
@@ -37,8 +45,7 @@ from boresight.calibration.problem import Problem
 from boresight.calibration.telemetry_pieces import (
     JUDGED_STARS,
     PREPARED,
-    StoredTable,
-    TelemetryFile,
+    TelemetryInput,
     copied,
     is_large,
     read_whole,
@@ -130,7 +137,7 @@ class CalibrationContext:
 
 @contextmanager
 def open_dataset(
-    telemetry: Telemetry | TelemetryFile | StoredTable,
+    telemetry: TelemetryInput,
     sensor: Sensor,
     catalogue: Catalogue,
     parameters: Parameters,
@@ -165,9 +172,7 @@ def choose_match_mode(telemetry: Telemetry, settings: CalibrationSettings) -> Ca
     return settings
 
 
-def open_validation_set(
-    telemetry: Telemetry | TelemetryFile | StoredTable, sensor: Sensor, most_rows: int
-) -> tuple[Telemetry, OffDetector]:
+def open_validation_set(telemetry: TelemetryInput, sensor: Sensor, most_rows: int) -> tuple[Telemetry, OffDetector]:
     """Read a validation set, of a large one parts that are evenly spread over it.
 
     Say which stars of all are off the detector.
@@ -187,13 +192,14 @@ def open_validation_set(
     return joined(kept), off
 
 
-def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the caller by name
-    telemetry: Telemetry | TelemetryFile | StoredTable,
+def calibrate(  # noqa: PLR0913 - what is calibrated, and eight choices of the caller by name
+    telemetry: TelemetryInput,
     sensor: Sensor,
     catalogue: Catalogue,
     settings: CalibrationSettings,
     *,
-    validation: Telemetry | TelemetryFile | StoredTable | None = None,
+    validation: TelemetryInput | None = None,
+    prior: PriorSource | None = None,
     sha256s: Mapping[str, str] | None = None,
     report: Callable[[Progress], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
@@ -201,7 +207,7 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
     scratch_folder: Path | None = None,
     executor: Executor | None = None,
 ) -> Calibration:
-    """Estimate a sensor's parameters from a telemetry set.
+    """Estimate a sensor's parameters from a telemetry set, or from several as one.
 
     Parameters
     ----------
@@ -211,6 +217,8 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
         Method and choices.
     validation
         A set that takes no part in the estimate, to check it by.
+    prior
+        A former calibration of the sensor, which the run starts from with its covariance; sets that it holds are left out.
     sha256s
         Content addresses of the input files by role, kept in the result.
     report
@@ -237,6 +245,14 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
     """
     clock = _Timer()
     parameters = select_free_parameters(sensor, settings)
+    taken: TakenPrior | None = None
+    left_out: list[str] = []
+    if prior is None:
+        refuse_without_prior(settings)
+    else:
+        telemetry, left_out = without_held(telemetry, prior, sha256s or {})
+        taken = take_prior(prior, sensor, parameters, settings, telemetry.begins)
+        parameters, sensor = replace(parameters, prior=taken.prior), replace(sensor, initial=taken.prior.x)
     context = CalibrationContext(cancelled or never, report, cache_folder, scratch_folder, executor)
     told = nullcontext() if report is None else report_waits_to(lambda message, _: report(Progress(0.0, message, None)))
     catalogue = catalogue.without(settings.leave_out_stars)
@@ -253,6 +269,10 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
                 from boresight.calibration.diagnosis.explain import explain_refusal  # noqa: PLC0415 - only refused sets
 
                 raise explain_refusal(error, telemetry, sensor, catalogue, cache_folder) from error
+    found = replace(found, inputs=replace(found.inputs, passes=passes_of(telemetry)))
+    if taken is not None and ended is not None and ended.estimate.status != "diverged":
+        use = taken.describe(ended.matched.problem, parameters, settings, ended.estimate)
+        found = with_advice(replace(found, prior=use), *taken.advice(use), *left_out)
     if hardly_matches(found):
         found = replace(found, advice=_explained(telemetry, sensor, catalogue, settings, context, found.advice))
         clock.lap("diagnose")
@@ -283,7 +303,7 @@ def hardly_matches(found: Calibration) -> bool:
 
 
 def _explained(
-    telemetry: Telemetry | TelemetryFile | StoredTable,
+    telemetry: TelemetryInput,
     sensor: Sensor,
     catalogue: Catalogue,
     settings: CalibrationSettings,

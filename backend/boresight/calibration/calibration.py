@@ -130,12 +130,34 @@ class StarsOffDetector:
 
 
 @dataclass(frozen=True, kw_only=True)
+class InputPass:
+    """One telemetry set of a joint calibration.
+
+    `first_frame`, `last_frame`: as the calibration numbers frames; its own numbers are those less `frame_offset`, and its own
+    rows those of the calibration less `row_offset`. `temperature_c`: mean over its detections.
+    """
+
+    name: str
+    sha256: str | None = None
+    frames: int
+    detections: int
+    first_frame: int
+    last_frame: int
+    frame_offset: int = 0
+    row_offset: int = 0
+    start_utc: str | None = None
+    end_utc: str | None = None
+    temperature_c: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """What a calibration was made from: content addresses by role, versions of what computed, and every setting."""
+    """What a calibration was made from: content addresses by role, versions of what computed, every setting, and its passes."""
 
     sha256s: dict[str, str] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=dict)
     settings: dict[str, Any] = field(default_factory=dict)
+    passes: list[InputPass] = field(default_factory=list)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,6 +237,38 @@ class Observability:
     sigma_of_direction: Numbers
     weakest: WeakestDirection
     chi2_rise: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class PriorAgreement:
+    """Chi-square between a prior and the data alone, over the directions that these determine."""
+
+    chi2: float
+    dof: int
+    p_value: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class PriorUse:
+    """What a calibration began with, and how much of it is left.
+
+    `telemetry_sha256s`: every set that the prior holds, and its own prior. `covariance`: `with-misfit` or `noise`. `parameters`,
+    `sigma`: SI, as taken in, inflated and aged by `drift_sigma` typical sigmas a square root of a day. `share`: of each variance
+    that came from the prior; None under process noise or forgetting.
+    """
+
+    name: str
+    sha256: str | None = None
+    telemetry_sha256s: list[str] = field(default_factory=list)
+    covariance: str
+    inflation: float
+    age_days: float | None = None
+    drift_sigma: float = 0.0
+    parameters: Values[float] = field(default_factory=Values)
+    sigma: Values[float] = field(default_factory=Values)
+    share: Values[float | None] = field(default_factory=Values)
+    agreement: PriorAgreement | None = None
+    sentence: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -1119,6 +1173,7 @@ class Calibration:
     timing_s: dict[str, float | None] = field(default_factory=dict)
     stars_off_detector: StarsOffDetector | None = None
     frames_done: int | None = None
+    prior: PriorUse | None = None
 
     @property
     def reliable_covariance(self) -> Covariance:
@@ -1138,9 +1193,15 @@ class Calibration:
     def to_dict(self) -> dict[str, Any]:
         """Return the calibration JSON as plain lists, numbers and None."""
         document: dict[str, Any] = to_plain(self)
-        for name in ("stars_off_detector", "frames_done"):  # only while it is on its way, or at its end
+        for name in (
+            "stars_off_detector",
+            "frames_done",
+            "prior",
+        ):  # only while it is on its way, or at its end; or of some
             if document[name] is None:
                 del document[name]
+        if not self.inputs.passes:  # of one set
+            del document["inputs"]["passes"]
         return document
 
     def to_json(self) -> str:

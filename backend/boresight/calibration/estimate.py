@@ -16,6 +16,8 @@ from boresight.calibration.minima import NOT_SEARCHED, LowerMinimum, Searched, l
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem, find_parity
 from boresight.estimation import batch, cosine
+from boresight.estimation.filters.history import FilterState, start
+from boresight.estimation.prior import Prior
 from boresight.estimation.robust import (
     MOST_ROUNDS,
     REST_OF_ROUNDS,
@@ -143,10 +145,27 @@ WHITENING_ROUNDS = 2
 
 @dataclass(frozen=True)
 class Parameters:
-    """The free parameters of a calibration: places in the state and typical sigmas, both (n_free,)."""
+    """The free parameters of a calibration: places in the state and typical sigmas, both (n_free,); and what was known before."""
 
     free: IntArray
     scale: FloatArray
+    prior: Prior | None = None
+
+    def start(self, x: FloatArray, settings: CalibrationSettings) -> FilterState:
+        """State of a filter before any frame: the prior's, or at x (n_parameters,) with the settings' sigma."""
+        if self.prior is None:
+            return start(x, len(self.free), settings.initial_sigma_scale)
+        return FilterState(self.prior.x.copy(), np.zeros(len(self.free)), self.prior.S)
+
+    def known_at_start(self, settings: CalibrationSettings) -> FloatArray:
+        """Information of a filter's start, (n_free, n_free) in typical sigmas."""
+        if self.prior is None:
+            return np.eye(len(self.free)) / settings.initial_sigma_scale**2
+        return self.prior.A
+
+    def with_prior(self, A: FloatArray) -> FloatArray:
+        """Information of data and prior together, from that of the data, both (n_free, n_free) in typical sigmas."""
+        return A if self.prior is None else A + self.prior.A
 
     def covariance(self, P: FloatArray) -> FloatArray:
         """A covariance (n_free, n_free) in typical sigmas, in SI."""
@@ -164,8 +183,8 @@ class Estimate:
     """An estimate on its way or at its end.
 
     `x`: (n_parameters,) state, SI. `A`: (n_free, n_free) information of the data alone, in typical sigmas. `P`: (n_free,
-    n_free) covariance of the estimate in typical sigmas; a filter's includes its start. `chi2`: whitened sum of squares of the
-    set at x. `status`: as in the contract, or `running`. `iterations`: batch iterations, or linearisations of a filter in all.
+    n_free) covariance of the estimate in typical sigmas, with a prior or a filter's start in it. `chi2`: whitened sum of squares of
+    the set at x. `status`: as in the contract, or `running`. `iterations`: batch iterations, or linearisations of a filter in all.
     `steps`: batch iterates, empty for a filter. `history`: a filter's updates so far; None for the batch. `robust`: what
     Huber's loss changed; None for any other estimate. `remarks`: sentences that a person should read beside the numbers.
     `searched`: what the search for other minima found.
@@ -227,10 +246,10 @@ def run_batch(
     searched = _search(problem, parameters, settings, fitted, cancelled).begun_from(begin, restarts)
     if searched.lowest is not None:
         fitted = _rewhitened(fit, searched.lowest.x)
+    P = covariance(parameters.with_prior(fitted.A))
     estimate = Estimate(
-        fitted.x, fitted.A, covariance(fitted.A), fitted.chi2, fitted.status, max(len(steps) - 1, 0), tuple(steps),
-        searched=searched,
-    )  # fmt: skip
+        fitted.x, fitted.A, P, fitted.chi2, fitted.status, max(len(steps) - 1, 0), tuple(steps), searched=searched
+    )
     if settings.robust != "none":
         return replace(estimate, robust=_robustness(problem, parameters, settings, fitted))
     return _of_cosine(problem, parameters, estimate) if settings.error == "cosine" else estimate
@@ -252,8 +271,11 @@ def _search(
     fitted: batch.BatchFit,
     cancelled: Asked,
 ) -> Searched:
-    """Look for other minima; the cosine error is there for comparison only, and has none looked for."""
-    if settings.error == "cosine":
+    """Look for other minima; the cosine error is there for comparison only, and has none looked for, nor beside a prior.
+
+    A prior tells minima apart by itself, and a search of the data's cost alone would take up one that it excludes.
+    """
+    if settings.error == "cosine" or parameters.prior is not None:
         return NOT_SEARCHED
     return look_for_minima(problem, parameters.free, parameters.scale, _threshold(settings), fitted, cancelled)
 
@@ -276,7 +298,7 @@ def _fit(
     return batch.fit(
         cosine.unweighted(arcs) if settings.error == "cosine" else arcs, x, parameters.free, parameters.scale,
         max_iterations=settings.max_iterations, report=report, cancelled=cancelled,
-        threshold=_threshold(settings),
+        threshold=_threshold(settings), prior=parameters.prior,
     )  # fmt: skip
 
 
@@ -306,11 +328,12 @@ def _run_by_star(
         found = batch.fit(
             arcs, x, parameters.free, parameters.scale,
             max_iterations=settings.max_iterations, report=report, cancelled=cancelled, rest=REST_OF_ROUNDS,
+            prior=parameters.prior,
         )  # fmt: skip
         if found.status == "diverged":
             break
         step = (found.x - x)[parameters.free] / parameters.scale
-        rested, x = float(step @ found.A @ step) < REST_OF_ROUNDS**2, found.x
+        rested, x = float(step @ parameters.with_prior(found.A) @ step) < REST_OF_ROUNDS**2, found.x
     return _of_stars(problem, parameters, replace(how, x=x), found, plain, steps, rested=rested)
 
 
@@ -331,7 +354,8 @@ def _of_stars(
     chi2 = batch.normal_equations(problem.whitened(how.x), how.x, parameters.free, parameters.scale).chi2
     status = found.status if rested or found.status != "converged" else "max_iterations"
     robust = Robustness(TUNING, effect.left_out, effect.stars, how.x, plain.x, "stars")
-    return Estimate(how.x, A, covariance(A), chi2, status, max(len(steps) - 1, 0), tuple(steps), robust=robust)
+    P = covariance(parameters.with_prior(A))
+    return Estimate(how.x, A, P, chi2, status, max(len(steps) - 1, 0), tuple(steps), robust=robust)
 
 
 def _robustness(
@@ -372,12 +396,13 @@ def covariance(A: FloatArray) -> FloatArray:
     return np.asarray((vectors[:, known] / values[known]) @ vectors[:, known].T)
 
 
-def claim(A: FloatArray, P: FloatArray, initial_sigma_scale: float) -> float:
+def claim(A: FloatArray, P: FloatArray, start: FloatArray) -> float:
     """Largest ratio, over all directions, of the information that a filter claims to what data and start together hold.
 
-    The claim is P^-1; data of information A (n_free, n_free) and start hold A + I / initial_sigma_scale^2. Linearising early frames
-    at states far away collects information that is not there, chiefly along weak directions, and this shows it without the truth.
+    The claim is P^-1; data of information A and start of information `start`, both (n_free, n_free), hold their sum. Linearising
+    early frames at states far away collects information that is not there, chiefly along weak directions, and this shows it
+    without the truth.
     """
-    held = A + np.eye(len(A)) / initial_sigma_scale**2
+    held = A + start
     smallest = np.linalg.eigvals(P @ held).real.min()
     return float(1.0 / smallest) if smallest > 0 else np.inf  # lost in rounding: more than a float can tell

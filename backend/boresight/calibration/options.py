@@ -74,6 +74,7 @@ EITHER_FORM = ("svd", "angular")
 GROUPS = {
     "Method": ALL,
     "Matching": ALL,
+    "Of a prior": ALL,
     "Of the batch": BATCH,
     "Of the filters": FILTERS,
     "Of svd and angular": EITHER_FORM,
@@ -315,6 +316,26 @@ class CalibrationSettings:
         "Method", "Fewest stars of an exposure", "Exposures with fewer stars are not used.",
         cell=(2, 1), default=MINIMUM_STARS, lowest=MINIMUM_STARS, highest=1000, flag="--minimum-stars",
     )  # fmt: skip
+    prior_covariance: str = option(
+        "Of a prior", "Covariance of the prior", "Covariance that a prior enters with.", default="with-misfit",
+        flag="--prior-covariance",
+        words={
+            "with-misfit": "With misfit, by which decisions go",
+            "noise": "Of noise alone: then prior and data are exactly the joint problem",
+        },
+    )  # fmt: skip
+    prior_inflation: float = option(
+        "Of a prior", "Inflation of the prior", "Factor on the sigmas of a prior.", default=1.0, lowest=1.0, highest=1e3,
+        flag="--prior-inflation",
+    )  # fmt: skip
+    prior_drift_sigma: float = option(
+        "Of a prior", "Drift since the prior", "Drift since a prior, in typical sigmas a square root of a day.",
+        default=0.0, lowest=0.0, highest=10.0, unit="typical σ/√d", flag="--prior-drift-sigma",
+    )  # fmt: skip
+    prior_age_days: float | None = option(
+        "Of a prior", "Age of the prior", "Days from a prior's last star to the first of the run; by their times if left out.",
+        default=None, kind="number", lowest=0.0, highest=36_525.0, unit="d", flag="--prior-age-days",
+    )  # fmt: skip
     max_iterations: int = option(
         "Of the batch", "Most iterations", "Most iterations of a fit.",
         cell=(1, 2), default=50, lowest=1, highest=10_000, flag="--max-iterations",
@@ -474,6 +495,10 @@ class Choices(TypedDict, total=False):
     blends: str
     noise_model: str
     minimum_stars: int
+    prior_covariance: str
+    prior_inflation: float
+    prior_drift_sigma: float
+    prior_age_days: float | None
     max_iterations: int
     error: str
     robust: str

@@ -47,7 +47,7 @@ from boresight.calibration.diagnosis.evidence import fit_camera
 from boresight.calibration.diagnosis.trials import Bench, Hypothesis, Trial
 from boresight.calibration.matching.rematch import centroid_sigma_px
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.telemetry_pieces import StoredTable, TelemetryFile, is_large, read_whole
+from boresight.calibration.telemetry_pieces import TelemetryFile, TelemetryInput, is_large, read_whole
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import Role
 from boresight.errors import RefusedInputError
@@ -127,7 +127,7 @@ class Proposal:
 
 
 def propose(
-    telemetry: Telemetry | TelemetryFile | StoredTable,
+    telemetry: TelemetryInput,
     catalogue: Catalogue,
     known: LensAndDetector | None = None,
     *,
@@ -209,9 +209,7 @@ def _silent(message: str, share: float | None) -> None:
     """Tell nobody."""
 
 
-def _detector(
-    telemetry: Telemetry | TelemetryFile | StoredTable, given: LensAndDetector
-) -> tuple[int, int, tuple[str, ...]]:
+def _detector(telemetry: TelemetryInput, given: LensAndDetector) -> tuple[int, int, tuple[str, ...]]:
     """Rows and columns, and which of these followed from where the detections lie; refuses a detector that they lie off."""
     ends, total = np.full((2, 2), np.nan), 0
     sides: dict[str, int | None] = {"rows": given.rows, "columns": given.columns}

@@ -308,7 +308,7 @@ def find_sigma(problem: Problem, parameters: Parameters, estimate: Estimate) -> 
     sigma = np.full(len(problem.camera.parameter_names), np.nan)
     in_scale = np.sqrt(np.diag(estimate.P))
     if np.isfinite(estimate.A).all():
-        in_scale = np.where(np.isfinite(sigma_in_scale(estimate.A)), in_scale, np.nan)
+        in_scale = np.where(np.isfinite(sigma_in_scale(parameters.with_prior(estimate.A))), in_scale, np.nan)
     sigma[parameters.free] = np.where(estimate.status == "diverged", np.nan, parameters.scale * in_scale)
     return sigma
 
@@ -330,7 +330,7 @@ def _judged(
     arcs: Arcs,
 ) -> Calibration:
     """Add chi-square, innovations, observability and advice; none of them while the estimate is on its way."""
-    dof = arcs.n_arcs - len(parameters.free)
+    dof = arcs.n_arcs - _fitted_directions(parameters, estimate)
     if estimate.status == "running" or not np.isfinite(estimate.A).all() or dof <= 0:
         return replace(estimated, nis=_innovations_so_far(estimate), advice=_unjudged(estimate, dof))
     fit = chi_square(estimate.chi2, dof)
@@ -338,8 +338,9 @@ def _judged(
     names = [problem.camera.parameter_names[p] for p in parameters.free]
     symbols = [problem.camera.symbols[p] for p in parameters.free]
     observed = observability(estimate.A, tuple(names), tuple(symbols))
+    known = observability(parameters.with_prior(estimate.A), tuple(names), tuple(symbols))
     rise = None
-    if not settings.sequential and estimate.status != "diverged":
+    if parameters.prior is None and not settings.sequential and estimate.status != "diverged":
         rise = chi2_rise(arcs, estimate.x, parameters.free, parameters.scale, estimate.A)
     return replace(
         estimated,
@@ -347,8 +348,15 @@ def _judged(
         chi2=ChiSquareTest(value=estimate.chi2, **_bounds(fit)),
         nis=InnovationTest(mean=nis.mean, **_bounds(nis)),
         observability=replace(observability_view(observed), chi2_rise=rise),
-        advice=advice(problem, parameters, settings, estimate, fit, nis, observed, rise),
+        advice=advice(problem, parameters, settings, estimate, fit, nis, known, rise),
     )
+
+
+def _fitted_directions(parameters: Parameters, estimate: Estimate) -> int:
+    """By how much the mean of the data's chi-square lies below their number: the trace of P A, beside a prior below n_free."""
+    if parameters.prior is None or not np.isfinite(estimate.A).all():
+        return len(parameters.free)
+    return round(float(np.trace(np.linalg.solve(parameters.with_prior(estimate.A), estimate.A))))
 
 
 def observability_view(observed: Observed) -> Observability:
@@ -413,6 +421,9 @@ LEFT_OUT_VARIANTS = {
     "q": "process noise makes it forget: it is an estimate from its last frames",
     "no-refit": "its matches used only the parameters that it started from",
 }
+
+
+ON_A_PRIOR = "it stands on a prior, and so on telemetry of earlier entries too"
 
 
 @dataclass(frozen=True)
@@ -482,4 +493,4 @@ def _left_out(result: Calibration) -> str | None:
         return "one linearisation per frame makes it over-confident"
     if (settings.get("forgetting_factor") or 1.0) < 1.0:
         return "it forgets: it is an estimate from its last frames"
-    return None
+    return None if result.prior is None else ON_A_PRIOR

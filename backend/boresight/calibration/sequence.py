@@ -23,7 +23,7 @@ from boresight.errors import CancelledError
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.filters import FILTERS, Tuning
-from boresight.estimation.filters.history import FilterHistory, FilterState, start
+from boresight.estimation.filters.history import FilterHistory, FilterState
 from boresight.estimation.singular_values import Selection
 
 #: A filter's first update pools frames until it holds this many arcs a free parameter: from one thin frame ten sigmas off, the
@@ -81,7 +81,7 @@ def run_sequential(
     """Run a filter over frames; returns its history, empty where no frame has stars."""
     n_frames = frames.n_frames
     first_tuning, tuning = _tunings(settings)
-    state = start(problem.sensor.initial, len(parameters.free), settings.initial_sigma_scale)
+    state = parameters.start(problem.sensor.initial, settings)
     history = RecordedHistory(state)
     began = time.perf_counter()
     pooled, done = _first_frames(frames, problem, parameters, settings, state)
@@ -127,7 +127,7 @@ def finished(problem: Problem, parameters: Parameters, history: RecordedHistory)
     began = batch.normal_equations(problem.whitened(x_0), x_0, parameters.free, parameters.scale)
     if not (history.finite and ended.finite()) or ended.chi2 > 2 * began.chi2:
         status: batch.Status = "diverged"
-    elif not batch.determined(ended.A)[2].all():
+    elif not batch.determined(parameters.with_prior(ended.A))[2].all():
         status = "rank_deficient"
     else:
         status = "converged"
@@ -197,7 +197,7 @@ def _bend(
         there = batch.normal_equations(whiten_at(arcs, problem.camera, x), x, parameters.free, parameters.scale)
         if not there.finite():
             return np.inf
-        ratios.append(claim(there.A, state.P, settings.initial_sigma_scale))
+        ratios.append(claim(there.A, state.P, parameters.known_at_start(settings)))
     return max(ratios)
 
 

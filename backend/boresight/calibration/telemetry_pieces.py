@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any, Protocol, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,30 @@ from boresight.telemetry.working_table import ARRAYS, WorkingTable
 LARGE_ROWS = 500_000
 #: A row of CSV is about as long; of JSON Lines three times.
 BYTES_A_ROW = 100
+
+
+class ChunkedTelemetry(Protocol):
+    """Telemetry that can be taken piece by piece."""
+
+    def about_rows(self) -> int:
+        """How many rows it has, or a guess."""
+        ...
+
+    def large(self) -> bool:
+        """Whether it is to be taken piece by piece."""
+        ...
+
+    def read(self) -> Telemetry:
+        """Return all of it in memory."""
+        ...
+
+    def chunks(self) -> Iterator[Telemetry]:
+        """Return it piece by piece, whole frames."""
+        ...
+
+
+#: What is calibrated: in memory, or to be taken piece by piece.
+TelemetryInput = Telemetry | ChunkedTelemetry
 
 
 @dataclass(frozen=True)
@@ -83,9 +107,13 @@ class StoredTable:
         """The table, held against its address wherever it is mapped."""
         return WorkingTable(self.path, self.sha256)
 
+    def about_rows(self) -> int:
+        """How many rows it has."""
+        return len(self.table)
+
     def large(self) -> bool:
         """Whether it is to be taken piece by piece."""
-        return len(self.table) >= self.large_rows
+        return self.about_rows() >= self.large_rows
 
     def read(self) -> Telemetry:
         """Map all of it."""
@@ -96,12 +124,12 @@ class StoredTable:
         return self.table.parts()
 
 
-def is_large(telemetry: Telemetry | TelemetryFile | StoredTable) -> TypeGuard[TelemetryFile | StoredTable]:
+def is_large(telemetry: TelemetryInput) -> TypeGuard[ChunkedTelemetry]:
     """Whether telemetry is to be taken piece by piece."""
     return not isinstance(telemetry, Telemetry) and telemetry.large()
 
 
-def read_whole(telemetry: Telemetry | TelemetryFile | StoredTable) -> Telemetry:
+def read_whole(telemetry: TelemetryInput) -> Telemetry:
     """Return telemetry in memory."""
     return telemetry if isinstance(telemetry, Telemetry) else telemetry.read()
 
@@ -215,7 +243,7 @@ def in_memory(telemetry: Telemetry) -> Pieces:
 
 
 def copied(
-    file: TelemetryFile | StoredTable,
+    file: ChunkedTelemetry,
     sensor: Sensor,
     folder: Path,
     executor: Executor,
@@ -233,7 +261,7 @@ def copied(
     elif isinstance(file, StoredTable):
         pieces = _mapped(file, sensor, folder, executor, told)
     else:
-        apart = _copied_apart(file, sensor, folder, executor, told)
+        apart = _copied_apart(file, sensor, folder, executor, told) if isinstance(file, TelemetryFile) else ()
         pieces = apart or _copied_in_turn(file, sensor, folder, told, cancelled)
     copy = Pieces(pieces, executor, folder)
     copy.off_detector.refuse()
@@ -279,7 +307,7 @@ def _copied_apart(
 
 
 def _copied_in_turn(
-    file: TelemetryFile | StoredTable,
+    file: ChunkedTelemetry,
     sensor: Sensor,
     folder: Path,
     told: Prepared,
@@ -287,7 +315,7 @@ def _copied_in_turn(
     correct: Callable[[Telemetry], Telemetry] | None = None,
 ) -> tuple[TelemetryPiece, ...]:
     """Copy a file from its start to its end; refuses it in its words."""
-    rows = max(len(file.table) if isinstance(file, StoredTable) else file.about_rows(), 1)
+    rows = max(file.about_rows(), 1)
     pieces: list[TelemetryPiece] = []
     chunks = file.chunks() if correct is None else map(correct, file.chunks())
     for piece in write_pieces(chunks, sensor, folder / "telemetry"):

@@ -11,7 +11,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from boresight.calibration.options import GROUPS, OPTIONS, CalibrationSettings, Option
-from boresight.cli.extract import extraction_options, take_extraction_choices, telemetry_of
+from boresight.cli.extract import extraction_options, passes_of, take_extraction_choices
 from boresight.cli.importing import profile_option
 from boresight.cli.input import INPUT_FILE
 from boresight.cli.output import check_writable, json_option, write_json
@@ -100,6 +100,7 @@ FAILED = ("diverged", "too_few_stars")
 @site_option
 @calibration_options
 @click.option("--validate", type=INPUT_FILE, help="Telemetry that is not fitted, to check the result with.")
+@click.option("--prior", type=INPUT_FILE, help="Calibration JSON of this sensor to start from, with its covariance.")
 @extraction_options
 @profile_option
 @server_option
@@ -109,12 +110,15 @@ def calibrate(
     sensor_file: Path,
     site: str | None,
     validate: Path | None,
+    prior: Path | None,
     profile: str | None,
     server_url: str | None,
     json_file: str | None,
     **choices: Any,
 ) -> None:
     """Calibrate a sensor from TELEMETRY (CSV, JSON Lines or Parquet), or from images (FITS, PNG, TIFF or raw numbers).
+
+    Several sets of one sensor are one joint calibration: the fit of all their stars.
 
     Prints the parameters with their sigmas, the quality of the fit, and advice. A set from which nothing could be
     estimated, or a fit that diverged, writes its JSON and ends with exit code 1.
@@ -129,15 +133,22 @@ def calibrate(
     parse_settings(settings)
     if profile is not None and server_url is not None:
         raise RefusedInputError("--server does not read mapping profiles: import the file first.")
+    if prior is not None and server_url is not None:
+        raise RefusedInputError("--server does not start from a prior: leave out --server, or --prior.")
     with (
         progress(first_message(server_url)) as report,
-        telemetry_of(telemetry, profile, sensor_file, extraction, report) as source,
+        passes_of(telemetry, profile, sensor_file, extraction, report) as sources,
     ):
         if server_url is None:
-            found = estimate(source, place_sensor(sensor_file, site), validate=validate, progress=report, **settings)
+            sensor = place_sensor(sensor_file, site)
+            found = estimate(sources, sensor, validate=validate, prior=prior, progress=report, **settings)
+        elif len(sources) > 1:
+            raise RefusedInputError(
+                f"{len(sources)} sets are calibrated as one here and not on a server: leave out --server, or name one set."
+            )
         else:
             with open_client(server_url) as server:
-                found = server.calibrate(source, str(sensor_file), validate=validate, progress=report, **settings)
+                found = server.calibrate(sources[0], str(sensor_file), validate=validate, progress=report, **settings)
     write_json(found.to_dict(), json_file)
     if json_file != "-" and found.status != "too_few_stars":
         click.echo("\n".join(summary_lines(found)))

@@ -86,27 +86,34 @@ def telemetry_of(
     paths: Sequence[Path], profile: str | None, sensor: Path, choices: dict[str, Any], report: Report
 ) -> Iterator[TelemetrySource]:
     """Yield the telemetry that was named, by its profile where it has one, or what is extracted from images that were named."""
-    if profile is not None and len(paths) == 1:
-        yield read_by_profile(paths[0], profile, sensor)
-        return
-    if not any(is_image(path) for path in paths):
-        if len(paths) > 1:
+    with passes_of(paths, profile, sensor, choices, report) as sources:
+        if len(sources) > 1:
             raise RefusedInputError(
                 f"{len(paths)} files were named, but only images can be several: name one telemetry file, such as {paths[0].name}."
             )
-        yield paths[0]
+        yield sources[0]
+
+
+@contextmanager
+def passes_of(
+    paths: Sequence[Path], profile: str | None, sensor: Path, choices: dict[str, Any], report: Report
+) -> Iterator[list[TelemetrySource]]:
+    """Yield the same of a command that takes several telemetry sets; images are one."""
+    if not any(is_image(path) for path in paths):
+        yield [path if profile is None else read_by_profile(path, profile, sensor) for path in paths]
+        return
+    if profile is not None and len(paths) == 1:
+        yield [read_by_profile(paths[0], profile, sensor)]
         return
     if others := [path for path in paths if not is_image(path)]:
-        raise RefusedInputError(
-            f"{others[0].name} is not an image, but others are: name images, or one telemetry file."
-        )
+        raise RefusedInputError(f"{others[0].name} is not an image, but others are: name images, or telemetry.")
     with tempfile.TemporaryDirectory() as folder:
         found = library.extract(paths, sensor, progress=report, **choices)
         place = Path(folder) / "images.parquet"
         found.save(place)
         for sentence in found.sentences:
             click.echo(f"boresight: {sentence}", err=True)
-        yield place
+        yield [place]
 
 
 @click.command()

@@ -12,6 +12,8 @@ The fit has converged when the undamped Newton decrement over the determined dir
 estimate then lies within `REST` of its own standard deviation from the optimum. R depends on f a little (sigma in rad is
 sigma_px Delta / f), so the caller whitens the arcs again at the solution and fits once more.
 
+What was known before (`prior`) adds A_0 and A_0 z to A and b; the information that a fit reports is of the data alone.
+
 With Huber's loss (`robust`) both A and b carry its weights on the way, and A at the end is what that estimate is worth.
 
 References
@@ -24,7 +26,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +37,9 @@ from boresight.errors import CancelledError
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.robust import measure_huber_effect
 from boresight.estimation.stored_arcs import Arcs
+
+if TYPE_CHECKING:
+    from boresight.estimation.prior import Prior
 
 #: Distance from the optimum, in standard deviations, at which the fit rests.
 REST = 1e-4
@@ -83,11 +88,11 @@ class BatchFit:
     x
         (n_parameters,) estimate, SI.
     A
-        (n_free, n_free) information in units of the typical sigmas.
+        (n_free, n_free) information of the data in units of the typical sigmas.
     chi2, sum_of_squares
         Whitened, and unweighted in rad^2, at x.
     rank
-        Directions of the free parameters that the data determine.
+        Directions of the free parameters that the data, with a prior where there is one, determine.
     status
         `converged`, `max_iterations`, `rank_deficient` or `diverged`.
     steps
@@ -95,7 +100,7 @@ class BatchFit:
     beyond
         Arcs beyond the threshold of Huber's loss; 0 for least squares.
     cost
-        What was minimised, at x: chi-square, or Huber's loss.
+        What was minimised, at x: chi-square, or Huber's loss; with the prior's share of it.
     """
 
     x: FloatArray
@@ -137,6 +142,16 @@ class NormalEquations:
     def of(self, places: NDArray[np.int64]) -> NormalEquations:
         """Those of some of the free parameters, the others held."""
         return NormalEquations(self.A[np.ix_(places, places)], self.b[places], self.chi2, self.sum_of_squares)
+
+    def with_prior(
+        self, prior: Prior | None, x: FloatArray, free: NDArray[np.int64], scale: FloatArray
+    ) -> NormalEquations:
+        """Those of the data at state x with what was known before."""
+        if prior is None:
+            return self
+        z = (x - prior.x)[free] / scale
+        pull = prior.A @ z
+        return NormalEquations(self.A + prior.A, self.b + pull, self.chi2 + float(z @ pull), self.sum_of_squares)
 
     def finite(self) -> bool:
         """Whether the state is one the model can be evaluated at."""
@@ -212,7 +227,7 @@ def _decrement(equations: NormalEquations) -> float:
     return float(((vectors.T @ equations.b)[known] ** 2 / values[known]).sum())
 
 
-def fit(  # noqa: PLR0913 - what is fitted, and six choices by name
+def fit(  # noqa: PLR0913 - what is fitted, and seven choices by name
     arcs: Arcs,
     x0: FloatArray,
     free: NDArray[np.int64],
@@ -222,6 +237,7 @@ def fit(  # noqa: PLR0913 - what is fitted, and six choices by name
     threshold: float = np.inf,
     rest: float = REST,
     begun: NormalEquations | None = None,
+    prior: Prior | None = None,
     report: Callable[[Step], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> BatchFit:
@@ -242,7 +258,9 @@ def fit(  # noqa: PLR0913 - what is fitted, and six choices by name
     rest
         Distance from the optimum, in standard deviations, at which to rest.
     begun
-        A, b and the costs at the start, where they are known already.
+        A, b and the costs of the data at the start, where they are known already.
+    prior
+        What was known before.
     report
         Told of each accepted iterate, the start included.
     cancelled
@@ -258,7 +276,8 @@ def fit(  # noqa: PLR0913 - what is fitted, and six choices by name
         When `cancelled` says so.
     """
     x, damping, growth = x0.copy(), FIRST_DAMPING, 2.0
-    here = begun or normal_equations(arcs, x, free, scale, threshold)
+    data = begun or normal_equations(arcs, x, free, scale, threshold)
+    here = data.with_prior(prior, x, free, scale)
     steps: list[Step] = []
     status: Status = "max_iterations" if here.finite() else "diverged"
     for iteration in range(max_iterations + 1):
@@ -279,18 +298,19 @@ def fit(  # noqa: PLR0913 - what is fitted, and six choices by name
         dz = np.linalg.solve(here.A + damping * np.eye(len(free)), -here.b)
         trial = x.copy()
         trial[free] += scale * dz
-        there = normal_equations(arcs, trial, free, scale, threshold)
+        data_there = normal_equations(arcs, trial, free, scale, threshold)
+        there = data_there.with_prior(prior, trial, free, scale)
         predicted = float(dz @ (damping * dz - here.b))
         ratio = (here.chi2 - there.chi2) / predicted if there.finite() and predicted > 0 else -1.0
         if ratio > 0 or (there.finite() and abs(here.chi2 - there.chi2) <= 1e-13 * here.chi2):
-            x, here = trial, there
+            x, data, here = trial, data_there, there
             damping *= max(1 / 3, 1 - (2 * min(ratio, 1.0) - 1) ** 3) if ratio > 0 else 1.0
             growth = 2.0
         else:
             damping, growth = damping * growth, growth * 2
     rank = int(here.spectrum[2].sum()) if here.finite() else 0
     status = _ended(here, status, rank)
-    fitted = BatchFit(x, here.A, here.chi2, here.sum_of_squares, rank, status, tuple(steps), cost=here.chi2)
+    fitted = BatchFit(x, data.A, data.chi2, here.sum_of_squares, rank, status, tuple(steps), cost=here.chi2)
     return fitted if np.isinf(threshold) or not here.finite() else _insured(fitted, arcs, free, scale, threshold)
 
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from boresight.calibration.telemetry_pieces import TelemetryFile
     from boresight.library.choice import Choice
     from boresight.library.diagnosis import Diagnosis
-    from boresight.library.inputs import ParameterSource, ProfileSource, SensorSource, TelemetrySource
+    from boresight.library.inputs import ParameterSource, ProfileSource, SensorSource, TelemetrySource, TelemetrySources
     from boresight.library.results import (
         Assessment,
         Calibration,
@@ -118,10 +118,11 @@ def _split(name: str, text: str) -> Any:
 
 @_on_kernels
 def calibrate(
-    telemetry: TelemetrySource,
+    telemetry: TelemetrySources,
     sensor: SensorSource,
     *,
     validate: TelemetrySource | None = None,
+    prior: ParameterSource | None = None,
     progress: Wanted = None,
     **settings: Unpack[Choices],
 ) -> Calibration:
@@ -133,10 +134,13 @@ def calibrate(
         A file (CSV, JSON Lines, Parquet), a DataFrame or Arrow table, a mapping of column names to arrays (n_rows,), or telemetry
         of this library. One row a star: `frame`, `exposure`, `row_px`, `col_px`, and what else the telemetry format names, in the
         units of the names: pixels with (0, 0) at the centre of the top-left pixel, degrees ICRS, quaternions ICRS to detector.
+        A list of these is one joint calibration of all.
     sensor
         A sensor file, what one says, or a sensor of this library.
     validate
         Telemetry that takes no part, to check the result by.
+    prior
+        A former calibration of the sensor, which this one starts from with its covariance; telemetry that it holds counts once.
     progress
         True shows progress, False nothing; a function is told (message, share). Left out, it is shown in terminals and notebooks.
     settings
@@ -151,7 +155,7 @@ def calibrate(
     RefusedInputError
         When something cannot be used: one sentence, with row and column where it has them.
     """
-    from boresight.library.inputs import open_telemetry, read_any_sensor
+    from boresight.library.inputs import list_sources, open_passes, open_telemetry, read_any_sensor, read_prior
     from boresight.library.results import Calibration
 
     chosen = parse_choices(settings)
@@ -159,8 +163,15 @@ def calibrate(
         from boresight.calibration.calibrate import calibrate as estimate
 
         limits, folder = prepared.settings.telemetry_limits, prepared.settings.catalogue_folder
-        stars, described = open_telemetry(telemetry, limits), read_any_sensor(sensor)
+        stars, described = open_passes(telemetry, limits), read_any_sensor(sensor)
+        several = list_sources(telemetry)
+        roles = (
+            {"telemetry": several[0]}
+            if len(several) == 1
+            else {f"telemetry_{number}": one for number, one in enumerate(several, 1)}
+        )
         validation = None if validate is None else open_telemetry(validate, limits)
+        former = None if prior is None else read_prior(prior)
         catalogue = prepared.load_catalogue()
         prepared.report("building arcs and loading the compiled loops", None)
         found = estimate(
@@ -169,7 +180,8 @@ def calibrate(
             catalogue,
             chosen,
             validation=validation,
-            sha256s=_hash_files({"telemetry": telemetry, "sensor": sensor, "validation": validate}),
+            prior=former,
+            sha256s=_hash_files({**roles, "sensor": sensor, "validation": validate, "prior": prior}),
             report=None if progress is False else lambda step: prepared.report(step.message, step.fraction),
             cache_folder=folder,
         )

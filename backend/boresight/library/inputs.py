@@ -17,8 +17,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from boresight.calibration.calibration import Calibration, parse_calibration
+from boresight.calibration.joint.passes import JointTelemetry, NamedTelemetry, join_sets
+from boresight.calibration.joint.prior import PriorSource
 from boresight.calibration.parameter_file import parse_parameters, read_document
 from boresight.calibration.telemetry_pieces import TelemetryFile
+from boresight.disks import compute_digest
 from boresight.errors import RefusedInputError
 from boresight.telemetry.imports.builtin import BUILT_IN
 from boresight.telemetry.imports.mapping import Imported
@@ -67,6 +70,8 @@ TelemetrySource = (
     | Mapping[str, "ArrayLike | Sequence[object]"]
     | np.ndarray[Any, Any]
 )
+#: One telemetry set, or several of one sensor.
+TelemetrySources = TelemetrySource | list[TelemetrySource] | tuple[TelemetrySource, ...]
 #: A sensor file, what such a file says, or a sensor of the library.
 SensorSource = str | os.PathLike[str] | Mapping[str, Any] | Sensor
 #: A calibration, its JSON, or an object of parameter names and values, as file or in memory.
@@ -97,6 +102,30 @@ def open_telemetry(source: TelemetrySource, limits: Limits) -> Telemetry | Telem
     if isinstance(source, str | os.PathLike):
         return TelemetryFile(Path(source), limits=limits).opened()
     return read_in_memory(source, limits)
+
+
+def open_passes(sources: TelemetrySources, limits: Limits) -> Telemetry | TelemetryFile | JointTelemetry:
+    """Open telemetry, several sets as one; their files are left on the disk."""
+    several = list_sources(sources)
+    if len(several) == 1:
+        return open_telemetry(several[0], limits)
+    return join_sets([_open_pass(source, number, limits) for number, source in enumerate(several, 1)])
+
+
+def list_sources(sources: TelemetrySources) -> list[TelemetrySource]:
+    """Return the telemetry sets that are meant, one or several."""
+    several = list(sources) if isinstance(sources, list | tuple) else [sources]
+    if not several:
+        raise RefusedInputError("No telemetry was given: name at least one set.")
+    return several
+
+
+def _open_pass(source: TelemetrySource, number: int, limits: Limits) -> NamedTelemetry:
+    """Open one of several sets."""
+    if isinstance(source, str | os.PathLike):
+        path = Path(source)
+        return NamedTelemetry(TelemetryFile(path, limits=limits), path.name, compute_digest(path))
+    return NamedTelemetry(read_in_memory(source, limits), f"set {number}")
 
 
 def read_in_memory(source: TelemetrySource, limits: Limits) -> Telemetry:
@@ -209,6 +238,13 @@ def read_any_calibration(source: ParameterSource) -> Calibration:
     if isinstance(source, Calibration):
         return source
     return parse_calibration(read_parameter_document(source), describe_source(source))
+
+
+def read_prior(source: ParameterSource) -> PriorSource:
+    """Read a calibration to start from."""
+    path = Path(source) if isinstance(source, str | os.PathLike) else None
+    name = "The prior" if path is None else path.name
+    return PriorSource(read_any_calibration(source), name, None if path is None else compute_digest(path))
 
 
 def describe_source(source: ParameterSource) -> str:

@@ -44,7 +44,7 @@ from boresight.calibration.evaluation import bootstrap
 from boresight.calibration.matching.match_report import Estimation
 from boresight.calibration.matching.matched import Dataset, Matched
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.telemetry_pieces import JUDGED_STARS, StoredTable, TelemetryFile, is_large
+from boresight.calibration.telemetry_pieces import JUDGED_STARS, TelemetryInput, is_large
 from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.errors import RefusedInputError
 from boresight.estimation import batch, residual_spline
@@ -69,12 +69,12 @@ class _Stars:
 
 
 def choose(  # noqa: PLR0913 - what is chosen from, and six choices of the caller by name
-    telemetry: Telemetry | TelemetryFile | StoredTable,
+    telemetry: TelemetryInput,
     sensor: Sensor,
     catalogue: Catalogue,
     settings: CalibrationSettings | None = None,
     *,
-    validation: Telemetry | TelemetryFile | StoredTable | None = None,
+    validation: TelemetryInput | None = None,
     rng: np.random.Generator | None = None,
     report: Report | None = None,
     cancelled: Callable[[], bool] = never,
@@ -238,9 +238,7 @@ class _CandidateTables:
         return (None, None) if found is None else found.largest
 
 
-def _read(
-    telemetry: Telemetry | TelemetryFile | StoredTable, sensor: Sensor, catalogue: Catalogue, which: str
-) -> tuple[Telemetry, list[str]]:
+def _read(telemetry: TelemetryInput, sensor: Sensor, catalogue: Catalogue, which: str) -> tuple[Telemetry, list[str]]:
     """Read a set, of a large one stretches that are evenly spread over it, with what to say of it."""
     inside, off = open_validation_set(telemetry, sensor, JUDGED_STARS)
     inside = put_right(inside, sensor, catalogue)
@@ -320,7 +318,7 @@ def _matched_under(
 
 
 def _score_held_out(
-    validation: Telemetry | TelemetryFile | StoredTable | None, fits: Fits, candidates: list[FittedSubset],
+    validation: TelemetryInput | None, fits: Fits, candidates: list[FittedSubset],
     richest: FittedSubset, catalogue: Catalogue, settings: CalibrationSettings, context: CalibrationContext,
     rng: np.random.Generator,
 ) -> tuple[HeldOutScores | None, list[str]]:  # fmt: skip

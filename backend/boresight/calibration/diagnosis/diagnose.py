@@ -38,7 +38,7 @@ from boresight.calibration.diagnosis.result import Diagnosis, FoundCause, Tried
 from boresight.calibration.diagnosis.sentences import describe, say
 from boresight.calibration.diagnosis.trials import Bench, Hypothesis, Trial
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.telemetry_pieces import StoredTable, TelemetryFile, is_large, read_whole
+from boresight.calibration.telemetry_pieces import TelemetryInput, is_large, read_whole
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import Role
 from boresight.errors import RefusedInputError
@@ -86,9 +86,7 @@ EPOCHS_S = {"J2000": 946_728_000.0, "2000-01-01": 946_684_800.0, "GPS": 315_964_
 YEAR_S = 365.25 * 86400.0
 
 
-def sample_exposures(
-    telemetry: Telemetry | TelemetryFile | StoredTable, most: int = MOST_EXPOSURES
-) -> tuple[Telemetry, int]:
+def sample_exposures(telemetry: TelemetryInput, most: int = MOST_EXPOSURES) -> tuple[Telemetry, int]:
     """Return whole frames spread over a set, of `most` exposures about, and how many exposures it has."""
     if not is_large(telemetry):
         return _spread(whole := read_whole(telemetry), most), len(find_exposures(whole))
@@ -131,7 +129,7 @@ def _brightest(telemetry: Telemetry, first: int, count: int) -> IntArray:
 
 
 def diagnose(
-    telemetry: Telemetry | TelemetryFile | StoredTable,
+    telemetry: TelemetryInput,
     sensor: Sensor,
     catalogue: Catalogue,
     settings: CalibrationSettings | None = None,
@@ -169,9 +167,7 @@ def diagnose(
     return _Search(bench, of_exposures, tell).run()
 
 
-def match_as_they_stand(
-    telemetry: Telemetry | TelemetryFile | StoredTable, sensor: Sensor, catalogue: Catalogue
-) -> bool:
+def match_as_they_stand(telemetry: TelemetryInput, sensor: Sensor, catalogue: Catalogue) -> bool:
     """Whether half of a sample matches by the stars and attitudes that the file itself gives; quick, and recognises nothing."""
     sample, _ = sample_exposures(telemetry)
     bench = Bench(sample, sensor, catalogue, CalibrationSettings(), None)

@@ -10,20 +10,17 @@ from boresight.calibration.diagnosis.diagnose import BUDGET_S, Report, diagnose
 from boresight.calibration.diagnosis.result import Diagnosis
 from boresight.calibration.diagnosis.sentences import advise
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.telemetry_pieces import StoredTable, TelemetryFile
+from boresight.calibration.telemetry_pieces import TelemetryInput
 from boresight.errors import RefusedInputError
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.quality.detector import OffDetectorError
 from boresight.telemetry.quality.inputs import Finding, Severity
 from boresight.telemetry.quality.report import put_finding_first
-from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
-
-Set = Telemetry | TelemetryFile | StoredTable
 
 
 def explain(
-    telemetry: Set,
+    telemetry: TelemetryInput,
     sensor: Sensor,
     catalogue: Catalogue,
     settings: CalibrationSettings | None = None,
@@ -40,7 +37,7 @@ def explain(
 
 def explain_refusal(
     error: OffDetectorError,
-    telemetry: Set,
+    telemetry: TelemetryInput,
     sensor: Sensor,
     catalogue: Catalogue,
     cache_folder: Path | None,

@@ -403,13 +403,15 @@ class PriorKnowledge:
     settings: CalibrationSettings
 
     def at_start(self) -> MatchingState:
-        """Before any estimate."""
+        """Before any estimate: the ground calibration's sigmas, or those of a prior."""
+        if (prior := self.parameters.prior) is not None:
+            return self.at_covariance(prior.x, prior.P)
         return MatchingState(self.sensor.initial, self._ground)
 
     def at(self, estimate: Estimate, problem: Problem) -> MatchingState:
         """After an estimate made from a problem."""
         n = len(self.parameters.free)
-        held = np.asarray(np.linalg.inv(estimate.A + np.eye(n) / self.settings.initial_sigma_scale**2), np.float64)
+        held = np.asarray(np.linalg.inv(estimate.A + self.parameters.known_at_start(self.settings)), np.float64)
         dof = 2 * problem.arcs.n_stars - 3 * problem.arcs.n_exposures - n
         excess = max(1.0, estimate.chi2 / max(dof, 1))
         return replace(self.at_covariance(estimate.x, held * excess), noise=float(np.sqrt(excess)))

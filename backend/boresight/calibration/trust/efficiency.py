@@ -62,8 +62,8 @@ def efficiency(fitted: FittedSet) -> Efficiency:
         )
     arcs = fitted.thinned(MOST_FRAMES)
     held = _centroid_information(fitted, arcs)
-    if fitted.settings.sequential:
-        held = held + np.eye(len(held)) / fitted.settings.initial_sigma_scale**2
+    if fitted.settings.sequential or fitted.parameters.prior is not None:
+        held = held + fitted.parameters.known_at_start(fitted.settings)
     bound, P = np.linalg.inv(held) * _noise(fitted), fitted.estimate.P
     if not (np.diag(P) > 0).all() or not (np.diag(bound) > 0).all():
         raise np.linalg.LinAlgError("Expected positive variances, received rounding errors")

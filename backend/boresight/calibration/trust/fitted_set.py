@@ -172,7 +172,8 @@ def _best_fit(
 ) -> tuple[FloatArray, ArcSet]:
     """State and arcs whitened there; the estimate itself where it is the best fit, or Huber's."""
     arcs = problem.whitened(estimate.x).whole()
-    if not settings.sequential and settings.error == "arclength" and settings.robust != "stars":
+    by_batch = not settings.sequential and settings.error == "arclength" and settings.robust != "stars"
+    if by_batch and parameters.prior is None:
         return estimate.x, arcs
     fitted = batch.fit(arcs, estimate.x, parameters.free, parameters.scale, max_iterations=MOST_ITERATIONS)
     if fitted.status == "diverged":

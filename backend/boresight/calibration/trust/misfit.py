@@ -31,7 +31,9 @@ four ways, each of which may only widen it.
    stands. From a start that is off by more than that tolerance it keeps few, and those lean to the start. The fit of the whole set
    as it is matched in the end does not; the distance between the two, d, widens by d d^T.
 
-A filter's estimate has its start in it too; it is widened by as much as the fit of the whole set is.
+A filter's estimate has its start in it too; it is widened by as much as the fit of the whole set is. An estimate that stands on a
+prior follows the fit of the set by K = P A only, and is widened by K times that from both sides: what the data err does not widen
+what they were not asked for.
 
 References
 ----------
@@ -113,7 +115,11 @@ def widen(
         shift, taken = _of_departures(sums, [one.name for one in tests if one.noticed and one.name in scores])
         shift = shift + _of_changes(fitted, scores, taken) + _of_zero_points(fitted, sums, taken)
     lean = _lean(fitted)
-    excess = np.asarray(widest - noise + shift + np.outer(lean, lean))
+    excess = np.asarray(widest - noise + shift)
+    if fitted.parameters.prior is not None:
+        K = fitted.estimate.P @ fitted.A
+        excess = K @ excess @ K.T
+    excess = excess + np.outer(lean, lean)
     selected = float(np.max(np.abs(lean) / np.sqrt(np.diag(fitted.estimate.P))))
     return Widening(fitted.estimate.P + excess, level, blocks, taken, selected)
 
@@ -123,7 +129,11 @@ def _lean(fitted: FittedSet) -> FloatArray:
     settings, parameters = fitted.settings, fitted.parameters
     if not settings.sequential or settings.match_rule != "flight":
         return np.zeros(len(parameters.free))
-    return np.asarray((fitted.estimate.x - fitted.x)[parameters.free] / parameters.scale)
+    lean = (fitted.estimate.x - fitted.x)[parameters.free] / parameters.scale
+    if (prior := parameters.prior) is not None:
+        pulled = (prior.x - fitted.x)[parameters.free] / parameters.scale
+        lean -= np.linalg.solve(parameters.with_prior(fitted.A), prior.A @ pulled)
+    return np.asarray(lean)
 
 
 def _level(fitted: FittedSet) -> float:

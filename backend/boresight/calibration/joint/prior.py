@@ -1,0 +1,249 @@
+"""Posterior in, posterior out: what a former calibration knew of the parameters, as a run takes it in and says how much it used.
+
+Which covariance. A prior enters with the covariance that decisions go by, with misfit, widened further where its chi-square,
+innovations or the Cramér-Rao bound say so (`result.trend_entry`): what the model did not hold then did not average out. `noise`
+takes the covariance of noise alone, under which a prior and further data are exactly the joint problem of both, to
+linearisation. Either is then multiplied by `prior_inflation` squared and, for its age of T days, drifts as a random walk:
+
+    P_0 = prior_inflation^2 P + prior_drift_sigma^2 T I          in typical sigmas
+
+Which parameters. A covariance is that of some parameters with the others held where they were, so a prior is taken for exactly the
+parameters that it freed, and those it held stay where it held them: the run starts at its state, which is its `initial`.
+
+Counted once. A calibration names its telemetry by SHA-256, and one with a prior that of the prior too. A set that the prior holds
+already is left out of a joint run, which equals taking its information out of one of the two, and refused where nothing is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from boresight.arrays import FloatArray
+from boresight.calibration.calibration import Calibration, PriorAgreement, PriorUse, Values
+from boresight.calibration.estimate import Estimate, Parameters
+from boresight.calibration.joint.passes import JointTelemetry, NamedTelemetry, join_sets
+from boresight.calibration.options import OPTIONS, CalibrationSettings
+from boresight.calibration.problem import Problem
+from boresight.calibration.result import ON_A_PRIOR, trend_entry
+from boresight.calibration.telemetry_pieces import TelemetryInput, is_large
+from boresight.cameras import CAMERA_MODELS
+from boresight.errors import RefusedInputError
+from boresight.estimation.prior import Prior
+from boresight.estimation.statistics.special import chdtrc
+from boresight.telemetry.sensors import Sensor
+
+TELEMETRY, VALIDATION = "telemetry", "validation"
+DAY_S = 86_400.0
+#: Chance below which a prior and data that agree would look as far apart as they do.
+DISAGREE = 1e-3
+
+
+@dataclass(frozen=True)
+class PriorSource:
+    """A calibration to start from, what refusals call it, and the SHA-256 of its file, where it has one."""
+
+    calibration: Calibration
+    name: str = "the prior"
+    sha256: str | None = None
+
+    @property
+    def held_sets(self) -> set[str]:
+        """SHA-256 of every telemetry set that it was made from, and its own prior."""
+        found = self.calibration
+        own = {sha256 for role, sha256 in found.inputs.sha256s.items() if role.startswith(TELEMETRY)}
+        own |= {one.sha256 for one in found.inputs.passes if one.sha256 is not None}
+        return own | set(found.prior.telemetry_sha256s if found.prior else ())
+
+    @property
+    def ended(self) -> np.datetime64 | None:
+        """When its last star was taken, as far as it says."""
+        found = self.calibration
+        times = [one.end_utc for one in found.inputs.passes]
+        if found.history is not None and found.history.time_utc:
+            times.append(found.history.time_utc[-1])
+        known = [np.datetime64(time.rstrip("Z"), "us") for time in times if time]
+        return max(known) if known else None
+
+
+@dataclass(frozen=True)
+class TakenPrior:
+    """A prior as a run takes it in: where it came from, the Gaussian, its age, and what is to be said of how it was taken."""
+
+    source: PriorSource
+    prior: Prior
+    age_days: float | None
+    remarks: tuple[str, ...]
+
+    def describe(
+        self, problem: Problem, parameters: Parameters, settings: CalibrationSettings, estimate: Estimate
+    ) -> PriorUse:
+        """Say how much of an estimate came from it, and whether the data agree with it."""
+        names = [problem.camera.parameter_names[p] for p in parameters.free]
+        z = (estimate.x - self.prior.x)[parameters.free] / parameters.scale
+        share: FloatArray | None = None
+        if not settings.sequential or (settings.process_noise == 0.0 and settings.forgetting_factor == 1.0):
+            share = self.prior.share(estimate.A)
+        sigma = np.sqrt(np.diag(self.prior.P)) * parameters.scale
+        found = PriorUse(
+            name=self.source.name,
+            sha256=self.source.sha256,
+            telemetry_sha256s=sorted(self.source.held_sets),
+            covariance=settings.prior_covariance,
+            inflation=settings.prior_inflation,
+            age_days=self.age_days,
+            drift_sigma=settings.prior_drift_sigma,
+            parameters=Values({name: float(self.prior.x[p]) for name, p in zip(names, parameters.free, strict=True)}),
+            sigma=Values(dict(zip(names, sigma.tolist(), strict=True))),
+            share=Values(dict(zip(names, [None] * len(names) if share is None else share.tolist(), strict=True))),
+        )
+        found = replace(found, agreement=_agreement(self.prior, estimate.A, z))
+        return replace(found, sentence=_sentence(found))
+
+    def advice(self, use: PriorUse) -> list[str]:
+        """What a person should know: of the prior's standing, and where the data contradict it."""
+        if use.agreement is None or use.agreement.p_value >= DISAGREE:
+            return list(self.remarks)
+        size = f"chi-square {use.agreement.chi2:.3g} of {use.agreement.dof} degrees of freedom"
+        disagree = (
+            f"These data contradict the prior ({size}): the camera changed since, or one of the two is wrong; compare with a run "
+            "without --prior, or allow a drift by --prior-drift-sigma."
+        )
+        return [disagree, *self.remarks]
+
+
+def _agreement(prior: Prior, A: FloatArray, z: FloatArray) -> PriorAgreement | None:
+    chi2, dof = prior.disagreement(A, z)
+    return PriorAgreement(chi2=chi2, dof=dof, p_value=float(chdtrc(dof, chi2))) if dof else None
+
+
+def _sentence(use: PriorUse) -> str:
+    """Say of each parameter how much of its variance the prior gave."""
+    known = {name: share for name, share in use.share.items() if share is not None}
+    aged = "" if use.age_days is None else f", {use.age_days:.3g} days old"
+    if not known:
+        return f"Began at {use.name}{aged}; under process noise or forgetting its share fades and is not told."
+    listed = ", ".join(f"{name} {share:.0%}" for name, share in known.items())
+    return f"Of the variance this much came from {use.name}{aged}: {listed}; the rest from these data."
+
+
+def take_prior(
+    source: PriorSource,
+    sensor: Sensor,
+    parameters: Parameters,
+    settings: CalibrationSettings,
+    begins: np.datetime64 | None,
+) -> TakenPrior:
+    """Make a former calibration what a run starts from; `begins`: the first known time of the run's own telemetry."""
+    found = source.calibration
+    _check_same_camera(source, sensor)
+    if not found.is_usable:
+        raise RefusedInputError(
+            f"{source.name} ended {found.status.replace('_', ' ')}, and knows nothing for sure: give a calibration that converged."
+        )
+    if settings.error == "cosine":
+        raise RefusedInputError(
+            "The cosine error has no weights that a prior could stand beside: choose error 'arclength'."
+        )
+    names = CAMERA_MODELS[sensor.camera_model].parameter_names
+    wanted = [names[p] for p in parameters.free]
+    if sorted(wanted) != sorted(found.covariance.names):
+        raise RefusedInputError(
+            f"{source.name} knows {', '.join(found.covariance.names)} and this run frees {', '.join(wanted)}: give "
+            f"--free {','.join(found.covariance.names)}, for a covariance holds with the others where they were."
+        )
+    x = np.array([found.parameters[name] for name in names], np.float64)
+    P = _covariance(found, wanted, settings) / np.outer(parameters.scale, parameters.scale)
+    age = _age_days(source, settings, begins)
+    aged = settings.prior_inflation**2 * P + settings.prior_drift_sigma**2 * (age or 0.0) * np.eye(len(P))
+    if not np.isfinite(x).all() or not np.isfinite(aged).all() or np.linalg.eigvalsh(aged)[0] <= 0:
+        raise RefusedInputError(f"{source.name} has no positive covariance: calibrate its telemetry again.")
+    return TakenPrior(source, Prior(x, aged), age, tuple(_remarks(source)))
+
+
+def _check_same_camera(source: PriorSource, sensor: Sensor) -> None:
+    found = source.calibration
+    if found.camera_model != sensor.camera_model:
+        raise RefusedInputError(
+            f"{source.name} is of the camera model {found.camera_model}, the sensor file of {sensor.camera_model}: convert it, "
+            "or give a calibration of that model."
+        )
+    if found.sensor != sensor.name:
+        raise RefusedInputError(
+            f"{source.name} is of the sensor {found.sensor}, the sensor file of {sensor.name}: give a calibration of this sensor."
+        )
+
+
+def _covariance(found: Calibration, wanted: Sequence[str], settings: CalibrationSettings) -> FloatArray:
+    """Covariance of the wanted parameters, (n_free, n_free) SI, as the settings choose it."""
+    entry = trend_entry(found)
+    of_noise = settings.prior_covariance == "noise" or entry is None
+    matrix = found.covariance.matrix if of_noise or entry is None else entry.covariance
+    listed = found.covariance.names if of_noise or entry is None else entry.names
+    place = [listed.index(name) for name in wanted]
+    return np.array(matrix, np.float64)[np.ix_(place, place)]
+
+
+def _age_days(source: PriorSource, settings: CalibrationSettings, begins: np.datetime64 | None) -> float | None:
+    """Days from the prior's last star to the first of the run, or as the settings say; None where neither is known."""
+    if settings.prior_age_days is not None:
+        if settings.prior_drift_sigma == 0.0:
+            raise RefusedInputError(
+                "An age without a drift changes nothing: give --prior-drift-sigma too, or leave it out."
+            )
+        return settings.prior_age_days
+    if source.ended is None or begins is None or np.isnat(begins):
+        if settings.prior_drift_sigma > 0.0:
+            raise RefusedInputError(f"How old {source.name} is cannot be told from its times: give --prior-age-days.")
+        return None
+    return max(float((begins - source.ended) / np.timedelta64(1, "us")) / 1e6 / DAY_S, 0.0)
+
+
+def _remarks(source: PriorSource) -> list[str]:
+    entry = trend_entry(source.calibration)
+    said = []
+    if entry is not None and entry.left_out not in {None, ON_A_PRIOR}:
+        said.append(f"The prior is to be read with care, for {entry.left_out}: compare with a run without --prior.")
+    if not source.held_sets:
+        said.append(
+            "The prior does not name its telemetry, so nothing tells whether these stars are in it already: see that they are not, "
+            "or they count twice."
+        )
+    return said
+
+
+def without_held(
+    telemetry: TelemetryInput, source: PriorSource, sha256s: Mapping[str, str]
+) -> tuple[JointTelemetry, list[str]]:
+    """Return what of telemetry the prior does not hold already, as passes, and a sentence on what was left out.
+
+    Refuses where nothing is left, and a validation set that took part in the prior.
+    """
+    held = source.held_sets
+    if sha256s.get(VALIDATION) in held:
+        raise RefusedInputError(f"The validation set took part in {source.name}: choose one that did not.")
+    if not isinstance(telemetry, JointTelemetry):
+        one = NamedTelemetry(telemetry, "The telemetry", sha256s.get(TELEMETRY))
+        telemetry = join_sets([one], 0 if is_large(telemetry) else np.iinfo(np.int64).max)
+    new = tuple(one for one in telemetry.sets if one.sha256 not in held)
+    if not new:
+        raise RefusedInputError(
+            f"{source.name} holds this telemetry already, and stars count once: give newer telemetry, or leave --prior out."
+        )
+    left_out = [one.name for one in telemetry.sets if one.sha256 in held]
+    if not left_out:
+        return telemetry, []
+    return replace(telemetry, sets=new), [
+        f"Left out, because the prior holds {'it' if len(left_out) == 1 else 'them'} already: {', '.join(left_out)}."
+    ]
+
+
+def refuse_without_prior(settings: CalibrationSettings) -> None:
+    """Refuse what only a prior has where there is none."""
+    for name, option in OPTIONS.items():
+        if name.startswith("prior_") and getattr(settings, name) != option.default:
+            raise RefusedInputError(
+                f"{option.title} is of a prior, and none was given: give --prior, or leave {option.flag} out."
+            )
