@@ -169,9 +169,7 @@ async def read_form(
     return came
 
 
-@onboard_router.get(
-    "/{parameter_set_id}/workflow", summary="Read where a set stands", response_model=schemas.Workflow
-)
+@onboard_router.get("/{parameter_set_id}/workflow", summary="Read where a set stands", response_model=schemas.Workflow)
 def get_workflow(session: Reading, actor: Who, policy: ServerPolicy, parameter_set_id: Id) -> Workflow:
     """Return the ten stations of a set, and who is to do what next."""
     return make_workflow(session, actor, policy, session.get_known(ParameterSet, parameter_set_id))
