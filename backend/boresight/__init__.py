@@ -216,6 +216,7 @@ __all__ = [
     "Matches",
     "NewSensor",
     "NotFoundError",
+    "PointingPlan",
     "Quality",
     "RefusedInputError",
     "RunFailedError",
