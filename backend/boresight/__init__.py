@@ -119,10 +119,12 @@ if TYPE_CHECKING:
         load,
         match,
         new_sensor,
+        plan,
         read_sensor,
         read_telemetry,
         simulate,
     )
+    from boresight.library.pointings import PointingPlan
     from boresight.library.remote import RunFailedError
     from boresight.library.results import (
         Assessment,
@@ -156,6 +158,7 @@ _PLACES = {
         "load",
         "match",
         "new_sensor",
+        "plan",
         "read_sensor",
         "read_telemetry",
         "simulate",
@@ -173,6 +176,7 @@ _PLACES = {
     ),
     "boresight.library.choice": ("Choice",),
     "boresight.library.diagnosis": ("Diagnosis",),
+    "boresight.library.pointings": ("PointingPlan",),
     "boresight.telemetry.imports.mapping": ("Imported",),
     "boresight.telemetry.schema": ("Telemetry",),
     "boresight.telemetry.sensors": ("Sensor",),
@@ -212,6 +216,7 @@ __all__ = [
     "Matches",
     "NewSensor",
     "NotFoundError",
+    "PointingPlan",
     "Quality",
     "RefusedInputError",
     "RunFailedError",
@@ -234,6 +239,7 @@ __all__ = [
     "load",
     "match",
     "new_sensor",
+    "plan",
     "read_sensor",
     "read_telemetry",
     "simulate",

@@ -23,6 +23,7 @@ from boresight.cli.evaluate import check, evaluate, match
 from boresight.cli.extract import extract
 from boresight.cli.importing import import_telemetry
 from boresight.cli.output import RefusingGroup
+from boresight.cli.plan import plan
 from boresight.cli.report import report
 from boresight.cli.reproduce import reproduce, simulate
 from boresight.cli.schema import schema
@@ -64,6 +65,7 @@ for command in (
     check,
     import_telemetry,
     simulate,
+    plan,
     report,
     schema,
     sensor,

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar, Unpack
+from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar, Unpack, cast
 
 from boresight.calibration.options import OPTIONS, CalibrationSettings
 from boresight.errors import RefusedInputError
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from boresight.library.choice import Choice
     from boresight.library.diagnosis import Diagnosis
     from boresight.library.inputs import ParameterSource, ProfileSource, SensorSource, TelemetrySource, TelemetrySources
+    from boresight.library.pointings import PointingPlan
     from boresight.library.results import (
         Assessment,
         Calibration,
@@ -700,6 +701,63 @@ def assess(
         gates=report.gates,
         document={**to_plain(report), "sensor": described.name},
     )
+
+
+@_on_kernels
+def plan(
+    sensor: SensorSource,
+    start: str,
+    minutes: float,
+    *,
+    calibration: ParameterSource | None = None,
+    candidates: str | os.PathLike[str] | None = None,
+    criterion: str = "A",
+    orbit: Mapping[str, float] | None = None,
+    progress: Wanted = None,
+    **constraints: float,
+) -> PointingPlan:
+    """Plan what to observe next: the pointings and rolls that shrink what is known least, by the minute.
+
+    Parameters
+    ----------
+    sensor
+        As `calibrate`.
+    start, minutes
+        When it begins, UTC in ISO 8601, and how long it may take.
+    calibration
+        What is known before; left out, ten typical sigmas of each free parameter of the sensor file.
+    candidates
+        CSV of attitudes that may be chosen: ra_deg, dec_deg, roll_deg; left out, pointings over the whole sky.
+    criterion
+        `A`, the sum of variances in typical sigmas, or `D`, the volume of the confidence region.
+    orbit
+        `altitude_km`, `inclination_deg` and `node_hour` of a circular orbit, for the Earth; left out, the Earth is nowhere.
+    progress
+        As `calibrate`.
+    constraints
+        `dwell_s`, `exposure_s`, `slew_deg_s`, `settle_s`, `sun_deg`, `moon_deg`, `earth_deg`, `visits`, as
+        `boresight plan --help` tells them.
+
+    Raises
+    ------
+    RefusedInputError
+        When nothing can be observed under these constraints, or one of them makes no sense.
+    """
+    from boresight.library import pointings
+    from boresight.library.inputs import read_any_calibration, read_any_sensor
+    from boresight.simulation.pointings import Constraints
+
+    described = read_any_sensor(sensor)
+    known = None if calibration is None else read_any_calibration(calibration)
+    if unknown := set(constraints) - {one.name for one in fields(Constraints)}:
+        raise RefusedInputError(f"A plan has no {min(unknown)!r}: choose a constraint that `help(plan)` lists.")
+    begins = pointings.parse_start(start)
+    wanted = Constraints(
+        start_utc=begins, minutes=minutes, orbit=pointings.parse_orbit(orbit, begins), **cast("Any", constraints)
+    )
+    listed = None if candidates is None else pointings.read_candidates(Path(candidates))
+    with _prepared(progress, "planning") as prepared:
+        return pointings.make_plan(described, known, listed, wanted, criterion, prepared.load_catalogue())
 
 
 @_on_kernels

@@ -1,0 +1,94 @@
+"""`boresight plan`: what to observe next."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from boresight.cli.input import INPUT_FILE
+from boresight.cli.output import STANDARD_OUTPUT, check_one_stream, check_writable, json_option, write_bytes, write_json
+from boresight.errors import RefusedInputError
+from boresight.library import functions as library
+from boresight.library.progress import progress
+
+
+def _read_orbit(_: click.Context, __: click.Parameter, text: str | None) -> dict[str, float] | None:
+    if text is None:
+        return None
+    parts = text.split(",")
+    try:
+        altitude, inclination, hour = (float(part) for part in parts)
+    except ValueError as error:
+        raise RefusedInputError(
+            f"The orbit {text[:40]!r} is not three numbers: write altitude in km, inclination in degrees and hour of the node, as "
+            "570,97.8,10.5."
+        ) from error
+    return {"altitude_km": altitude, "inclination_deg": inclination, "node_hour": hour}
+
+
+@click.command()
+@click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Sensor file, JSON.")
+@click.option("--start", required=True, metavar="UTC", help="When it begins, as 2026-10-01T00:00:00Z.")
+@click.option("--minutes", type=float, required=True, help="How long it may take.")
+@click.option("--calibration", type=INPUT_FILE, help="Calibration JSON: what is known before.")
+@click.option(
+    "--candidates",
+    type=INPUT_FILE,
+    help="CSV of attitudes: ra_deg, dec_deg, roll_deg. Without it the whole sky is searched.",
+)
+@click.option(
+    "--orbit",
+    metavar="KM,DEG,HOUR",
+    callback=_read_orbit,
+    help="Circular orbit: altitude, inclination, local solar hour of the ascending node. Without it the Earth is in nobody's way.",
+)
+@click.option(
+    "--criterion",
+    type=click.Choice(["A", "D"]),
+    default="A",
+    show_default=True,
+    help="A: least sum of variances in typical sigmas. D: least volume.",
+)
+@click.option("--dwell-s", type=float, help="How long a pointing is held; 60 if left out.")
+@click.option("--exposure-s", type=float, help="Seconds from one exposure to the next; 10 if left out.")
+@click.option("--slew-deg-s", type=float, help="Rate of a turn; 0.5 if left out.")
+@click.option("--settle-s", type=float, help="Wait after a turn; 10 if left out.")
+@click.option("--sun-deg", type=float, help="Least angle from the Sun; 40 if left out.")
+@click.option("--moon-deg", type=float, help="Least angle from the Moon; 15 if left out.")
+@click.option("--earth-deg", type=float, help="Least angle from the Earth's limb; 20 if left out.")
+@click.option("--visits", type=int, help="How often one pointing may be held; 3 if left out.")
+@click.option("--out", "out_file", metavar="FILE", help="Write the pointings as CSV; - is standard output.")
+@json_option
+def plan(  # noqa: PLR0913, PLR0917 - an option each
+    sensor_file: Path,
+    start: str,
+    minutes: float,
+    calibration: Path | None,
+    candidates: Path | None,
+    orbit: dict[str, float] | None,
+    criterion: str,
+    out_file: str | None,
+    json_file: str | None,
+    **constraints: Any,
+) -> None:
+    """Plan what to observe next: the pointings and rolls that shrink what is known least, by the minute.
+
+    Each exposure's information is computed from the catalogue's stars on the detector, its attitude unknown. Chosen by gain a
+    second of slew and dwell, then improved by exchange, clear of Sun, Moon and Earth.
+    """
+    check_one_stream(out_file, json_file)
+    check_writable(out_file, "CSV")
+    check_writable(json_file)
+    given = {name: value for name, value in constraints.items() if value is not None}
+    with progress("planning") as report:
+        found = library.plan(
+            sensor_file, start, minutes, calibration=calibration, candidates=candidates, criterion=criterion, orbit=orbit,
+            progress=report, **given,
+        )  # fmt: skip
+    write_json(found.to_dict(), json_file)
+    if out_file is not None:
+        write_bytes(found.to_csv(), out_file)
+    if STANDARD_OUTPUT not in {json_file, out_file}:
+        click.echo(str(found))

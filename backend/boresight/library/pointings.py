@@ -1,0 +1,296 @@
+"""A plan of pointings as the library returns it, from a sensor, what is known of it, and what the plan has to keep."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+from pyarrow import csv
+
+from boresight.arrays import FloatArray, IntArray
+from boresight.calibration.options import CalibrationSettings
+from boresight.cameras import CAMERA_MODELS
+from boresight.errors import RefusedInputError
+from boresight.estimation.statistics.observability import WEAK, observability
+from boresight.library.results import Summarised, Tabular
+from boresight.library.text import Summary, written
+from boresight.simulation.pointings import (
+    MEASURES,
+    Candidates,
+    Constraints,
+    Criterion,
+    Plan,
+    exposure_information,
+    plan_pointings,
+    spread_over_sky,
+)
+
+if TYPE_CHECKING:
+    from boresight.calibration.calibration import Calibration
+    from boresight.sky.catalogue import Catalogue
+    from boresight.telemetry.sensors import Sensor
+
+#: Pointings over the sky and rolls of each, where no list of candidates is given.
+POINTINGS, ROLLS = 600, 8
+CANDIDATE_COLUMNS = ("ra_deg", "dec_deg", "roll_deg")
+MOST_CANDIDATES, MOST_MINUTES = 50_000, 1440.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pointing:
+    """One pointing of a plan: when its dwell begins, the turn before it, where it looks, and how many stars it sees.
+
+    `roll_deg`: angle from celestial north to the axis of rows, positive towards east. `quaternion`: ICRS to the right-handed
+    triad (rows, columns, boresight), scalar last. `weakest`: one sigma of the weakest direction after it, in typical sigmas.
+    """
+
+    start_utc: str
+    slew_s: float
+    dwell_s: float
+    ra_deg: float
+    dec_deg: float
+    roll_deg: float
+    quaternion: list[float]
+    stars: int
+    weakest: float
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class PointingPlan(Summarised, Tabular):
+    """What to observe next: `pointings` in order, and what a calibration of them will know.
+
+    `sigma_before`, `sigma_after`: one sigma of each free parameter, SI; None before where nothing is known. `minutes_to_gate`:
+    until every direction is known to half a typical sigma, the gate's limit; None where the plan does not reach it.
+    """
+
+    sensor: str
+    criterion: Criterion
+    start_utc: str
+    minutes: float
+    candidates: int
+    pointings: list[Pointing]
+    sigma_before: dict[str, float | None]
+    sigma_after: dict[str, float]
+    weakest_before: float
+    weakest_after: float
+    minutes_to_gate: float | None
+    sentence: str
+    schema: str = field(default="boresight.plan/1", init=False)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the document that `boresight plan --json` writes."""
+        return {"schema": self.schema} | asdict(self)
+
+    def _columns(self) -> pa.Table:
+        rows = [asdict(one) for one in self.pointings]
+        for row in rows:
+            row |= dict(zip(("q_x", "q_y", "q_z", "q_w"), row.pop("quaternion"), strict=True))
+        names = ("start_utc", "slew_s", "dwell_s", *CANDIDATE_COLUMNS, "q_x", "q_y", "q_z", "q_w", "stars", "weakest")
+        return pa.table({name: [row[name] for row in rows] for name in names})
+
+    def to_csv(self) -> bytes:
+        """Return the pointings as CSV."""
+        sink = pa.BufferOutputStream()
+        csv.write_csv(self._columns(), sink, csv.WriteOptions(quoting_style="needed"))
+        return bytes(sink.getvalue())
+
+    def save(self, path: str | Path) -> None:
+        """Write the pointings as CSV."""
+        Path(path).write_bytes(self.to_csv())
+
+    def _summarise(self) -> Summary:
+        rows: list[Sequence[str]] = [("UTC", "slew s", "RA °", "Dec °", "roll °", "stars", "weakest σ")]
+        rows += [
+            (
+                one.start_utc, f"{one.slew_s:.0f}", f"{one.ra_deg:.2f}", f"{one.dec_deg:+.2f}", f"{one.roll_deg:.1f}",
+                str(one.stars), written(one.weakest, ".3g"),
+            )
+            for one in self.pointings
+        ]  # fmt: skip
+        return Summary(f"{self.sensor}: {self.sentence}", rows, (0,), [])
+
+
+def read_candidates(path: str | Path) -> Candidates:
+    """Read attitudes that may be chosen: CSV with ra_deg, dec_deg and roll_deg; refuses what is no angle with its row."""
+    name = Path(path).name
+    try:
+        table = csv.read_csv(path)
+    except FileNotFoundError as error:
+        raise RefusedInputError(f"There is no file {name}: check the name.") from error
+    except (pa.ArrowInvalid, OSError) as error:
+        raise RefusedInputError(
+            f"{name} cannot be read as CSV ({error}): write {', '.join(CANDIDATE_COLUMNS)}, one attitude a row."
+        ) from error
+    if missing := [one for one in CANDIDATE_COLUMNS if one not in table.column_names]:
+        raise RefusedInputError(
+            f"{name} has no column {missing[0]}: write {', '.join(CANDIDATE_COLUMNS)} as its header."
+        )
+    if not 0 < len(table) <= MOST_CANDIDATES:
+        raise RefusedInputError(f"{name} has {len(table):,} attitudes: give 1 to {MOST_CANDIDATES:,}.")
+    angles = []
+    for column, most in zip(CANDIDATE_COLUMNS, (360.0, 90.0, 360.0), strict=True):
+        try:
+            values = np.asarray(table[column].cast(pa.float64()).to_numpy(zero_copy_only=False))
+        except pa.ArrowInvalid as error:
+            raise RefusedInputError(f"{name}: column {column} has texts: write degrees.") from error
+        wrong = np.flatnonzero(~(np.abs(values) <= most))
+        if len(wrong):
+            raise RefusedInputError(
+                f"{name}: row {wrong[0] + 2}: {column} is {values[wrong[0]]:g}: write degrees within ±{most:g}."
+            )
+        angles.append(np.radians(values))
+    return Candidates(*angles)
+
+
+def check_constraints(constraints: Constraints) -> None:
+    """Refuse times, rates and angles that make no plan, naming the first."""
+    limits = {
+        "minutes": (0.1, MOST_MINUTES),
+        "dwell_s": (0.1, 86_400.0),
+        "exposure_s": (0.01, constraints.dwell_s),
+        "slew_deg_s": (1e-3, 90.0),
+        "settle_s": (0.0, 3_600.0),
+        "sun_deg": (0.0, 120.0),
+        "moon_deg": (0.0, 120.0),
+        "earth_deg": (0.0, 90.0),
+        "visits": (1, 1_000),
+    }
+    for name, (low, high) in limits.items():
+        value = getattr(constraints, name)
+        if not low <= value <= high:
+            raise RefusedInputError(f"{name} is {value:g}: choose {low:g} to {high:g}.")
+
+
+def make_plan(
+    sensor: Sensor,
+    known: Calibration | None,
+    candidates: Candidates | None,
+    constraints: Constraints,
+    criterion: str,
+    catalogue: Catalogue,
+) -> PointingPlan:
+    """Plan pointings for a sensor; `known`: what was calibrated before."""
+    check_constraints(constraints)
+    if criterion not in MEASURES:
+        raise RefusedInputError(f"There is no criterion {criterion[:20]!r}: choose D or A.")
+    camera = CAMERA_MODELS[sensor.camera_model]
+    names = sensor.free if known is None else tuple(known.covariance.names)
+    x, A_0 = _known(sensor, known, names)
+    free = np.array([camera.parameter_names.index(name) for name in names])
+    candidates = candidates or spread_over_sky(POINTINGS, ROLLS)
+    scale = sensor.typical_sigma[free]
+    A_1, stars = exposure_information(candidates, sensor, x, free, scale, catalogue)
+    plan = plan_pointings(candidates, A_1, A_0, constraints, "D" if criterion == "D" else "A")
+    if not len(plan.place):
+        raise RefusedInputError(
+            "No candidate can be observed: each is too near the Sun, the Moon or the Earth, has too few stars, or takes longer "
+            "than there is time; allow smaller angles, more minutes, or give other candidates."
+        )
+    return _write(sensor, names, scale, candidates, stars, constraints, criterion, plan, known=known is not None)
+
+
+def _known(sensor: Sensor, known: Calibration | None, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
+    """Return the state where information is taken, and what is known before (n_free, n_free), in typical sigmas."""
+    if known is None:
+        return sensor.initial, np.eye(len(names)) / CalibrationSettings().initial_sigma_scale ** 2
+    if known.camera_model != sensor.camera_model or not known.is_usable:
+        raise RefusedInputError(
+            f"The calibration is of a {known.camera_model} and ended {known.status}: give one of this {sensor.camera_model} that "
+            "converged."
+        )
+    camera = CAMERA_MODELS[sensor.camera_model]
+    scale = sensor.typical_sigma[[camera.parameter_names.index(name) for name in names]]
+    x = np.array([known.parameters[name] for name in camera.parameter_names])
+    P = np.array(known.reliable_covariance, np.float64) / np.outer(scale, scale)
+    return x, np.asarray(np.linalg.inv(P))
+
+
+def _write(  # noqa: PLR0913 - what a plan is written from
+    sensor: Sensor,
+    names: tuple[str, ...],
+    scale: FloatArray,
+    candidates: Candidates,
+    stars: IntArray,
+    constraints: Constraints,
+    criterion: str,
+    plan: Plan,
+    *,
+    known: bool,
+) -> PointingPlan:
+    start = constraints.start_utc.astype("datetime64[ms]")
+    begins = start + np.round(plan.start_s * 1e3).astype("timedelta64[ms]")
+    weakest, sigma, at = plan.weakest, plan.sigma * scale, plan.place
+    good = np.flatnonzero(weakest[1:] <= WEAK)
+    to_gate = float(plan.start_s[good[0]] + constraints.dwell_s) / 60.0 if len(good) else None
+    if weakest[0] <= WEAK:
+        to_gate = 0.0
+    took = float(plan.start_s[-1] + constraints.dwell_s) / 60.0
+    symbols = CAMERA_MODELS[sensor.camera_model].symbols
+    places = [CAMERA_MODELS[sensor.camera_model].parameter_names.index(name) for name in names]
+    seen = observability(plan.A[-1], names, tuple(symbols[place] for place in places))
+    sentence = (
+        f"{len(at)} pointings in {took:.1f} minutes; the weakest direction goes from "
+        f"{weakest[0]:.2g} to {weakest[-1]:.2g} typical sigmas"
+        + (". " if to_gate is None else f", below the gate's {WEAK:g} after {to_gate:.1f} minutes. ")
+        + f"Weakest at the end: {seen.sentence(len(names) - 1)}"
+    )
+    pointings = [
+        Pointing(
+            start_utc=f"{begins[k]}Z",
+            slew_s=float(plan.slew_s[k]),
+            dwell_s=constraints.dwell_s,
+            ra_deg=float(np.degrees(candidates.ra_rad[place])),
+            dec_deg=float(np.degrees(candidates.dec_rad[place])),
+            roll_deg=float(np.degrees(candidates.roll_rad[place])),
+            quaternion=candidates.quaternion[place].tolist(),
+            stars=int(stars[place]),
+            weakest=float(weakest[k + 1]),
+        )
+        for k, place in enumerate(at)
+    ]
+    return PointingPlan(
+        sensor=sensor.name,
+        criterion="D" if criterion == "D" else "A",
+        start_utc=f"{start}Z",
+        minutes=took,
+        candidates=len(candidates),
+        pointings=pointings,
+        sigma_before=dict(zip(names, sigma[0].tolist() if known else [None] * len(names), strict=True)),
+        sigma_after=dict(zip(names, sigma[-1].tolist(), strict=True)),
+        weakest_before=float(weakest[0]),
+        weakest_after=float(weakest[-1]),
+        minutes_to_gate=to_gate,
+        sentence=sentence,
+    )
+
+
+def parse_start(text: str) -> np.datetime64:
+    """Read the start of a plan."""
+    try:
+        start = np.datetime64(text.removesuffix("Z"), "us")
+    except ValueError as error:
+        raise RefusedInputError(
+            f"The start {text[:40]!r} is no time: write UTC in ISO 8601, as 2026-10-01T00:00:00Z."
+        ) from error
+    if not np.datetime64("1980-01-01") <= start <= np.datetime64("2100-01-01"):
+        raise RefusedInputError("The start is not between 1980 and 2100: write another.")
+    return start
+
+
+def parse_orbit(orbit: Mapping[str, float] | None, start: np.datetime64) -> Any:
+    """Read a circular orbit: `altitude_km`, `inclination_deg` and `node_hour`, the local solar time of its ascending node."""
+    from boresight.simulation.orbits import Orbit
+    from boresight.simulation.scenes import ORBIT_MEASURES
+
+    if orbit is None:
+        return None
+    if set(orbit) != set(ORBIT_MEASURES):
+        raise RefusedInputError(f"An orbit is {', '.join(ORBIT_MEASURES)}: give these three.")
+    for name, (low, high) in ORBIT_MEASURES.items():
+        if not low <= orbit[name] <= high:
+            raise RefusedInputError(f"{name} is {orbit[name]:g}: choose {low:g} to {high:g}.")
+    return Orbit(orbit["altitude_km"] * 1e3, float(np.radians(orbit["inclination_deg"])), orbit["node_hour"], start)
