@@ -35,12 +35,14 @@ ARGUMENTS = [
 ]
 SCREENSHOTS = Path(__file__).parents[2] / "artefacts" / "screenshots"
 NARROW, WIDE = {"width": 1280, "height": 800}, {"width": 1920, "height": 1080}
+PHONE = {"width": 390, "height": 844}
 TABLET, TABLET_ASIDE = {"width": 820, "height": 1180}, {"width": 1024, "height": 768}
-LOOKS = (  # theme and width, and what axe is asked there: everything once, then what each theme and width can break
-    # (all of them with `--full`, else one a page, which page has which told by its name)
+LOOKS = (  # theme and width, and what axe is asked there: everything in every theme
+    # (all of them with `--full`, and paper, else one a page, which page has which told by its name)
     ("dark", NARROW, {}),
-    ("light", WIDE, {"runOnly": ["color-contrast"]}),
-    ("contrast", TABLET, {"runOnly": ["color-contrast", "target-size", "scrollable-region-focusable", "list"]}),
+    ("light", WIDE, {}),
+    ("contrast", TABLET, {}),
+    ("light", PHONE, {}),
     ("dark", TABLET_ASIDE, None),
 )
 PATIENCE_MS = 240_000  # nothing here is a claim about speed, and a machine may be slow and busy
@@ -255,6 +257,12 @@ class Window:
                 expect(self.page.locator("[aria-busy=true]")).to_have_count(0)  # is faded until it is answered
                 found = self.barriers(asked, drawings=False)
                 assert found == [], f"{name}, {theme}, {size['width']} px: {found}"
+        if effort(0, 1):
+            self.page.emulate_media(media="print")
+            self.settle()
+            found = self.barriers({"runOnly": ["color-contrast"]}, drawings=False)
+            self.page.emulate_media(media="screen")
+            assert found == [], f"{name}, on paper: {found}"
 
     def sends_nothing_by_keys(self) -> None:
         sent: list[str] = []
