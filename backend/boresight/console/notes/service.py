@@ -1,4 +1,4 @@
-"""Notes on runs, sensors and parameter sets, and annotations of trends: what a person observed or decided. They are only ever added."""
+"""Notes on runs, sensors and parameter sets, and annotations of trends: what a person observed or decided; only ever added."""
 
 from __future__ import annotations
 
