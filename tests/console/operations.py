@@ -58,6 +58,18 @@ def _new_profile(house: House) -> dict[str, Any]:
     return {**PROFILE, "name": f"st-{len(known)}"}
 
 
+def _attachment(house: House) -> Made:
+    noted = house.person("ada").post(f"/api/v1/sensors/{house.new_sensor()['id']}/notes", json={"text": "See there."})
+    return "ada", {"note_id": noted.json()["id"], "files": {"file": ("pass.log", b"12:00 safe mode")}}
+
+
+def _attached(house: House) -> Made:
+    who, options = _attachment(house)
+    place = f"/api/v1/notes/{options['note_id']}/attachments"
+    made = house.person(who).post(place, files=options["files"]).json()
+    return "victor", {"note_id": made["note_id"], "attachment_id": made["id"]}
+
+
 def _annotation(house: House) -> Made:
     body = {"at_utc": "2026-11-21T03:04:05Z", "text": "Safe mode."}
     return "ada", {"sensor_id": house.new_sensor()["id"], "json": body}
@@ -345,6 +357,8 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "activate_parameter_set": onboard.activate,
     "stream_events": lambda _: ("victor", {}),
     "list_audit": lambda _: ("victor", {}),
+    "attach": _attachment,
+    "get_attachment": _attached,
     "list_annotations": _annotated,
     "annotate": _annotation,
     "list_saved_views": lambda _: ("victor", {}),

@@ -108,6 +108,8 @@ BODIES: dict[str, dict[str, Any]] = {
     "get_parameter_set_camera_file": {"params": {"to": "opencv"}},
     "get_run_camera_file": {"params": {"to": "opencv"}},
     "edit_sensor": {"json": {"name": "x"}},
+    "attach": {"files": {"file": ("a.txt", b"x")}},
+    "get_attachment": {"attachment_id": 1},
     "annotate": {"json": {"at_utc": "2026-01-01", "text": "x"}},
     "submit_parameter_set": {"json": {"reason": "x"}},
     "approve": {"json": {"meaning": "x", "password": PASSWORD}},

@@ -24,6 +24,7 @@ from boresight.console.approvals.tables import Approval, GateProfile, GateReport
 from boresight.console.campaigns.tables import Campaign, CampaignRun
 from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.notes import service as notes
+from boresight.console.notes.attachments import attach, check_file
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import Preset, Run
 from boresight.console.telemetry.tables import ImportProfile
@@ -33,6 +34,7 @@ from boresight.console.webhooks import service as webhooks
 from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.audit import seals
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.declared import Base
 from boresight.platform.db.secret_box import SecretBox
 from boresight.platform.db.sessions import Engine, Session, open_engine, open_reading, open_writing, utc_now
@@ -55,7 +57,8 @@ def kept(tmp_path_factory) -> Path:
 def store(kept, request) -> Iterator[Engine]:
     if not kept.exists():
         engine: Engine = request.getfixturevalue("engine")
-        _go_the_whole_way(engine, request.getfixturevalue("people"), request.getfixturevalue("approved")())
+        row, blobs = request.getfixturevalue("approved")(), request.getfixturevalue("blobs")
+        _go_the_whole_way(engine, request.getfixturevalue("people"), row, blobs)
         with open_writing(engine) as session:
             _fill_the_rest(session)
         engine.dispose()
@@ -66,7 +69,7 @@ def store(kept, request) -> Iterator[Engine]:
     opened.dispose()
 
 
-def _go_the_whole_way(engine: Engine, people: Mapping[str, Actor], row: ParameterSet) -> None:
+def _go_the_whole_way(engine: Engine, people: Mapping[str, Actor], row: ParameterSet, blobs: BlobStore) -> None:
     with open_writing(engine) as session:
         approvals.promote(session, people["dee"], row.id, row.version)
         for state in ("SENT", "LOADED"):
@@ -78,7 +81,8 @@ def _go_the_whole_way(engine: Engine, people: Mapping[str, Actor], row: Paramete
         with tempfile.TemporaryDirectory() as folder:
             box = SecretBox(Path(folder) / "webhooks.key")
             webhooks.create_webhook(session, people["root"], box, label="desk", url="https://example.org/hook")
-        notes.add_note(session, people["ana"], "sensors", row.sensor_id, "The focus moved.")
+        note = notes.add_note(session, people["ana"], "sensors", row.sensor_id, "The focus moved.")
+        attach(session, people["ana"], blobs, note.id, check_file("pass.log", b"12:00 safe mode"))
         notes.annotate(session, people["ana"], row.sensor_id, NOW, "The focus moved.")
         rules.update_installation_alarms(session, {rules.CHAIN: check_chain("broken", "For the sake of an alarm.")})
 

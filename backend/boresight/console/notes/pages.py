@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Annotated
 
-from fastapi import APIRouter, Depends, Form, Request
+from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse, Response
+from starlette.datastructures import UploadFile
 
-from boresight.console.access.dependencies import KNOWN, Reading, Who, csrf
+from boresight.console.access.dependencies import KNOWN, Blobs, Reading, Who, csrf
+from boresight.console.notes import attachments
 from boresight.console.notes import service as notes
-from boresight.console.pages.rendering import RefusalContext, make_change, render
+from boresight.console.notes.tables import Note
+from boresight.console.pages.rendering import RefusalContext, get_texts, make_change, render
+from boresight.platform.actors import Actor
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session
 
 router = APIRouter(dependencies=[Depends(csrf)])
@@ -53,8 +57,31 @@ def _page(
 
 
 @router.post("/notes/{kind}/{subject_id:int}", response_class=HTMLResponse)
-async def add(request: Request, actor: Who, kind: str, subject_id: int, text: Annotated[str, Form()] = "") -> Response:
-    """Add a note."""
-    change = partial(notes.add_note, actor=actor, kind=kind, subject_id=subject_id, text=text)
+async def add(request: Request, actor: Who, blobs: Blobs, kind: str, subject_id: int) -> Response:
+    """Add a note, with a file where one was chosen."""
+    form = await request.form()
+    text, file = get_texts(form).get("text", ""), form.get("file")
+    sent = None
+    if isinstance(file, UploadFile):
+        sent = (file.filename, await file.read()) if file.filename else None
+        await file.close()
+    change = partial(_add, actor=actor, blobs=blobs, kind=kind, subject_id=subject_id, text=text, sent=sent)
     again = partial(_page, request, kind, subject_id, text)
     return await make_change(request, change, get_notes_address(kind, subject_id), "Your note is added.", again=again)
+
+
+def _add(
+    session: Session,
+    *,
+    actor: Actor,
+    blobs: BlobStore,
+    kind: str,
+    subject_id: int,
+    text: str,
+    sent: tuple[str, bytes] | None,
+) -> Note:
+    file = None if sent is None else attachments.check_file(*sent)
+    note = notes.add_note(session, actor, kind, subject_id, text)
+    if file is not None:
+        attachments.attach(session, actor, blobs, note.id, file)
+    return note

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+import hashlib
+from typing import Annotated
 
-from boresight.console.access.dependencies import Reading, Who, Writing
-from boresight.console.notes import schemas
+from fastapi import Depends
+from pydantic import Field
+from starlette.datastructures import UploadFile
+from starlette.requests import Request
+
+from boresight.console.access.dependencies import Blobs, Reading, Who, Writing
+from boresight.console.notes import attachments, schemas
 from boresight.console.notes import service as notes
-from boresight.console.notes.tables import Annotation, Note
-from boresight.console.operation import operations
+from boresight.console.notes.tables import Annotation, Note, NoteAttachment
+from boresight.console.operation import FORM_CONTENT, operations
 from boresight.console.schemas import Shape
+from boresight.errors import NotFoundError, RefusedInputError
+from boresight.platform.web.media import StoredFile
 from boresight.platform.web.paging import Id, Listing, Page
 
 router = operations(tags=["notes"])
@@ -94,3 +102,57 @@ def list_parameter_set_notes(parameter_set_id: Id, session: Reading) -> Listing[
 def add_parameter_set_note(parameter_set_id: Id, new: NewNote, actor: Who, session: Writing) -> Note:
     """Add a note to a parameter set; notes cannot be edited."""
     return notes.add_note(session, actor, "parameter-sets", parameter_set_id, new.text)
+
+
+FORM = {
+    "required": True,
+    "content": {
+        "multipart/form-data": {
+            "schema": {
+                "type": "object",
+                "required": ["file"],
+                "properties": {"file": {"type": "string", "format": "binary", "description": "At most 5 MB."}},
+            }
+        }
+    },
+}
+
+
+async def read_file(request: Request) -> attachments.AttachedFile:
+    """Read the one file of the form."""
+    async with request.form(max_files=1, max_fields=1) as form:
+        file = form.get("file")
+        if not isinstance(file, UploadFile):
+            raise RefusedInputError("There is no file in the request; send multipart/form-data with the field file.")
+        came = attachments.check_file(file.filename or "", await file.read())
+    digest = f"{came.name}\n{hashlib.sha256(came.content).hexdigest()}".encode()
+    setattr(request.state, FORM_CONTENT, lambda: digest)
+    return came
+
+
+@router.post(
+    "/notes/{note_id}/attachments",
+    summary="Attach a file to a note",
+    status_code=201,
+    response_model=schemas.NoteAttachment,
+    openapi_extra={"requestBody": FORM},
+)
+def attach(
+    note_id: Id,
+    actor: Who,
+    came: Annotated[attachments.AttachedFile, Depends(read_file)],
+    session: Writing,
+    blobs: Blobs,
+) -> NoteAttachment:
+    """Add a file to a note of your own; it is never removed."""
+    return attachments.attach(session, actor, blobs, note_id, came)
+
+
+@router.get("/notes/{note_id}/attachments/{attachment_id}", summary="Download an attachment", response_class=StoredFile)
+def get_attachment(note_id: Id, attachment_id: Id, session: Reading, blobs: Blobs) -> StoredFile:
+    """Download the bytes as they were attached, checked against their SHA-256."""
+    session.get_known(Note, note_id)
+    row = session.get_known(NoteAttachment, attachment_id)
+    if row.note_id != note_id:
+        raise NotFoundError(f"The note {note_id} has no attachment {attachment_id}; choose one of the list.")
+    return StoredFile(blobs.path(row.sha256), filename=row.name, headers={"ETag": f'"{row.sha256}"'})

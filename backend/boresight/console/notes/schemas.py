@@ -7,6 +7,17 @@ from typing import Literal
 from boresight.console.schemas import Row
 
 
+class NoteAttachment(Row):
+    """A file that the author of a note added to it."""
+
+    id: int
+    note_id: int
+    name: str
+    sha256: str
+    size_bytes: int
+    made_utc: str
+
+
 class Note(Row):
     """What a person wrote down about a run, a sensor or a parameter set; never edited."""
 
@@ -17,6 +28,7 @@ class Note(Row):
     printed_name: str
     text: str
     made_utc: str
+    attachments: list[NoteAttachment]
 
 
 class Annotation(Row):

@@ -63,6 +63,8 @@ ALONE = "four-eyes-off-"  # prefix of file names
 FILE_NAME = re.compile(r"""(filename\*?=(?:"|utf-8''|))""")
 USABLE_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 BODY_LIMIT_BYTES = 1_000_000  # for JSON, plain forms, and the other parts of a multipart form
+ATTACHMENT_LIMIT_BYTES = 5_000_000
+ATTACHED = re.compile(r"/notes/(?:[a-z-]+/\d+|\d+/attachments)$")  # paths that take an attachment
 UPLOADED = ("/telemetry-sets", "/telemetry", "/sensors/propose")  # paths that take a file
 
 HeaderPairs = tuple[tuple[bytes, bytes], ...]
@@ -121,6 +123,11 @@ class RequestMiddleware:
         if multipart and scope["path"].rstrip("/").endswith(UPLOADED):
             limit += round(self.upload_limit_mb * 1e6)
             sentence = f"The file is over the limit of {self.upload_limit_mb:g} MB; split it by frames, or have the limit raised."
+        elif multipart and ATTACHED.search(scope["path"]):
+            limit += ATTACHMENT_LIMIT_BYTES
+            sentence = (
+                f"The attachment is over the limit of {ATTACHMENT_LIMIT_BYTES / 1e6:g} MB; attach a smaller file."
+            )
         announced = headers.get(b"content-length", b"0")
         return RequestBody(receive, self.pace, limit, sentence, int(announced) if announced.isdigit() else 0).receive
 

@@ -1,0 +1,98 @@
+"""Files at notes: of known kinds and sizes, by the note's author, given back byte for byte and never as a page."""
+
+import pytest
+
+from boresight.console.notes import service as notes
+from boresight.console.notes.attachments import MOST_ATTACHMENTS, attach, check_file
+from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
+from boresight.platform.audit import log as audit
+from boresight.platform.web.middleware import ATTACHMENT_LIMIT_BYTES
+
+CONTENT = b"12:00 safe mode\n"
+
+
+@pytest.fixture
+def note(session, people):
+    return notes.add_note(session, people["ana"], "sensors", 1, "See the log.")
+
+
+def test_a_file_stands_at_its_note_by_the_sha256_of_its_bytes_and_on_record(session, people, blobs, note):
+    row = attach(session, people["ana"], blobs, note.id, check_file("C:\\passes\\ 4711.LOG", CONTENT))
+    assert [(one.name, one.size_bytes) for one in notes.list_notes(session, "sensors", 1)[0].attachments] == [
+        ("4711.LOG", len(CONTENT))
+    ]
+    assert blobs.read(row.sha256) == CONTENT
+    record = audit.find_last_change(session, f"sensors/1/notes/{note.id}")
+    assert (record.action, record.after["sha256"]) == ("attached", row.sha256)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "",
+        "log",
+        ".txt",
+        "page.html",
+        "page.htm",
+        "drawing.svg",
+        "run.js",
+        "a.txt.exe",
+        "a\u202etxt.log",
+        "x" * 121 + ".txt",
+    ],
+)
+def test_only_kinds_that_no_browser_runs_are_attached(name):
+    with pytest.raises(RefusedInputError):
+        check_file(name, CONTENT)
+
+
+@pytest.mark.parametrize("size", [0, ATTACHMENT_LIMIT_BYTES + 1])
+def test_neither_an_empty_nor_a_large_file_is_attached(size):
+    with pytest.raises(RefusedInputError):
+        check_file("a.txt", b"x" * size)
+
+
+def test_only_the_author_attaches_and_no_more_than_ten(session, people, blobs, note):
+    file = check_file("a.txt", CONTENT)
+    with pytest.raises(ForbiddenError):
+        attach(session, people["dee"], blobs, note.id, file)
+    with pytest.raises(NotFoundError):
+        attach(session, people["ana"], blobs, 99, file)
+    for _ in range(MOST_ATTACHMENTS):
+        attach(session, people["ana"], blobs, note.id, file)
+    with pytest.raises(ConflictError):
+        attach(session, people["ana"], blobs, note.id, file)
+
+
+def _add(visitor, name, content):
+    form = {"csrf_token": visitor.csrf_token, "text": "See there."}
+    return visitor.send("POST", "/notes/sensors/1", data=form, files={"file": (name, content)})
+
+
+def test_a_page_takes_a_file_with_a_note_and_gives_it_back_as_a_download_that_no_browser_opens(site):
+    ada, large = site.visitor("ada"), b"x" * 4_000_000
+    assert _add(ada, "large.txt", large).status_code == 303
+    page = ada.get("/sensors/1")
+    assert "large.txt" in page
+    answer = site.visitor("victor").send("GET", "/api/v1/notes/1/attachments/1")
+    assert answer.content == large
+    assert answer.headers["content-type"] == "application/octet-stream"
+    assert answer.headers["content-disposition"] == 'attachment; filename="large.txt"'
+    assert answer.headers["x-content-type-options"] == "nosniff"
+
+
+def test_a_refused_file_leaves_no_note_and_what_was_typed(site):
+    answer = _add(site.visitor("ada"), "page.html", CONTENT)
+    assert answer.status_code == 422
+    assert "See there." in answer.text
+    assert _add(site.visitor("ada"), "large.txt", b"x" * 7_000_000).status_code == 413
+    assert "See there." not in site.visitor("ada").get("/sensors/1")
+
+
+def test_a_file_whose_bytes_were_changed_is_not_given(site):
+    _add(site.visitor("ada"), "a.txt", CONTENT)
+    sha256 = site.visitor("ada").send("GET", "/api/v1/sensors/1/notes").json()["items"][0]["attachments"][0]["sha256"]
+    path = site.blobs.path(sha256)
+    path.chmod(0o644)
+    path.write_bytes(b"something else")
+    assert site.visitor("victor").send("GET", "/api/v1/notes/1/attachments/1").status_code >= 409
