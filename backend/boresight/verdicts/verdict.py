@@ -164,7 +164,7 @@ def _weakest(result: Calibration) -> VerdictMark:
         return VerdictMark(name, question, "caution", "curved", f"{number(worst, 2)} typical σ", sentence, curved)
     if worst > WEAK:
         return VerdictMark(name, question, "caution", "weak", f"{number(worst, 2)} typical σ", sentence, sentence)
-    return VerdictMark(name, question, "normal", "determined", f"{number(worst, 2)} typical σ", sentence)
+    return VerdictMark(name, question, "normal", "known", f"{number(worst, 2)} typical σ", sentence)
 
 
 def count_weak(seen: Observability) -> int:

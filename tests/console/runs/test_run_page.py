@@ -128,7 +128,7 @@ def test_an_analyst_cancels_a_queued_run_and_it_says_who_did_and_why(site, read)
     assert ada.post(f"/runs/{run_id}/cancel", reason="Wrong set.").headers["location"] == f"/runs/{run_id}"
     text = read(ada.get(f"/runs/{run_id}"))
     assert "Cancelled by Ada Analyst: Wrong set." in text
-    assert "asked to stop" in text
+    assert "was requested" in text
 
 
 def test_a_viewer_sees_the_cancel_button_disabled_with_the_reason_and_is_refused(site, read):
@@ -290,7 +290,7 @@ def test_the_tabs_say_how_their_parts_stand(site, read, examined):
     text = read(site.visitor("victor").get(f"/runs/{examined[1]}"))
     assert "Evidence 2 doubts" in text
     assert "Convergence and RMS settled" in text
-    assert "Observability seen" in text
+    assert "Observability known" in text
 
 
 def test_a_tab_is_no_better_than_its_validation_set_however_much_better_the_fit_is(results):

@@ -186,7 +186,7 @@ async def cancel(request: Request, actor: Who, run_id: int) -> Response:
     """Ask a run to stop."""
     reason = (await read_texts(request)).get("reason", "")
     change = partial(runs.cancel, actor=actor, run_id=run_id, reason=reason)
-    return await make_change(request, change, f"/runs/{run_id}", f"Run #{run_id} is being cancelled.")
+    return await make_change(request, change, f"/runs/{run_id}", f"Cancelling of run #{run_id} was requested.")
 
 
 run_log_router = APIRouter()
