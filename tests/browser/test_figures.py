@@ -9,7 +9,7 @@ from playwright.sync_api import expect
 from boresight.figures.style.theme import TOKENS
 from boresight.verdicts import numbers as server
 from tests.browser.test_every_page import ADDRESSES, GLANCE, REFUSED, VISITORS
-from tests.browser.test_gallery import INKS, format_rgb
+from tests.browser.test_gallery import INKS, WRITTEN, format_rgb
 from tests.browser.test_run_page import LABELS, OVERLAPS
 from tests.browser.work import choose_filter, ends_as, queue
 from tests.effort import few_of
@@ -20,7 +20,7 @@ VALUES = [
     sign * mantissa * 10.0**power for sign in (1, -1) for mantissa in (1.0, 2.34567, 9.99996) for power in range(-9, 12)
 ]
 VALUES += [0.0, -0.0, math.nan]
-WRITTEN = """async ([forms, values]) => {
+AS_NUMBERS = """async ([forms, values]) => {
     const { count, formatter, number } = await import("/static/shared/numbers.js");
     const whole = values.filter(value => Number.isFinite(value)).map(Math.round);
     return { number: values.map(value => number(value, 4)), count: whole.map(count),
@@ -38,7 +38,7 @@ def test_the_page_writes_a_number_as_the_server_does(people):
     }
     with people.seat("analyst") as window:
         window.open("/runs")
-        written = window.page.evaluate(WRITTEN, [list(forms), VALUES])
+        written = window.page.evaluate(AS_NUMBERS, [list(forms), VALUES])
     assert written["number"] == [server.number(value, 4) for value in VALUES]
     assert written["count"] == [server.count(math.floor(value + 0.5)) for value in VALUES if math.isfinite(value)]
     for form, found in zip(forms, written["forms"], strict=True):
@@ -117,9 +117,7 @@ PRINTED = ["/runs/{filter}?part=result", "/runs/{batch}?part=observability", "/r
 PRINTED += ["/runs/{batch}?part=distortion", "/runs/{batch}?part=evidence", "/sensors/{sensor}/trend"]
 WIDTHS = """() => [...document.querySelectorAll("plot-figure .main-svg:first-child")].filter(one => one.checkVisibility())
     .map(one => [one.getBoundingClientRect().width, one.closest("plot-figure").getBoundingClientRect().width])"""
-ON_PAPER = (
-    """ink => [...document.querySelectorAll(".js-plotly-plot .xtitle")].every(title => title.style.fill === ink)"""
-)
+BEFORE_PRINT = "dispatchEvent(new Event('beforeprint'))"  # as the print dialog does, before the page is laid out
 
 
 @pytest.mark.parametrize("address", few_of(PRINTED, 2))
@@ -127,20 +125,18 @@ def test_figures_fit_a4_black_on_white_with_no_label_over_another(people, number
     ink = format_rgb(TOKENS["light"]["ink-2"])
     with people.seat("analyst") as window:
         page = window.page
-        window.use_theme("contrast")
         window.open(address.format(**numbers))
+        window.use_theme("contrast")
         window.figures_drawn()
         before = page.evaluate(WIDTHS)
-        page.evaluate(
-            "dispatchEvent(new Event('beforeprint'))"
-        )  # as the print dialog does, before the page is laid out
+        page.evaluate(BEFORE_PRINT)
         assert {width for width, _ in page.evaluate(WIDTHS)} <= {330, 680}
         assert page.evaluate(INKS) in ([], [ink])
         page.evaluate("dispatchEvent(new Event('afterprint'))")
         assert page.evaluate(WIDTHS) == before
         page.set_viewport_size(A4)
         page.emulate_media(media="print")
-        page.wait_for_function(ON_PAPER, arg=ink)
+        page.wait_for_function(WRITTEN, arg=ink)
         window.settle()
         assert page.evaluate(OVERLAPS, LABELS) == []
         assert all(width <= place + 1 for width, place in page.evaluate(WIDTHS))
