@@ -64,6 +64,11 @@ FORM = {
                         "type": "string",
                         "description": "When the file was taken, where it does not say it (ISO 8601).",
                     },
+                    "keep_here": {
+                        "type": "string",
+                        "enum": ["1"],
+                        "description": "Keep the set with this sensor although its stars are those of another one's camera.",
+                    },
                     "elements": {"type": "string", "description": "Two-line elements to take velocities from."},
                 },
             }
@@ -109,6 +114,7 @@ def list_telemetry_sets(
 def upload_telemetry_set(actor: Who, upload: Uploaded, prepared: Prepared, session: Writing, blobs: Blobs) -> Beside:
     """Store a file with its quality report; a refused one leaves nothing behind and says row and column.
 
+    A set of another sensor's camera is refused with the number of that sensor; `keep_here` keeps it where it was sent.
     The same bytes again for the same sensor are the set that is there already. With a mapping profile the file may be what
     another program wrote; its first rows come beside the cells they were made of.
     """
