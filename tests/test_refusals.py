@@ -19,7 +19,7 @@ REFUSALS = {
     name
     for name, kind in vars(errors).items()
     if isinstance(kind, type) and issubclass(kind, errors.BoresightError) and name not in OTHERS
-} | {"OffDetectorError", "Unavailable", "UnlikeModelsError"}
+} | {"OffDetectorError", "OtherCameraError", "Unavailable", "UnlikeModelsError"}
 #: Placeholders at the end of a text that bring the remedy.
 REMEDIES = {
     "advice", "expected", "fault", "give", "hint", "kept", "more", "own", "refusal", "remedy", "way_out", "why",

@@ -153,6 +153,11 @@ def prepare_recognition(field_deg: float, cache_folder: Path | None) -> None:
     _patterns(_wide_field(field_deg), cache_folder, every_size=True)
 
 
+def is_prepared(field_deg: float, cache_folder: Path | None) -> bool:
+    """Whether the folder has the table of patterns that `recognise` looks things up in, so that reading it takes milliseconds."""
+    return cache_folder is not None and _place(cache_folder, _wide_field(field_deg), every_size=True).is_file()
+
+
 def recognise(
     s_d: FloatArray, magnitude: FloatArray | None, parity: int, field_deg: float, cache_folder: Path | None
 ) -> Recognised | None:
@@ -202,15 +207,12 @@ def _loaded(field_deg: float, cache_folder: Path | None, *, every_size: bool) ->
     """Table of patterns for a field of view, or for every one below it: from the folder, or made now and kept there."""
     import tetra3rs  # noqa: PLC0415 - 10 ms that only those pay who are lost in space
 
-    path = None
-    if cache_folder is not None:
-        sizes = "fields-to" if every_size else "field"
-        path = Path(cache_folder) / f"patterns-tetra3rs-{tetra3rs.__version__}-{sizes}{field_deg:g}.bin"
-        if path.is_file():
-            try:
-                return tetra3rs.SolverDatabase.load_from_file(str(path))
-            except (OSError, ValueError, RuntimeError):
-                path.unlink(missing_ok=True)  # damaged: make it again
+    path = None if cache_folder is None else _place(cache_folder, field_deg, every_size=every_size)
+    if path is not None and path.is_file():
+        try:
+            return tetra3rs.SolverDatabase.load_from_file(str(path))
+        except (OSError, ValueError, RuntimeError):
+            path.unlink(missing_ok=True)  # damaged: make it again
     if every_size:
         made = tetra3rs.SolverDatabase.generate_from_gaia(
             max_fov_deg=field_deg,
@@ -229,6 +231,14 @@ def _loaded(field_deg: float, cache_folder: Path | None, *, every_size: bool) ->
     if path is not None:
         _keep(made, path)
     return made
+
+
+def _place(cache_folder: Path, field_deg: float, *, every_size: bool) -> Path:
+    """Return where a table of patterns is kept."""
+    import tetra3rs  # noqa: PLC0415 - as above
+
+    sizes = "fields-to" if every_size else "field"
+    return Path(cache_folder) / f"patterns-tetra3rs-{tetra3rs.__version__}-{sizes}{field_deg:g}.bin"
 
 
 def _patterns(field_deg: float, cache_folder: Path | None, *, every_size: bool = False) -> Any:

@@ -90,13 +90,29 @@ def sample_exposures(telemetry: TelemetryInput, most: int = MOST_EXPOSURES) -> t
     """Return whole frames spread over a set, of `most` exposures about, and how many exposures it has."""
     if not is_large(telemetry):
         return _spread(whole := read_whole(telemetry), most), len(find_exposures(whole))
-    kept, exposures = list[Telemetry](), 0
+    sample, exposures = ExposureSample(most), 0
     for chunk in telemetry.chunks():
         exposures += len(find_exposures(chunk))
-        kept.append(_spread(chunk, most))
-        if len(kept) > most:
-            kept = kept[::2]
-    return _spread(joined(kept), most), exposures
+        sample.add(chunk)
+    return sample.get(), exposures
+
+
+class ExposureSample:
+    """Whole frames spread over a set that comes in parts, of `most` exposures about."""
+
+    def __init__(self, most: int) -> None:
+        self._most, self._kept = most, list[Telemetry]()
+
+    def add(self, part: Telemetry) -> None:
+        """Take frames of the next part; the memory that is held does not grow with their number."""
+        if len(part):
+            self._kept.append(_spread(part, self._most))
+        if len(self._kept) > self._most:
+            self._kept = self._kept[::2]
+
+    def get(self) -> Telemetry:
+        """Return the sample of a set that has rows."""
+        return _spread(joined(self._kept), self._most)
 
 
 def _spread(telemetry: Telemetry, most: int) -> Telemetry:

@@ -42,6 +42,7 @@ from boresight.sky.identification import (
     FIELDS_DEG,
     Recognised,
     field_of_view_deg,
+    is_prepared,
     prepare_recognition,
     recognise,
 )
@@ -134,6 +135,7 @@ class Bench:
         self.exposures: Exposures = find_exposures(sample)
         self.ends = np.inf
         self.cut_short = False
+        self.looks_up_deg: float | None = None  # field of view of the table of patterns; None is the sensor's
         self._skies: dict[float, MatchingSky] = {}
 
     @property
@@ -169,6 +171,16 @@ class Bench:
         if (field_deg := self._field_deg(self.sensor)) is not None:
             prepare_recognition(field_deg, self._folder)
 
+    @property
+    def is_prepared(self) -> bool:
+        """Whether nothing is to be made before exposures are recognised under this sensor."""
+        return self.field_deg is not None and is_prepared(self.field_deg, self._folder)
+
+    @property
+    def field_deg(self) -> float | None:
+        """Field of view of the sensor, as below."""
+        return self._field_deg(self.sensor)
+
     def _field_deg(self, sensor: Sensor) -> float | None:
         """Field of view of a sensor, degrees; None where a corner has no direction or the field is none of a star tracker."""
         camera, pitch = CAMERA_MODELS[sensor.camera_model], sensor.pixel_pitch_m
@@ -181,6 +193,7 @@ class Bench:
         found: list[Recognised | None] = [None] * len(self.exposures)
         if (field_deg := self._field_deg(sensor)) is None:
             return found
+        field_deg = self.looks_up_deg or field_deg
         camera, pitch = CAMERA_MODELS[sensor.camera_model], sensor.pixel_pitch_m
         s_d = camera.directions(sensor.initial, telemetry.row_px, telemetry.col_px, pitch)
         for k, (first, count) in enumerate(zip(self.exposures.start, self.exposures.count, strict=True)):

@@ -177,7 +177,9 @@ def hold_upload(
 ) -> Iterator[telemetry_sets.PreparedUpload]:
     """Check a form's file before the writing transaction: telemetry, what a mapping profile imports, or images."""
     with open_reading(engine) as session:
-        document = session.get_known(Sensor, upload.number("sensor_id")).document
+        sensor_id = upload.number("sensor_id")
+        document = session.get_known(Sensor, sensor_id).document
+        cameras = telemetry_sets.read_cameras(session, sensor_id, kept=bool(upload.fields.get("keep_here")))
         wanted = import_request(session, upload)
     images = telemetry_sets.ImageUpload(upload.images, settings.image_limits, settings.image_seconds)
     with telemetry_sets.hold_prepared(
@@ -189,6 +191,7 @@ def hold_upload(
         forecast_sources.catalogue_folder,
         images,
         wanted,
+        cameras=cameras,
     ) as prepared:
         forecast_sources.blobs.send_ahead(prepared.original, prepared.table)
         yield prepared

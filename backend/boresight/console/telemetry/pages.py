@@ -59,7 +59,7 @@ from boresight.console.runs.pages.list import RunNames, make_run_line, read_name
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.telemetry.dependencies import Upload, Uploaded, hold_upload, require_meant
 from boresight.console.telemetry.profiles import archive_profile, list_offers, list_profiles, save_profile
-from boresight.console.telemetry.service import PURPOSES, PreparedUpload
+from boresight.console.telemetry.service import PURPOSES, OtherCameraError, PreparedUpload
 from boresight.console.telemetry.tables import ImportProfile, TelemetrySet, find_diagnosis, find_quality
 from boresight.errors import BoresightError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role
@@ -127,6 +127,12 @@ class TelemetryContext:
     time: str = ""
     elements: str = ""
     preview: dict[str, Any] | None = None
+
+    @property
+    def sensors(self) -> tuple[tuple[int, str], ...]:
+        """The sensors whose camera a refused set is of, by number and name."""
+        error = None if self.refusal is None else self.refusal.error
+        return error.sensors if isinstance(error, OtherCameraError) else ()
 
 
 def _in_use(view: TableView) -> dict[str, Any]:
@@ -201,6 +207,8 @@ async def upload(
 ) -> Response:
     """Check and store the file, then show its quality report."""
     require_meant(request, upload)
+    if upload.fields.get("instead"):  # the sensor whose camera it is, by the button that offers it
+        upload = replace(upload, fields={**upload.fields, "sensor_id": upload.fields["instead"]})
     prepared = _prepared(actor, upload, settings, forecast_sources, engine)
     if upload.fields.get("preview"):
         shown = await _previewed(upload, prepared)

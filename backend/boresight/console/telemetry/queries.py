@@ -7,6 +7,8 @@ from typing import Any
 
 import sqlalchemy as sa
 
+from boresight.console.fleet.tables import Sensor
+from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.telemetry.tables import ImportProfile, TelemetrySet
 from boresight.platform.db.documents import among
 from boresight.platform.db.sessions import Session
@@ -22,6 +24,18 @@ def find_set_named(session: Session, sensor_id: int, name: str) -> TelemetrySet 
     """Return the oldest set of a sensor with a name, an archived one too."""
     query = sa.select(TelemetrySet).where(TelemetrySet.sensor_id == sensor_id, TelemetrySet.name == name)
     return session.scalar(query.order_by(TelemetrySet.id).limit(1))
+
+
+def read_sensor_documents(session: Session) -> list[tuple[int, dict[str, Any]]]:
+    """Return number and file of every sensor."""
+    return [(row[0], row[1]) for row in session.execute(sa.select(Sensor.id, Sensor.document).order_by(Sensor.id))]
+
+
+def read_measured_baselines(session: Session) -> dict[int, dict[str, Any]]:
+    """Return the baselines that a run estimated, by the number of their sensor."""
+    query = sa.select(ParameterSet.sensor_id, ParameterSet.document)
+    query = query.where(ParameterSet.ground_state == "BASELINE", ParameterSet.run_id.is_not(None))
+    return {row[0]: row[1] for row in session.execute(query)}
 
 
 def read_heads(session: Session, sensor_ids: Collection[int], newest: int, set_ids: Collection[int]) -> list[Any]:

@@ -64,6 +64,11 @@ FORM = {
                         "type": "string",
                         "description": "When the file was taken, if it does not contain the time (ISO 8601).",
                     },
+                    "keep_here": {
+                        "type": "string",
+                        "enum": ["1"],
+                        "description": "Keep the set with this sensor although its stars are those of another one's camera.",
+                    },
                     "elements": {"type": "string", "description": "Two-line elements to compute velocities from."},
                 },
             }
@@ -109,6 +114,7 @@ def list_telemetry_sets(
 def upload_telemetry_set(actor: Who, upload: Uploaded, prepared: Prepared, session: Writing, blobs: Blobs) -> Beside:
     """Store a file with its quality report. Nothing of a refused file is stored; the refusal names row and column.
 
+    A set from another sensor's camera is refused with the number of that sensor; `keep_here` keeps it where it was sent.
     The same bytes for the same sensor give the existing set. With a mapping profile the file may come from
     another program; the answer shows its first rows next to the cells they were made from.
     """

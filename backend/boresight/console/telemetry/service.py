@@ -14,15 +14,19 @@ from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import Any
 
-from boresight.calibration.diagnosis.diagnose import diagnose
+import numpy as np
+
+from boresight.calibration.diagnosis.diagnose import ExposureSample, diagnose
 from boresight.calibration.diagnosis.explain import add_to_report, explain_refusal
+from boresight.calibration.diagnosis.other_camera import MOST_EXPOSURES, KnownCamera, OtherCameras, find_other_cameras
 from boresight.calibration.diagnosis.result import Diagnosis
 from boresight.calibration.telemetry_pieces import StoredTable
+from boresight.cameras import CAMERA_MODELS
 from boresight.console import list_queries as lists
 from boresight.console.fleet.tables import Sensor as SensorRow
 from boresight.console.telemetry import queries as rows
 from boresight.console.telemetry.tables import TelemetrySet, find_diagnosis
-from boresight.errors import ConflictError, NotFoundError, RefusedInputError, UnavailableError
+from boresight.errors import ConflictError, Fault, NotFoundError, RefusedInputError, UnavailableError
 from boresight.images.limits import LIMITS as IMAGE_LIMITS
 from boresight.images.limits import ImageLimits, ImageSource, is_archive
 from boresight.platform.actors import Actor, require_role, require_scope
@@ -40,7 +44,7 @@ from boresight.telemetry.imports.profile import Profile
 from boresight.telemetry.mapping import parse_mapping
 from boresight.telemetry.quality.detector import OffDetectorError
 from boresight.telemetry.quality.findings import Finding
-from boresight.telemetry.quality.report import QualityParts
+from boresight.telemetry.quality.report import QualityParts, put_finding_first
 from boresight.telemetry.read.frames import frame_index
 from boresight.telemetry.read.limits import LIMITS, Limits
 from boresight.telemetry.read.readers import read_chunks, write_parquet
@@ -52,6 +56,8 @@ MEDIA_TYPES = {".csv": "text/csv", ".jsonl": "application/x-ndjson", ".ndjson": 
 MOST_OF_NAME = 200
 #: Seconds that an upload which is refused may look for the cause.
 REFUSAL_BUDGET_S = 2.0
+#: Sensors that a set of another camera is offered to.
+MOST_OFFERED = 4
 IMPORTED = "imported.parquet"
 PARQUET, ARCHIVE = "application/vnd.apache.parquet", "application/zip"
 
@@ -90,8 +96,46 @@ class ImportRequest:
     elements: str | None = None
 
 
+@dataclass(frozen=True)
+class RegisteredCameras:
+    """The sensor that an upload is said to be of, and all others; `kept`: whether it stays there whatever its stars show."""
+
+    own: KnownCamera
+    others: tuple[KnownCamera, ...] = ()
+    kept: bool = False
+
+
+class OtherCameraError(RefusedInputError):
+    """The upload is of another sensor's camera; `sensors` are the numbers and names that it is offered to, best first."""
+
+    def __init__(self, sentence: str, sensors: Sequence[tuple[int, str]]) -> None:
+        instead = "; ".join(f"{number} is {name}" for number, name in sensors)
+        detail = f"send one of these instead ({instead}), or keep_here=1 to keep the set with this sensor"
+        super().__init__(sentence, (Fault(None, "sensor_id", detail),))
+        self.sensors = tuple(sensors)
+
+
+def read_cameras(session: Session, sensor_id: int, *, kept: bool = False) -> RegisteredCameras:
+    """Read the cameras of all sensors, as their files have them and as stars measured them, the one of an upload apart."""
+    session.get_known(SensorRow, sensor_id)
+    measured = rows.read_measured_baselines(session)
+    cameras = [_known_camera(*row, measured) for row in rows.read_sensor_documents(session)]
+    own = next(one for one in cameras if one.sensor_id == sensor_id)
+    return RegisteredCameras(own, tuple(one for one in cameras if one is not own), kept)
+
+
+def _known_camera(
+    sensor_id: int, document: Mapping[str, Any], measured: Mapping[int, Mapping[str, Any]]
+) -> KnownCamera:
+    sensor, baseline = parse_sensor(document), measured.get(sensor_id)
+    if baseline is None or baseline["camera_model"] != sensor.camera_model:
+        return KnownCamera(sensor_id, sensor)
+    values = (baseline["parameters"][name] for name in CAMERA_MODELS[sensor.camera_model].parameter_names)
+    return KnownCamera(sensor_id, sensor, np.array([*values], dtype=np.float64))
+
+
 @contextmanager
-def hold_prepared(
+def hold_prepared(  # noqa: PLR0913 - a file, what it is said to be, and what it is held against
     sensor_document: Mapping[str, Any],
     catalogue: Catalogue | None,
     path: Path,
@@ -100,8 +144,10 @@ def hold_prepared(
     cache_folder: Path | None = None,
     images: ImageUpload | None = None,
     wanted: ImportRequest | None = None,
+    *,
+    cameras: RegisteredCameras | None = None,
 ) -> Iterator[PreparedUpload]:
-    """Read and check an uploaded file without the database.
+    """Read and check an uploaded file without the database; one that is of another of the `cameras` is refused, unless it is kept.
 
     Of images telemetry is extracted first; of what another program wrote it is made by the `wanted` mapping profile.
     `cache_folder` keeps the tables of a diagnosis.
@@ -116,7 +162,7 @@ def hold_prepared(
             name = f"{_source_name(images, name)[:MOST_OF_NAME]}.parquet"
         elif found is not None:
             original, read = found.archive, found.telemetry
-        quality = _checked(read, read.name if found else name, sensor, catalogue, table, limits, cache_folder)
+        quality = _checked(read, read.name if found else name, sensor, catalogue, table, limits, cache_folder, cameras)
         if found is not None:
             quality["findings"] += [Finding("IMAGES", "NORMAL", said, 1).document() for said in found.sentences]
         yield PreparedUpload(
@@ -191,16 +237,24 @@ def _checked(
     table: Path,
     limits: Limits,
     cache_folder: Path | None,
+    cameras: RegisteredCameras | None,
 ) -> dict[str, Any]:
     """Read a file in chunks into its working table, never whole in memory; returns its quality report.
 
-    A set whose names do not suffice is diagnosed, and so is one that is refused for stars off the detector.
+    A set that is of another sensor's camera is refused, or says so where it is kept. A set whose names do not suffice is diagnosed,
+    and so is one that is refused for stars off the detector.
     """
-    quality = QualityParts(sensor, catalogue)
+    quality, sample = QualityParts(sensor, catalogue), ExposureSample(MOST_EXPOSURES)
     with WorkingTableParts(table) as parts:
         for chunk in read_chunks(path, name, limits=limits):
             parts.write(chunk)
             quality.add(chunk)
+            sample.add(chunk)
+    other = None
+    if catalogue is not None and cameras is not None:
+        other = find_other_cameras(sample.get(), cameras.own, cameras.others, catalogue, cache_folder)
+    if other is not None and cameras is not None and not cameras.kept:
+        raise _refusal_of(other, name, sensor)
     try:
         quality.off_detector.refuse()
     except OffDetectorError as error:
@@ -208,9 +262,32 @@ def _checked(
             raise
         raise explain_refusal(error, _stored(table), sensor, catalogue, cache_folder, REFUSAL_BUDGET_S) from error
     report = quality.report()
+    if other is not None:
+        said = (
+            f"The stars are those of {_named(other)}, but the set was kept with {sensor.name} on purpose: {other.why}."
+        )
+        report = put_finding_first(report, Finding("OTHER_CAMERA", "CAUTION", said, 1), ())
     if catalogue is None or report["usable_exposures"]:
         return report
     return add_to_report(report, diagnose(_stored(table), sensor, catalogue, cache_folder=cache_folder))
+
+
+def _refusal_of(other: OtherCameras, name: str, sensor: Sensor) -> OtherCameraError:
+    """Say whose set this is, and what to do."""
+    offered = [(one.sensor_id, one.sensor.name) for one in other.cameras[:MOST_OFFERED]]
+    return OtherCameraError(
+        f"{name} is not of {sensor.name} but of {_named(other)}, for {other.why}: upload it there, or keep it with {sensor.name} "
+        "on purpose.",
+        offered,
+    )
+
+
+def _named(other: OtherCameras) -> str:
+    """Name the sensors whose set it may be."""
+    names, more = [one.sensor.name for one in other.cameras[:MOST_OFFERED]], len(other.cameras) - MOST_OFFERED
+    if more > 0:
+        return f"{', '.join(names)} or {more} more"
+    return " or ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
 def _stored(table: Path) -> StoredTable:
