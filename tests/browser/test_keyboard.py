@@ -236,6 +236,7 @@ def test_rows_are_walked_chosen_compared_and_sought_by_keys(people):
         press(window, "Escape", "?")
         expect(window.page.get_by_role("dialog", name="Keys")).to_be_visible()
         window.keep("keyboard-5-keys", whole=False)
+        expect(window.page.locator("[data-runs-batch] input[name=runs]")).to_have_value(",".join(chosen))
         press(window, "Escape", "c")
         window.page.wait_for_url(f"**/compare?runs={','.join(chosen)}*")
 

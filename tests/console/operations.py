@@ -284,6 +284,8 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "launch_run": _launch,
     "get_run": lambda house: ("victor", {"run_id": house.launched()["id"]}),
     "cancel_run": _cancel,
+    "archive_run": lambda house: ("ada", {"run_id": house.finished()}),
+    "restore_run": lambda house: ("ada", {"run_id": house.finished()}),
     "get_run_result": lambda house: ("victor", {"run_id": house.finished()}),
     "choose_camera": lambda house: ("ada", {"run_id": house.finished()}),
     "get_run_choice": lambda house: ("victor", {"run_id": house.chosen()}),

@@ -28,7 +28,7 @@ from boresight.console.campaigns.tables import Campaign, CampaignRun
 from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets.tables import ParameterSet
-from boresight.console.runs.tables import CALIBRATIONS, Preset, Run
+from boresight.console.runs.tables import CALIBRATIONS, ArchivedRun, Preset, Run
 from boresight.console.telemetry.tables import ImportProfile, TelemetrySet
 from boresight.console.uplinks.queries import BOARD_WORDS, find_board_place
 from boresight.console.uplinks.tables import Package, Uplink
@@ -163,6 +163,7 @@ LISTS = {
             "method": equals(Run.method),
             "data": equals(Run.telemetry_set_id),
             "among": equals(Run.id),
+            "in_use": lambda _: ~sa.exists().where(ArchivedRun.run_id == Run.id),
             "q": _holds(Run.label),
         },
         unread=("settings", "progress"),

@@ -326,7 +326,7 @@ def _annotations(figure: go.Figure, trend: Document) -> None:
             textangle=-90,
             xanchor="right",
             yanchor="top",
-            font={"color": SAID, "size": 11},
+            font_size=11,
         )
 
 

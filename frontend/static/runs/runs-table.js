@@ -1,5 +1,5 @@
 /**
- * The runs list: choose rows (Shift chooses a range) to compare, and keep the rows fresh while runs compute.
+ * The runs list: choose rows (Shift chooses a range) to compare, assess or archive, and keep the rows fresh while runs compute.
  *
  * Works without this module too: the check boxes are a plain GET form of /compare. Here what is chosen stands in the
  * address and in every link to another page of the list, so that it is kept over pages, and the rows are renewed after run
@@ -42,6 +42,10 @@ function showChoice(form) {
   button.disabled = count < 2 || count > MOST;
   button.textContent = count ? `Compare ${count} runs` : "Compare";
   need("[data-compare-words]", HTMLElement, form).textContent = advice(count);
+  const batch = find("[data-runs-batch]", HTMLFormElement);
+  if (!batch) return;
+  need("input[name=runs]", HTMLInputElement, batch).value = chosen(form);
+  for (const act of findAll("button", HTMLButtonElement, batch)) act.disabled = !count;
 }
 
 /** Let the address, the links and the forms of the list carry what is chosen. @param {HTMLFormElement} form */

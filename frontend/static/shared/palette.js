@@ -9,8 +9,8 @@ import { listViews } from "./saved-views.js";
 
 const QUIET_MS = 150;
 const HERE = "main .tabs a[href], main .page-head a.button[href], main .next-act a[href], main .contents a[href]";
-const COMMANDS = "main button, #theme, #notify, #keys-open";
-const NO_COMMAND = "table button, .notice button, .field button";
+const COMMANDS = "main button, #theme, footer button";
+const NO_COMMAND = "table button, .notice button, .field button, main [data-save-view]";
 /** @typedef {{ kind: string, title: string, note: string, href: string, button?: HTMLButtonElement }} Found */
 
 /** What a link or a button is called. @param {HTMLElement} control */

@@ -66,6 +66,7 @@ FORMS = {  # who sends which form to which page
     "/parameter-sets/{set_id:int}/waive": ("alan", {"gate": "x", "password": PASSWORD}),
     "/notes/{kind}/{subject_id:int}": ("ada", {"text": "A note."}),
     "/sensors/{sensor_id:int}/annotations": ("ada", {"at": "2026-11-21", "text": "Safe mode."}),
+    "/runs/batch": ("ada", {"runs": "1", "act": "archive"}),
     "/saved-views": ("ada", {"name": "All runs", "path": "/runs"}),
     "/saved-views/{view_id:int}/remove": ("ada", {}),
     "/favourites": ("ada", {"name": "ST16-1", "path": "/sensors/1"}),

@@ -22,7 +22,7 @@ from typing import Any, cast
 import sqlalchemy as sa
 from sqlalchemy.orm import aliased
 
-from boresight.console.runs.tables import CALIBRATIONS, CHOICE, TERMINAL_RUN_STATES, Preset, Run, RunEvent
+from boresight.console.runs.tables import CALIBRATIONS, CHOICE, TERMINAL_RUN_STATES, ArchivedRun, Preset, Run, RunEvent
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.audit import chain, seals
 from boresight.platform.audit import seals as journals
@@ -481,3 +481,13 @@ def list_presets_in_use(session: Session) -> Sequence[Preset]:
     """Return the newest version of every name that is not archived, by name."""
     newest = sa.select(sa.func.max(Preset.id)).where(Preset.archived_utc.is_(None)).group_by(Preset.name)
     return session.scalars(sa.select(Preset).where(Preset.id.in_(newest)).order_by(Preset.name)).all()
+
+
+def find_archived(session: Session, run_id: int) -> ArchivedRun | None:
+    """Return the row that archives a run."""
+    return session.scalar(sa.select(ArchivedRun).where(ArchivedRun.run_id == run_id))
+
+
+def list_archived(session: Session, run_ids: Collection[int]) -> frozenset[int]:
+    """Return which of these runs are archived."""
+    return frozenset(session.scalars(sa.select(ArchivedRun.run_id).where(ArchivedRun.run_id.in_(run_ids))))

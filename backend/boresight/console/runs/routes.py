@@ -27,7 +27,7 @@ from boresight.console.access.dependencies import (
     Writing,
 )
 from boresight.console.operation import Answer, Beside, json_response, operations
-from boresight.console.runs import choices, frames, presets, schemas
+from boresight.console.runs import archive, choices, frames, presets, schemas
 from boresight.console.runs import service as runs
 from boresight.console.runs.frames import FrameLine
 from boresight.console.runs.presets import BUILT_IN, OfferedPreset
@@ -83,10 +83,17 @@ def list_runs(
     telemetry_set_id: Id | None = None,
     method: str | None = None,
     state: Annotated[list[schemas.RunState] | None, Query(description="Repeat for several.")] = None,
+    archived: Annotated[bool, Query(description="Show the archived ones too.")] = False,
 ) -> Listing[Run]:
     """List runs, newest first."""
     found = runs.list_runs(
-        session, sensor_id=sensor_id, telemetry_set_id=telemetry_set_id, method=method, state=state, **page.rows
+        session,
+        sensor_id=sensor_id,
+        telemetry_set_id=telemetry_set_id,
+        method=method,
+        state=state,
+        archived=archived,
+        **page.rows,
     )
     return page.cut(found)
 
@@ -131,6 +138,18 @@ def cancel_run(
     """Cancel a run: a queued one ends at once, a running one as soon as it notices. The ETag is that of the run."""
     seen.require(schemas.Run, runs.get_run(session, run_id), f"Run {run_id}")
     return runs.cancel(session, actor, run_id, cancellation.reason if cancellation else "")
+
+
+@router.post("/{run_id}:archive", summary="Archive a run", response_model=schemas.Run)
+def archive_run(run_id: Id, actor: Who, session: Writing) -> Run:
+    """Have lists leave out a run that has ended; nothing is deleted."""
+    return archive.archive_run(session, actor, run_id)
+
+
+@router.post("/{run_id}:restore", summary="Show an archived run again", response_model=schemas.Run)
+def restore_run(run_id: Id, actor: Who, session: Writing) -> Run:
+    """Have lists show a run again."""
+    return archive.restore_run(session, actor, run_id)
 
 
 @router.get("/{run_id}/result", summary="Read the calibration", response_model=Calibration | schemas.NoResult)

@@ -81,6 +81,7 @@ def list_runs(
     state: str | Collection[str] | None = None,
     method: str | None = None,
     telemetry_set_id: int | None = None,
+    archived: bool = True,
     before_id: int | None = None,
     limit: int | None = None,
 ) -> list[Run]:
@@ -97,6 +98,7 @@ def list_runs(
         method=method,
         data=telemetry_set_id,
         state=asked or None,
+        in_use=None if archived else True,
     )
 
 

@@ -75,6 +75,17 @@ class Run(Base):
     choice_of: Mapped[int | None] = mapped_column(index=True)  # the run for whose data it chooses a camera
 
 
+class ArchivedRun(Base):
+    """A run that lists do not show unless they are asked to; the run itself stays as it is."""
+
+    __tablename__ = "archived_runs"
+    __table_args__ = (STRICT,)
+    sealing = Sealing(unsealed="says what lists leave out, and is taken back; the audit log has who did either")
+    id: Mapped[int] = mapped_column(primary_key=True)
+    run_id: Mapped[int] = mapped_column(sa.ForeignKey("runs.id"), unique=True)
+    archived_utc: Mapped[str] = mapped_column(sa.Text)
+
+
 #: Keeps to the runs that calibrate: what a fleet, a trend and a list are made of.
 CALIBRATIONS = Run.choice_of.is_(None)
 

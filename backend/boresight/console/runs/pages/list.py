@@ -22,6 +22,7 @@ from boresight.console.pages.rendering import make_change, render
 from boresight.console.pages.tables import (
     Table,
     TableColumn,
+    TableView,
     accept_one,
     is_number,
     is_text,
@@ -31,6 +32,7 @@ from boresight.console.pages.tables import (
     write_csv,
 )
 from boresight.console.runs import presets
+from boresight.console.runs import queries as run_queries
 from boresight.console.runs.pages.launch import differences
 from boresight.console.runs.tables import RUN_STATES, Run, parse_progress
 from boresight.console.telemetry import queries as telemetry_rows
@@ -84,6 +86,7 @@ RUNS = Table(
         "state": accept_one(RUN_STATES),
         "method": accept_one(METHODS),
         "data": is_number,
+        "archived": accept_one({"1"}),
         "q": is_text,
     },
     "-run",
@@ -208,7 +211,7 @@ def compute_run_seconds(run: Run) -> float | None:
 def runs_page(request: Request, session: Reading) -> HTMLResponse:
     """Show a page of runs."""
     view = read_view(request, RUNS)
-    found = read_page(session, view)
+    found = read_page(session, view, **_in_use(view))
     names = read_names(session, found.rows)
     on_page = {run.id for run in found.rows}
     return render(
@@ -216,6 +219,7 @@ def runs_page(request: Request, session: Reading) -> HTMLResponse:
         "runs/runs.html",
         view=view,
         lines=[make_run_line(run, names) for run in found.rows],
+        archived=run_queries.list_archived(session, on_page),
         last=found.last,
         elsewhere=[number for number in view.chosen if number not in on_page],
         choices=list_sensor_choices(session, view),
@@ -229,7 +233,12 @@ def runs_csv(request: Request, session: Reading) -> Response:
     """Give every run of a view as CSV, in SI."""
     view = read_view(request, RUNS)
     names = _names(session, None, None)
-    return write_csv(view, (_csv_row(run, names) for run in read_all(session, view)))
+    return write_csv(view, (_csv_row(run, names) for run in read_all(session, view, **_in_use(view))))
+
+
+def _in_use(view: TableView) -> dict[str, Any]:
+    """Return the filter that hides archived runs, unless the view shows them too."""
+    return {"archived": None, "in_use": None if view.where.get("archived") else 1}
 
 
 def _csv_row(run: Run, names: RunNames) -> Beside:
