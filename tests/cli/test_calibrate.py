@@ -92,6 +92,19 @@ def test_a_prior_makes_sigmas_smaller_and_the_terminal_says_how_much_came_from_i
     assert_refused(boresight(*words, "--prior", former, "--server", "http://127.0.0.1:9"), "server", lines=1)
 
 
+def test_parameters_of_a_pass_are_told_pass_by_pass_and_the_numbers_are_the_last_ones(boresight, simulated, tmp_path):
+    sets = [simulated / "calibration.csv", simulated / "validation.csv"]
+    words = ["calibrate", *sets, "--sensor", simulated / "sensor.json", "--vary", "f_m", "--json", tmp_path / "a.json"]
+    done = accepted(boresight(*words))
+    found = json.loads((tmp_path / "a.json").read_text())
+    states = found["variation"]["states"]
+    assert [one["name"] for one in states] == ["calibration.csv", "validation.csv"]
+    for name in found["free"]:
+        assert abs(states[1]["parameters"][name] - found["parameters"][name]) < 0.05 * found["sigma"][name]
+    assert "f_m: one value in each of 2 passes" in " ".join(done.stdout.split())
+    assert_refused(boresight(*words[:2], *words[3:]), "needs several telemetry sets", lines=1)
+
+
 def test_a_set_that_is_named_twice_is_refused_in_one_line(boresight, simulated, tmp_path):
     again = tmp_path / "again.csv"
     again.write_bytes((simulated / "calibration.csv").read_bytes())
@@ -157,8 +170,9 @@ def test_every_setting_has_an_option():
 def test_the_help_names_every_word_and_every_default_by_group(boresight):
     text = boresight("calibrate", "--help").stdout
     flat = " ".join(text.replace("-\n", "-").split())
-    assert [line for line in text.splitlines() if line.endswith(":") and line[0] != " "][-6:] == [
-        "Files and output:", "Method:", "Matching:", "Of the batch:", "Of the filters:", "Of svd and angular:"
+    assert [line for line in text.splitlines() if line.endswith(":") and line[0] != " "][-8:] == [
+        "Files and output:", "Method:", "Matching:", "Of a joint calibration:", "Of a prior:", "Of the batch:",
+        "Of the filters:", "Of svd and angular:"
     ]  # fmt: skip
     for name, option in ((name, option) for name, option in OPTIONS.items() if option.kind == "word"):
         listed = f"Choose from {', '.join(option.words)}. [default: {getattr(CalibrationSettings(), name)}]"

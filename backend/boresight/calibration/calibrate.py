@@ -19,6 +19,8 @@ from boresight.calibration.calibration import (
     Calibration,
     JudgedOn,
     Noise,
+    PassVariation,
+    PriorUse,
     RemovedOf,
     StarOff,
     StarsOffDetector,
@@ -28,7 +30,7 @@ from boresight.calibration.corrections import Corrections
 from boresight.calibration.estimate import Estimate, Parameters, never
 from boresight.calibration.evaluation.pixel_residuals import FreeCovariance
 from boresight.calibration.evaluation.result_evaluation import evaluate_result, validate, with_advice
-from boresight.calibration.joint.passes import passes_of
+from boresight.calibration.joint.passes import JointTelemetry, passes_of
 from boresight.calibration.joint.prior import (
     PriorSource,
     TakenPrior,
@@ -36,6 +38,7 @@ from boresight.calibration.joint.prior import (
     take_prior,
     without_held,
 )
+from boresight.calibration.joint.variation import OPEN_SIGMAS, check_variation, fit_variation
 from boresight.calibration.matching.match_report import CyclesEnd, Estimation
 from boresight.calibration.matching.matched import Dataset, Matched
 from boresight.calibration.matching.verification import advise
@@ -244,35 +247,25 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and eight choices of the c
         When `cancelled` said so.
     """
     clock = _Timer()
-    parameters = select_free_parameters(sensor, settings)
-    taken: TakenPrior | None = None
-    left_out: list[str] = []
-    if prior is None:
-        refuse_without_prior(settings)
-    else:
-        telemetry, left_out = without_held(telemetry, prior, sha256s or {})
-        taken = take_prior(prior, sensor, parameters, settings, telemetry.begins)
-        parameters, sensor = replace(parameters, prior=taken.prior), replace(sensor, initial=taken.prior.x)
     context = CalibrationContext(cancelled or never, report, cache_folder, scratch_folder, executor)
     told = nullcontext() if report is None else report_waits_to(lambda message, _: report(Progress(0.0, message, None)))
     catalogue = catalogue.without(settings.leave_out_stars)
     corrections: Corrections | None = Corrections(sensor, catalogue, left_out=settings.leave_out_stars)
     with told:
-        while corrections is not None:
-            used = corrections
-            try:
+        try:
+            begun = _begin(telemetry, sensor, catalogue, settings, context, prior, sha256s or {})
+            telemetry, sensor, parameters = begun.telemetry, begun.sensor, begun.parameters
+            while corrections is not None:
+                used = corrections
                 with open_dataset(telemetry, sensor, catalogue, parameters, settings, context, used) as (sets, off):
                     found, ended, corrections = _calibrated(
                         sets, parameters, sets.settings, sha256s or {}, context, clock, used
                     )
-            except OffDetectorError as error:
-                from boresight.calibration.diagnosis.explain import explain_refusal  # noqa: PLC0415 - only refused sets
+        except OffDetectorError as error:
+            from boresight.calibration.diagnosis.explain import explain_refusal  # noqa: PLC0415 - only refused sets
 
-                raise explain_refusal(error, telemetry, sensor, catalogue, cache_folder) from error
-    found = replace(found, inputs=replace(found.inputs, passes=passes_of(telemetry)))
-    if taken is not None and ended is not None and ended.estimate.status != "diverged":
-        use = taken.describe(ended.matched.problem, parameters, settings, ended.estimate)
-        found = with_advice(replace(found, prior=use), *taken.advice(use), *left_out)
+            raise explain_refusal(error, telemetry, sensor, catalogue, cache_folder) from error
+    found = begun.describe(found, ended, settings)
     if hardly_matches(found):
         found = replace(found, advice=_explained(telemetry, sensor, catalogue, settings, context, found.advice))
         clock.lap("diagnose")
@@ -290,6 +283,85 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and eight choices of the c
             )
         clock.lap("validate")
     return found if ended is None else replace(found, timing_s={**clock.laps, "method": ended.method_s})
+
+
+@dataclass(frozen=True)
+class _Begun:
+    """What a calibration is made of once a prior and parameters of a pass are taken in, and what is told of these."""
+
+    telemetry: TelemetryInput
+    sensor: Sensor
+    parameters: Parameters
+    passes: TelemetryInput
+    taken: TakenPrior | None = None
+    variation: PassVariation | None = None
+    advice: Sequence[str] = ()
+
+    def describe(self, found: Calibration, ended: CyclesEnd | None, settings: CalibrationSettings) -> Calibration:
+        """Say in a calibration which passes it had, what varied, and what came from a prior."""
+        inputs = replace(found.inputs, passes=passes_of(self.passes))
+        found = replace(found, inputs=inputs, variation=self.variation)
+        if self.taken is None or ended is None or ended.estimate.status == "diverged":
+            return found
+        use = self.taken.describe(ended.matched.problem, self.parameters, settings, ended.estimate)
+        return with_advice(replace(found, prior=use), *self.taken.advice(use), *self.advice)
+
+
+def _begin(
+    telemetry: TelemetryInput,
+    sensor: Sensor,
+    catalogue: Catalogue,
+    settings: CalibrationSettings,
+    context: CalibrationContext,
+    prior: PriorSource | None,
+    sha256s: Mapping[str, str],
+) -> _Begun:
+    """Take in a prior, and of parameters that vary what the other passes know of the last."""
+    parameters = select_free_parameters(sensor, settings)
+    if prior is None:
+        refuse_without_prior(settings)
+        if settings.vary:
+            return _fit_passes(telemetry, sensor, catalogue, parameters, settings, context)
+        return _Begun(telemetry, sensor, parameters, telemetry)
+    if settings.vary:
+        raise RefusedInputError("A prior is of one camera and not of passes that vary: leave out --vary, or --prior.")
+    new, left_out = without_held(telemetry, prior, sha256s)
+    taken = take_prior(prior, sensor, parameters, settings, new.begins)
+    there = replace(sensor, initial=taken.prior.x)
+    return _Begun(new, there, replace(parameters, prior=taken.prior), new, taken, advice=left_out)
+
+
+def _fit_passes(
+    telemetry: TelemetryInput,
+    sensor: Sensor,
+    catalogue: Catalogue,
+    parameters: Parameters,
+    settings: CalibrationSettings,
+    context: CalibrationContext,
+) -> _Begun:
+    """Match and fit all passes as one camera, and from there with what varies: the last pass, with the others as its prior."""
+    names = [CAMERA_MODELS[sensor.camera_model].parameter_names[p] for p in parameters.free]
+    if not isinstance(telemetry, JointTelemetry):
+        raise RefusedInputError(
+            "What varies from pass to pass needs several telemetry sets: name more, or leave --vary out."
+        )
+    check_variation(names, settings)
+    alike = replace(settings, method="batch", variant="no-q", vary=None)
+    corrections = Corrections(sensor, catalogue, left_out=settings.leave_out_stars)
+    with open_dataset(telemetry, sensor, catalogue, parameters, alike, context, corrections) as (sets, _):
+        first = sets.at_start()
+        ended = Estimation(sets, first, parameters, sets.settings, lambda *_: None, context.cancelled).run()
+        if ended.estimate.status in {"diverged", "max_iterations"}:
+            raise RefusedInputError("All passes as one camera do not fit: see what it says without --vary.")
+        fitted, variation = fit_variation(
+            ended.matched.problem, passes_of(telemetry), parameters, ended.estimate.x, settings, context.cancelled
+        )
+    open_sigmas = settings.initial_sigma_scale if settings.sequential else OPEN_SIGMAS
+    origin = PriorUse(name="the other passes", covariance="noise", inflation=1.0)
+    remedy = "let more parameters vary, and look at each pass by itself"
+    taken = TakenPrior(fitted.prior_of_last(parameters, open_sigmas), origin, (variation.sentence,), remedy)
+    last = telemetry.in_order[-1].telemetry
+    return _Begun(last, sensor, replace(parameters, prior=taken.prior), telemetry, taken, variation)
 
 
 def hardly_matches(found: Calibration) -> bool:

@@ -272,6 +272,45 @@ class PriorUse:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PassState:
+    """The camera in one pass of a joint calibration: the free parameters with their sigmas, SI, and the pass's chi-square."""
+
+    name: str
+    parameters: Values[float] = field(default_factory=Values)
+    sigma: Values[float] = field(default_factory=Values)
+    chi2: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class VariationTest:
+    """By how much chi-square falls where parameters may vary, and how likely chance alone makes it fall so far."""
+
+    fall: float
+    dof: int
+    p_value: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class PassVariation:
+    """What changes from pass to pass of a joint calibration.
+
+    `vary`: the parameters of a pass; `vary_as`: `pass`, `walk` (by `walk_sigma` typical sigmas a square root of a day) or
+    `temperature` (by `slope`, SI a degree from `reference_temperature_c`). `test`: None of a walk.
+    """
+
+    vary: list[str]
+    vary_as: str
+    walk_sigma: float | None = None
+    reference_temperature_c: float | None = None
+    slope: Values[float] | None = None
+    slope_sigma: Values[float] | None = None
+    states: list[PassState] = field(default_factory=list)
+    chi2: float
+    test: VariationTest | None = None
+    sentence: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Robust:
     """A robust loss beside least squares on the same arcs.
 
@@ -1174,6 +1213,7 @@ class Calibration:
     stars_off_detector: StarsOffDetector | None = None
     frames_done: int | None = None
     prior: PriorUse | None = None
+    variation: PassVariation | None = None
 
     @property
     def reliable_covariance(self) -> Covariance:
@@ -1197,6 +1237,7 @@ class Calibration:
             "stars_off_detector",
             "frames_done",
             "prior",
+            "variation",
         ):  # only while it is on its way, or at its end; or of some
             if document[name] is None:
                 del document[name]

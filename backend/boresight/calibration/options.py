@@ -74,6 +74,7 @@ EITHER_FORM = ("svd", "angular")
 GROUPS = {
     "Method": ALL,
     "Matching": ALL,
+    "Of a joint calibration": ALL,
     "Of a prior": ALL,
     "Of the batch": BATCH,
     "Of the filters": FILTERS,
@@ -316,6 +317,22 @@ class CalibrationSettings:
         "Method", "Fewest stars of an exposure", "Exposures with fewer stars are not used.",
         cell=(2, 1), default=MINIMUM_STARS, lowest=MINIMUM_STARS, highest=1000, flag="--minimum-stars",
     )  # fmt: skip
+    vary: tuple[str, ...] | None = option(
+        "Of a joint calibration", "Parameters of a pass", "Parameters that each telemetry set has by itself, as f_m,m0_px.",
+        default=None, kind="names", flag="--vary",
+    )  # fmt: skip
+    vary_as: str = option(
+        "Of a joint calibration", "How they vary", "How parameters of a pass hang together.", default="pass", flag="--vary-as",
+        words={
+            "pass": "Each pass by itself",
+            "walk": "A random walk from pass to pass",
+            "temperature": "Linear in the mean temperature of a pass",
+        },
+    )  # fmt: skip
+    walk_sigma: float = option(
+        "Of a joint calibration", "Step of the walk", "Of walk: drift, in typical sigmas a square root of a day.",
+        default=0.1, lowest=1e-4, highest=100.0, unit="typical σ/√d", flag="--walk-sigma",
+    )  # fmt: skip
     prior_covariance: str = option(
         "Of a prior", "Covariance of the prior", "Covariance that a prior enters with.", default="with-misfit",
         flag="--prior-covariance",
@@ -495,6 +512,9 @@ class Choices(TypedDict, total=False):
     blends: str
     noise_model: str
     minimum_stars: int
+    vary: str | Sequence[str] | None
+    vary_as: str
+    walk_sigma: float
     prior_covariance: str
     prior_inflation: float
     prior_drift_sigma: float

@@ -174,10 +174,10 @@ def normal_equations(
     threshold
         Of Huber's loss, in whitened sigmas; infinite for least squares.
     """
-    return NormalEquations.added(arcs.over_blocks(_of_block, x, free, scale, threshold), len(free))
+    return NormalEquations.added(arcs.over_blocks(equations_of_block, x, free, scale, threshold), len(free))
 
 
-def _of_block(
+def equations_of_block(
     block: ArcSet, x: FloatArray, free: NDArray[np.int64], scale: FloatArray, threshold: float
 ) -> NormalEquations:
     """Evaluate A and b of one block."""

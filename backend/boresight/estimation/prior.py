@@ -41,14 +41,19 @@ class Prior:
         (n_parameters,) mean, SI.
     P
         (n_free, n_free) covariance of the free parameters in typical sigmas.
+    information
+        Its inverse, where that is known better than P.
     """
 
     x: FloatArray
     P: FloatArray
+    information: FloatArray | None = None
 
     @cached_property
     def A(self) -> FloatArray:
         """Information, (n_free, n_free) in typical sigmas."""
+        if self.information is not None:
+            return self.information
         inverse = np.linalg.inv(self.P)
         return np.asarray((inverse + inverse.T) / 2)
 

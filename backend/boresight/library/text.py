@@ -101,7 +101,12 @@ def verdict(found: Calibration) -> str:
 
 def _scores(found: Calibration) -> Iterator[tuple[str, str]]:
     yield "RMS arc error", _pair(found.rms_arc_rad)
-    for name, part in (("prior", found.prior), ("misfit", found.misfit), ("minima", found.minima)):
+    for name, part in (
+        ("passes", found.variation),
+        ("prior", found.prior),
+        ("misfit", found.misfit),
+        ("minima", found.minima),
+    ):
         if part is not None:
             yield name, part.sentence
     yield from _statistics(found)

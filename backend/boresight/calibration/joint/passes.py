@@ -95,8 +95,8 @@ class JointTelemetry:
         """Return them piece by piece, numbered through."""
         self.passes.clear()
         seen: dict[bytes, str] = {}
-        rows, first_row, next_frame = 0, self._in_order[0].head.first_row, 0
-        for number, one in enumerate(self._in_order):
+        rows, first_row, next_frame = 0, self.in_order[0].head.first_row, 0
+        for number, one in enumerate(self.in_order):
             offset = 0 if number == 0 else max(next_frame - one.head.frame, 0)
             account = _Account(one, offset, rows + first_row - one.head.first_row)
             for part in one.chunks():
@@ -114,7 +114,7 @@ class JointTelemetry:
             seen[digest] = one.name
 
     @cached_property
-    def _in_order(self) -> Sequence[NamedTelemetry]:
+    def in_order(self) -> Sequence[NamedTelemetry]:
         """The sets by their first time, where all have one."""
         begins = [one.head.begins for one in self.sets]
         if any(map(np.isnat, begins)):

@@ -70,12 +70,12 @@ class PriorSource:
 
 @dataclass(frozen=True)
 class TakenPrior:
-    """A prior as a run takes it in: where it came from, the Gaussian, its age, and what is to be said of how it was taken."""
+    """A prior as a run takes it in: the Gaussian, what is told of its origin, and what is to be said of how it was taken."""
 
-    source: PriorSource
     prior: Prior
-    age_days: float | None
-    remarks: tuple[str, ...]
+    origin: PriorUse
+    remarks: tuple[str, ...] = ()
+    remedy: str = "compare with a run without --prior, or allow a drift by --prior-drift-sigma"
 
     def describe(
         self, problem: Problem, parameters: Parameters, settings: CalibrationSettings, estimate: Estimate
@@ -83,23 +83,17 @@ class TakenPrior:
         """Say how much of an estimate came from it, and whether the data agree with it."""
         names = [problem.camera.parameter_names[p] for p in parameters.free]
         z = (estimate.x - self.prior.x)[parameters.free] / parameters.scale
-        share: FloatArray | None = None
+        share: list[float] | list[None] = [None] * len(names)
         if not settings.sequential or (settings.process_noise == 0.0 and settings.forgetting_factor == 1.0):
-            share = self.prior.share(estimate.A)
+            share = self.prior.share(estimate.A).tolist()
         sigma = np.sqrt(np.diag(self.prior.P)) * parameters.scale
-        found = PriorUse(
-            name=self.source.name,
-            sha256=self.source.sha256,
-            telemetry_sha256s=sorted(self.source.held_sets),
-            covariance=settings.prior_covariance,
-            inflation=settings.prior_inflation,
-            age_days=self.age_days,
-            drift_sigma=settings.prior_drift_sigma,
-            parameters=Values({name: float(self.prior.x[p]) for name, p in zip(names, parameters.free, strict=True)}),
+        found = replace(
+            self.origin,
+            parameters=Values(dict(zip(names, self.prior.x[parameters.free].tolist(), strict=True))),
             sigma=Values(dict(zip(names, sigma.tolist(), strict=True))),
-            share=Values(dict(zip(names, [None] * len(names) if share is None else share.tolist(), strict=True))),
+            share=Values(dict(zip(names, share, strict=True))),
+            agreement=_agreement(self.prior, estimate.A, z),
         )
-        found = replace(found, agreement=_agreement(self.prior, estimate.A, z))
         return replace(found, sentence=_sentence(found))
 
     def advice(self, use: PriorUse) -> list[str]:
@@ -108,8 +102,7 @@ class TakenPrior:
             return list(self.remarks)
         size = f"chi-square {use.agreement.chi2:.3g} of {use.agreement.dof} degrees of freedom"
         disagree = (
-            f"These data contradict the prior ({size}): the camera changed since, or one of the two is wrong; compare with a run "
-            "without --prior, or allow a drift by --prior-drift-sigma."
+            f"These data contradict {use.name} ({size}): the camera changed, or one of the two is wrong; {self.remedy}."
         )
         return [disagree, *self.remarks]
 
@@ -160,7 +153,16 @@ def take_prior(
     aged = settings.prior_inflation**2 * P + settings.prior_drift_sigma**2 * (age or 0.0) * np.eye(len(P))
     if not np.isfinite(x).all() or not np.isfinite(aged).all() or np.linalg.eigvalsh(aged)[0] <= 0:
         raise RefusedInputError(f"{source.name} has no positive covariance: calibrate its telemetry again.")
-    return TakenPrior(source, Prior(x, aged), age, tuple(_remarks(source)))
+    origin = PriorUse(
+        name=source.name,
+        sha256=source.sha256,
+        telemetry_sha256s=sorted(source.held_sets),
+        covariance=settings.prior_covariance,
+        inflation=settings.prior_inflation,
+        age_days=age,
+        drift_sigma=settings.prior_drift_sigma,
+    )
+    return TakenPrior(Prior(x, aged), origin, tuple(_remarks(source)))
 
 
 def _check_same_camera(source: PriorSource, sensor: Sensor) -> None:

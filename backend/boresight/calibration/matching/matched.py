@@ -405,7 +405,8 @@ class PriorKnowledge:
     def at_start(self) -> MatchingState:
         """Before any estimate: the ground calibration's sigmas, or those of a prior."""
         if (prior := self.parameters.prior) is not None:
-            return self.at_covariance(prior.x, prior.P)
+            ground = np.eye(len(prior.P)) / self.settings.initial_sigma_scale**2
+            return self.at_covariance(prior.x, np.asarray(np.linalg.inv(prior.A + ground)))
         return MatchingState(self.sensor.initial, self._ground)
 
     def at(self, estimate: Estimate, problem: Problem) -> MatchingState:

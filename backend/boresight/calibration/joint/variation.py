@@ -1,0 +1,291 @@
+"""Parameters that change from pass to pass beside those that do not: fitted together, and the last pass judged in their light.
+
+First the passes are matched and fitted as one camera (`passes`). From there every pass gets its own values of the parameters that
+vary, by themselves, as a random walk between the middles of the passes or linear in their mean temperature, and all are fitted
+again as one least-squares problem (`estimation.block_bordered`), R taken at each pass's own state.
+
+What a person loads is the camera as it is now, so a calibration's numbers are those of the last pass. All that the others know of
+it, P_K of the whole problem less A_K of that pass,
+
+    A_0 = P_K^-1 - A_K        z_0 = z_K + A_0^-1 b_K
+
+is a prior of that pass (`estimation.prior`), with its mean where the fit of the pass beside it ends at z_K. So the last pass is
+calibrated with it by the chosen method, and matches, tests, halves, widening and validation are those of any calibration with
+a prior; they are of that pass. A direction of which the others know nothing is open in A_0: there it has the information of
+`OPEN_SIGMAS` typical sigmas, or of a filter's own start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from boresight.arrays import FloatArray, IntArray
+from boresight.calibration.calibration import InputPass, PassState, PassVariation, Values, VariationTest
+from boresight.calibration.estimate import WHITENING_ROUNDS, Asked, Parameters
+from boresight.calibration.options import CalibrationSettings
+from boresight.calibration.problem import Problem, whiten_part
+from boresight.errors import CancelledError, RefusedInputError
+from boresight.estimation import batch
+from boresight.estimation.arcs import ArcSet
+from boresight.estimation.batch import NormalEquations
+from boresight.estimation.block_bordered import Linked, OfTemperature, Solution, Variation
+from boresight.estimation.blocks import FRAMES
+from boresight.estimation.prior import Prior
+from boresight.estimation.statistics.special import chdtrc
+from boresight.estimation.stored_arcs import BLOCKS_A_RANGE, Arcs, over_range
+
+Ends = Sequence[tuple[int, int]]
+#: Distance from the optimum, in sigmas, at which a fit of passes rests, and below which it has converged.
+REST, CONVERGED = 1e-10, 1e-4
+#: Share of the cost that rounding hides.
+ROUNDING = 1e-12
+MOST_HALVINGS = 10
+#: Typical sigmas of what nobody knows.
+OPEN_SIGMAS = 1e4
+#: Smallest step of a walk between two passes, typical sigmas: below, it is none.
+SMALLEST_STEP = 1e-5
+#: Chance below which a change from pass to pass is called one.
+CHANGES = 1e-3
+
+
+class WhitenedPasses:
+    """The arcs of every pass with R at its own state: frames k0 <= k < k1 of a set each, in memory or in files."""
+
+    def __init__(self, problem: Problem, ends: Ends, states: FloatArray) -> None:
+        self._arcs, self._ends, self._at = problem.arcs, ends, states
+        self._camera = problem.camera.name
+        self.held = self._whitened(problem.arcs) if isinstance(problem.arcs, ArcSet) else ()
+
+    def _whitened(self, arcs: ArcSet) -> Sequence[ArcSet | None]:
+        return [
+            whiten_part(arcs.frames(*end), self._camera, x) if end[0] < end[1] else None
+            for end, x in zip(self._ends, self._at, strict=True)
+        ]
+
+    def sums(self, states: FloatArray, parameters: Parameters) -> list[NormalEquations]:
+        """Return A, b and chi-square of each pass at its state, (n_passes, n_parameters)."""
+        free, scale = parameters.free, parameters.scale
+        if self.held:
+            return [
+                NormalEquations.added([], len(free)) if part is None else batch.normal_equations(part, x, free, scale)
+                for part, x in zip(self.held, states, strict=True)
+            ]
+        return self._in_files(self._arcs, states, parameters)
+
+    def _in_files(self, arcs: Arcs, states: FloatArray, parameters: Parameters) -> list[NormalEquations]:
+        """The same of a set in files, ranges of all passes together wherever the executor computes them."""
+        assert not isinstance(arcs, ArcSet)  # noqa: S101 - what is in memory is held
+        work, of = [], []
+        for number, ((first, last), at, x) in enumerate(zip(self._ends, self._at, states, strict=True)):
+            steps = (*arcs.steps, (whiten_part, (self._camera, at)))
+            for begin in range(first, last, FRAMES * BLOCKS_A_RANGE):
+                part = arcs.part(begin, min(begin + FRAMES * BLOCKS_A_RANGE, last))
+                arguments = (x, parameters.free, parameters.scale, np.inf)
+                work.append((*part, steps, batch.equations_of_block, arguments))
+                of.append(number)
+        found: list[list[NormalEquations]] = [[] for _ in self._ends]
+        for number, blocks in zip(of, arcs.executor.map(over_range, work), strict=True):
+            found[number] += blocks
+        return [NormalEquations.added(blocks, len(parameters.free)) for blocks in found]
+
+
+@dataclass(frozen=True)
+class PassesFit:
+    """Where a fit of passes ended.
+
+    `states`: (n_passes, n_parameters), SI. `arcs`: as whitened last. `sums`: of each pass there. `solution`: the covariances there.
+    `chi2_alike`: chi-square of one state for all, whitened as at the end. `converged`: whether it rests.
+    """
+
+    states: FloatArray
+    arcs: WhitenedPasses
+    sums: list[NormalEquations]
+    solution: Solution
+    chi2_alike: float
+    converged: bool
+
+    @property
+    def chi2(self) -> float:
+        """Of all passes, without what links them."""
+        return sum(one.chi2 for one in self.sums)
+
+    def prior_of_last(self, parameters: Parameters, open_sigmas: float) -> Prior:
+        """What the other passes know of the last, see the module."""
+        last = self.sums[-1]
+        values, vectors = np.linalg.eigh(np.linalg.inv(self.solution.P[-1]) - last.A)
+        A_0 = (vectors * np.maximum(values, 0.0)) @ vectors.T + np.eye(len(values)) / open_sigmas**2
+        x = self.states[-1].copy()
+        x[parameters.free] += parameters.scale * np.linalg.solve(A_0, last.b)
+        return Prior(x, np.asarray(np.linalg.inv(A_0)), A_0)
+
+
+def fit_passes(
+    problem: Problem,
+    ends: Ends,
+    parameters: Parameters,
+    x: FloatArray,
+    link: Variation,
+    cancelled: Asked,
+    most: int = 50,
+) -> PassesFit:
+    """Fit every pass's state from one x (n_parameters,) for all; raises LinAlgError where something is open."""
+    z = np.zeros((len(ends), len(parameters.free)))
+
+    def states_at(z: FloatArray) -> FloatArray:
+        states = np.tile(x, (len(z), 1))
+        states[:, parameters.free] += parameters.scale * z
+        return states
+
+    converged = False
+    for _ in range(WHITENING_ROUNDS):
+        arcs = WhitenedPasses(problem, ends, states_at(z))
+        sums = arcs.sums(states_at(z), parameters)
+        for iteration in range(most):
+            if cancelled():
+                raise CancelledError(f"Stopped as asked after {iteration} iterations over the passes")
+            found = link.solve(sums, z)
+            converged = found.decrement < CONVERGED**2
+            if found.decrement < REST**2:
+                break
+            cost, share = sum(one.chi2 for one in sums) + link.cost(z), 1.0
+            for _ in range(MOST_HALVINGS):
+                tried = z + share * found.step
+                there = arcs.sums(states_at(tried), parameters)
+                if sum(one.chi2 for one in there) + link.cost(tried) <= cost * (1 + ROUNDING):
+                    break
+                share /= 2
+            else:
+                break
+            z, sums = tried, there
+    alike = sum(one.chi2 for one in arcs.sums(states_at(np.zeros_like(z)), parameters))
+    return PassesFit(states_at(z), arcs, sums, link.solve(sums, z), alike, converged)
+
+
+def places_of(problem: Problem, passes: Sequence[InputPass]) -> list[tuple[int, int]]:
+    """Return the places of each pass's frames among those that take part."""
+    frame = problem.arcs.frame
+    return [tuple(np.searchsorted(frame, [one.first_frame, one.last_frame + 1]).tolist()) for one in passes]
+
+
+def check_variation(names: Sequence[str], settings: CalibrationSettings) -> None:
+    """Refuse parameters of a pass that are not free, and errors that are not least squares."""
+    unknown = [name for name in settings.vary or () if name not in names]
+    if unknown:
+        raise RefusedInputError(f"{', '.join(unknown)} is not free, so it cannot vary: choose from {', '.join(names)}.")
+    if settings.error != "arclength" or settings.robust != "none":
+        raise RefusedInputError(
+            "Passes are fitted by least squares on arcs: set error to 'arclength' and robust to 'none'."
+        )
+
+
+def make_link(passes: Sequence[InputPass], own: IntArray, settings: CalibrationSettings) -> Variation:
+    """Return how the parameters at the places `own` among the free ones hang together from pass to pass."""
+    W = np.zeros((len(passes), len(own)))
+    if settings.vary_as == "pass":
+        return Linked(own, W)
+    if settings.vary_as == "temperature":
+        known = [one.temperature_c for one in passes if one.temperature_c is not None]
+        if len(known) < len(passes) or np.ptp(known) == 0.0:
+            raise RefusedInputError(
+                "Passes of one temperature, or without temperature_c, tell no slope: add the column, or choose --vary-as pass."
+            )
+        return OfTemperature(own, np.array(known) - np.mean(known))
+    days = np.array([_middle_days(one) for one in passes])
+    if not np.isfinite(days).all():
+        raise RefusedInputError("A walk needs to know when each pass was: add time_utc, or choose --vary-as pass.")
+    step = settings.walk_sigma * np.sqrt(np.maximum(np.diff(days), 0.0))
+    W[1:] = np.maximum(step, SMALLEST_STEP)[:, None] ** -2.0
+    return Linked(own, W)
+
+
+def _middle_days(one: InputPass) -> float:
+    """The middle of a pass in days; NaN where it has no time."""
+    if one.start_utc is None or one.end_utc is None:
+        return float("nan")
+    ends = np.array([one.start_utc.rstrip("Z"), one.end_utc.rstrip("Z")], "datetime64[us]")
+    return float(ends.astype(np.int64).mean() / 86_400e6)
+
+
+def fit_variation(
+    problem: Problem, passes: Sequence[InputPass], parameters: Parameters, x: FloatArray, settings: CalibrationSettings,
+    cancelled: Asked,
+) -> tuple[PassesFit, PassVariation]:  # fmt: skip
+    """Fit the passes with the parameters that vary, and describe it."""
+    names = [problem.camera.parameter_names[p] for p in parameters.free]
+    own = np.array([place for place, name in enumerate(names) if name in (settings.vary or ())], np.int64)
+    ends = places_of(problem, passes)
+    try:
+        fitted = fit_passes(
+            problem, ends, parameters, x, make_link(passes, own, settings), cancelled, settings.max_iterations
+        )
+    except np.linalg.LinAlgError as error:
+        few = min(range(len(ends)), key=lambda k: ends[k][1] - ends[k][0])
+        raise RefusedInputError(
+            f"A pass does not determine {', '.join(settings.vary or ())} by itself (fewest frames: {passes[few].name}): choose "
+            "--vary-as walk, leave such passes out, or vary fewer parameters."
+        ) from error
+    if not fitted.converged:
+        raise RefusedInputError(
+            "The fit of the passes does not settle: choose --vary-as walk, or vary fewer parameters."
+        )
+    return fitted, _describe(problem, passes, parameters, own, fitted, settings)
+
+
+def _describe(
+    problem: Problem, passes: Sequence[InputPass], parameters: Parameters, own: IntArray, fitted: PassesFit,
+    settings: CalibrationSettings,
+) -> PassVariation:  # fmt: skip
+    names = [problem.camera.parameter_names[p] for p in parameters.free]
+    states = []
+    for one, x, P, sums in zip(passes, fitted.states, fitted.solution.P, fitted.sums, strict=True):
+        sigma = np.sqrt(np.diag(P)) * parameters.scale
+        values = x[parameters.free]
+        states.append(
+            PassState(
+                name=one.name,
+                parameters=Values(dict(zip(names, values.tolist(), strict=True))),
+                sigma=Values(dict(zip(names, sigma.tolist(), strict=True))),
+                chi2=sums.chi2,
+            )
+        )
+    scale, of = parameters.scale[own], [names[place] for place in own]
+    slope = fitted.solution.slope * scale if len(fitted.solution.slope) else np.full(len(own), np.nan)
+    slope_sigma = np.sqrt(np.diag(fitted.solution.slope_covariance)) * scale if np.isfinite(slope).all() else slope
+    by_temperature = settings.vary_as == "temperature"
+    found = PassVariation(
+        vary=of,
+        vary_as=settings.vary_as,
+        walk_sigma=settings.walk_sigma if settings.vary_as == "walk" else None,
+        reference_temperature_c=float(np.mean([one.temperature_c for one in passes])) if by_temperature else None,
+        slope=Values(dict(zip(of, slope.tolist(), strict=True))) if by_temperature else None,
+        slope_sigma=Values(dict(zip(of, slope_sigma.tolist(), strict=True))) if by_temperature else None,
+        states=states,
+        chi2=fitted.chi2,
+        test=_test(fitted, len(own), settings.vary_as),
+        sentence="",
+    )
+    return PassVariation(**{**vars(found), "sentence": _sentence(found)})
+
+
+def _test(fitted: PassesFit, n_own: int, vary_as: str) -> VariationTest | None:
+    """Hold what varying them takes from chi-square against chance; a walk is held back, and its fall has no such law."""
+    if vary_as == "walk":
+        return None
+    dof = n_own * (1 if vary_as == "temperature" else len(fitted.states) - 1)
+    fall = max(fitted.chi2_alike - fitted.chi2, 0.0)
+    return VariationTest(fall=fall, dof=dof, p_value=float(chdtrc(dof, fall)))
+
+
+def _sentence(found: PassVariation) -> str:
+    how = {"pass": "one value in each", "walk": "a random walk over each", "temperature": "linear in the temperature"}
+    opening = f"{', '.join(found.vary)}: {how[found.vary_as]} of {len(found.states)} passes"
+    if found.test is None:
+        return f"{opening}; the numbers are those of the last, {found.states[-1].name}."
+    real = "beyond chance" if found.test.p_value < CHANGES else "no more than chance has it"
+    return (
+        f"{opening}, {real} (chi-square falls by {found.test.fall:.3g} for {found.test.dof} parameters); the numbers are those of "
+        f"the last, {found.states[-1].name}."
+    )
