@@ -45,6 +45,8 @@ LOOKS = (  # theme and width, and what axe is asked there: everything in every t
     ("light", PHONE, {}),
     ("dark", TABLET_ASIDE, None),
 )
+WIDTHS = (390, 1280, 820, 1440, 1920, 2560)  # the first two always, all of them with `--full`
+WIDEST_PX = 1840
 PATIENCE_MS = 240_000  # nothing here is a claim about speed, and a machine may be slow and busy
 
 TRACES = """figure => figure._fullData.map(t => Object.fromEntries(
@@ -54,6 +56,9 @@ SETTLED = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame
 GLANCE, HIGHEST_PX = {"width": 1280, "height": 720}, 420
 FIRST = "() => document.querySelector('plot-figure, .answer, main .empty, main .log').getBoundingClientRect().top"
 FITS = "() => document.documentElement.scrollWidth <= document.documentElement.clientWidth"
+CUT = """() => [...document.querySelectorAll("table.data")].map(table => table.parentElement)
+    .filter(place => place.scrollWidth > place.clientWidth && !place.closest("details:not([open])"))
+    .map(place => place.ariaLabel)"""
 GROWN = """([place, length]) => {
     const points = document.querySelector(place)?._fullData?.[1]?.x?.length;
     return points > length && points;
@@ -217,6 +222,15 @@ class Window:
 
     def fits(self) -> None:
         self.page.wait_for_function(FITS)
+
+    def holds_in_widths(self) -> None:
+        """Hold that nothing leads sideways, that no table is cut, and that lines do not get ever longer."""
+        for width in WIDTHS[: effort(2, len(WIDTHS))]:
+            self.page.set_viewport_size({"width": width, "height": 900})
+            self.fits()
+            self.settle()
+            assert self.page.evaluate(CUT) == [], f"at {width} px"
+            assert self.page.locator("main").evaluate("main => main.clientWidth") <= min(width, WIDEST_PX)
 
     def barriers(self, options: dict[str, Any] | None = None, *, drawings: bool = True) -> list[str]:
         """What axe finds that keeps people out, a line each; `options` are axe's own.

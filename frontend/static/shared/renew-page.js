@@ -51,10 +51,14 @@ function keepTyped(part) {
   };
 }
 
+/** What the server said last of each part: the part itself may have been sorted, or set closer, since. @type {WeakMap<Element, string>} */
+const said = new WeakMap();
+
 /** Renew a part; say whether it now is as the server has it. @param {Element} part @param {Element | null} fresh */
 function renew(part, fresh) {
-  if (!fresh || part.innerHTML === fresh.innerHTML) return true;
+  if (!fresh || [part.innerHTML, said.get(part)].includes(fresh.innerHTML)) return true;
   if (isUsed(part)) return false;
+  said.set(part, fresh.innerHTML);
   const restores = [keepView(part), keepTyped(part), keepFocus(part)];
   part.replaceChildren(...fresh.childNodes);
   part.dispatchEvent(new CustomEvent("boresight:renewed", { bubbles: true })); // before the focus is back: rows may move

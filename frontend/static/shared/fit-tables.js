@@ -1,0 +1,55 @@
+/**
+ * Tables that are wider than their place: set closer first (`data-fit="close"`), and where that is not enough a card a row
+ * (`data-fit="cards"`), each cell under the heading of its column, so that nothing lies beyond an edge.
+ */
+import { findAll } from "./dom.js";
+
+/** @type {WeakMap<Element, number>} */
+const widths = new WeakMap();
+
+/** Give every cell the heading of its column. @param {HTMLTableElement} table */
+function label(table) {
+  const headings = [...(table.tHead?.rows[table.tHead.rows.length - 1]?.cells ?? [])].flatMap((cell) => Array(cell.colSpan).fill(cell.textContent?.trim()));
+  for (const row of [...table.tBodies].flatMap((body) => [...body.rows])) {
+    let column = 0;
+    for (const cell of row.cells) {
+      if (cell.colSpan === 1) cell.dataset.label = headings[column] ?? "";
+      column += cell.colSpan;
+    }
+  }
+}
+
+/** @param {HTMLTableElement} table */
+function fit(table) {
+  const place = table.parentElement;
+  if (!place?.clientWidth || !table.tHead) return;
+  widths.set(place, place.clientWidth);
+  delete table.dataset.fit;
+  for (const way of ["close", "cards"]) {
+    if (place.scrollWidth <= place.clientWidth) return;
+    table.dataset.fit = way;
+  }
+  label(table);
+}
+
+/** @param {ParentNode} root */
+const findTables = (root) => [root, ...findAll("table.data", HTMLElement, root)].filter((one) => one instanceof HTMLTableElement);
+
+const watched = new ResizeObserver((entries) => {
+  const changed = entries.map(({ target }) => target).filter((place) => widths.get(place) !== place.clientWidth);
+  if (changed.length) requestAnimationFrame(() => changed.flatMap(findTables).forEach(fit));
+});
+
+/** @param {ParentNode} root */
+function fitAll(root) {
+  for (const table of findTables(root)) {
+    fit(table);
+    if (table.parentElement) watched.observe(table.parentElement);
+  }
+}
+
+// Parts that are renewed, and answers that are laid into a page, are fitted before they are painted.
+new MutationObserver((records) => {
+  for (const part of records.flatMap((record) => [...record.addedNodes])) if (part instanceof HTMLElement) fitAll(part);
+}).observe(document.body, { childList: true, subtree: true });
+fitAll(document);

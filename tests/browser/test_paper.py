@@ -1,0 +1,50 @@
+"""The system's theme until one is chosen, and paper: a request, a run and its report are complete on A4."""
+
+import re
+
+import pytest
+
+pytestmark = pytest.mark.browser
+
+A4_PT, SHEET_PX = (595.3, 841.9), 688  # what 14 mm of margin leave at 96 px an inch
+OUTSIDE = """() => [...document.querySelectorAll("body *")].filter(one => {
+    const place = one.getBoundingClientRect();
+    return place.width && place.right > innerWidth + 1 && !one.closest("svg, .sr, .skip, caption");
+}).map(one => one.outerHTML.slice(0, 80))"""
+FOLDED = """() => [...document.querySelectorAll("details:not([open], [data-figure-table], [data-view])")]
+    .filter(one => one.checkVisibility() && one.offsetHeight <= one.querySelector("summary").offsetHeight + 2)
+    .map(one => one.outerHTML.slice(0, 80))"""
+
+
+def test_the_theme_is_the_system_s_until_one_is_chosen(people):
+    with people.seat("analyst", new=True) as window:
+        window.open("/")
+        for asked, shown in (({"color_scheme": "light"}, "light"), ({"color_scheme": "dark"}, "dark")):
+            window.page.emulate_media(**asked)
+            window.page.wait_for_function("theme => document.documentElement.dataset.theme === theme", arg=shown)
+        window.page.emulate_media(contrast="more")
+        window.page.wait_for_function("() => document.documentElement.dataset.theme === 'contrast'")
+        window.page.emulate_media(contrast="no-preference")
+        window.use_theme("light")
+        window.open("/runs")
+        assert window.page.evaluate("document.documentElement.dataset.theme") == "light"
+        window.page.evaluate("localStorage.removeItem('boresight-theme')")
+
+
+@pytest.mark.parametrize("address", ["/approvals/{request}", "/runs/{batch}", "/api/v1/runs/{batch}/report"])
+def test_paper_cuts_nothing_off_and_folds_nothing_in(people, numbers, address):
+    with people.seat("analyst", new=True) as window:
+        if address.startswith("/api"):  # is downloaded, so no page's policy lies over its own
+            window.page.set_content(window.page.request.get(address.format(**numbers)).text())
+        else:
+            window.open(address.format(**numbers))
+            window.figures_drawn()
+        window.page.emulate_media(media="print")
+        window.page.set_viewport_size({"width": SHEET_PX, "height": 1000})
+        window.page.evaluate("dispatchEvent(new Event('beforeprint'))")  # by which a report draws its figures for paper
+        window.settle()
+        assert window.page.evaluate(OUTSIDE) == []
+        assert window.page.evaluate(FOLDED) == []
+        sheets = re.findall(rb"/MediaBox\s*\[\s*0 0 ([\d.]+) ([\d.]+)", window.page.pdf(prefer_css_page_size=True))
+        assert len(sheets) > 1
+        assert all(tuple(map(float, sheet)) == pytest.approx(A4_PT, abs=1.0) for sheet in sheets)
