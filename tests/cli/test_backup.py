@@ -84,7 +84,7 @@ def test_another_zip_is_no_backup(boresight, monkeypatch, tmp_path, manifest):
         if manifest is not None:
             archive.writestr("MANIFEST.json", manifest)
     _into(monkeypatch, tmp_path / "fourth")
-    assert_refused(boresight("restore", tmp_path / "a.zip"), "is no backup")
+    assert_refused(boresight("restore", tmp_path / "a.zip"), "is not a backup")
 
 
 def test_what_is_no_zip_is_refused_in_one_sentence(boresight, monkeypatch, tmp_path):

@@ -47,8 +47,8 @@ from tests.telemetry.files import (
     ("content", "words"),
     [
         (b"", "is empty"),
-        (b"\n \n", "nothing but blanks"),
-        (b"\xef\xbb\xbf", "nothing but blanks"),
+        (b"\n \n", "only blanks"),
+        (b"\xef\xbb\xbf", "only blanks"),
         (HEADER.encode(), "header but no rows"),
         (HEADER.encode() + b"\n\n", "header but no rows"),
         (GOOD.encode("utf-16"), "UTF-16"),
@@ -116,7 +116,7 @@ def test_a_json_number_written_as_text_is_a_number_and_an_empty_row_of_a_group_a
 
 
 @pytest.mark.parametrize(
-    ("content", "words"), [("\n", "blanks"), ("a,b\n1,2", "named as JSON Lines"), ("{}\n\n{}", "row 2: is blank")]
+    ("content", "words"), [("\n", "blanks"), ("a,b\n1,2", "named like JSON Lines"), ("{}\n\n{}", "row 2: is blank")]
 )
 def test_a_file_that_is_no_json_lines_is_refused(read, content, words):
     assert words in str(refused(read, content, "pass.jsonl"))
@@ -143,7 +143,7 @@ def test_truncated_or_damaged_parquet_is_refused(read, content):
 
 
 def test_text_named_parquet_and_parquet_for_json_are_refused(read):
-    assert "named as Parquet" in str(refused(read, GOOD, "pass.parquet"))
+    assert "named like Parquet" in str(refused(read, GOOD, "pass.parquet"))
     with pytest.raises(RefusedInputError, match="Parquet"):
         read_text("sensor.json", b"PAR1\x15\x04")
 

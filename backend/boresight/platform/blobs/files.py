@@ -14,7 +14,7 @@ from boresight.platform.db.declared import Base
 from boresight.platform.db.sessions import Session
 
 AT_A_TIME = 500
-ALTERED, MISSING, RESIZED = "altered", "missing", "of another size than its row says"
+ALTERED, MISSING, RESIZED = "altered", "missing", "another size than its row says"
 
 
 @dataclass(frozen=True)

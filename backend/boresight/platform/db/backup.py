@@ -148,13 +148,13 @@ class BackupManifest:
         wrong = [name for name, good in right.items() if not good]
         if wrong:
             raise RefusedInputError(
-                f"This file is no backup of Boresight, or it was altered: its manifest has no {wrong[0]} that can be used. Use "
+                f"This file is not a backup of Boresight, or it was altered: its manifest has no {wrong[0]} that can be used. Use "
                 "another backup."
             )
         return manifest
 
 
-NO_MANIFEST = "This file is no backup of Boresight: it has no manifest that can be read. Use another file."
+NO_MANIFEST = "This file is not a backup of Boresight: it has no manifest that can be read. Use another file."
 
 
 def _is_address(value: object) -> bool:
@@ -354,20 +354,20 @@ def _manifest(backup: zipfile.ZipFile) -> BackupManifest:
         packed = stored or (member.compress_type == zipfile.ZIP_DEFLATED and not BLOB.fullmatch(member.filename))
         if member.flag_bits & 1 or not packed:
             raise RefusedInputError(
-                f"This file is no backup as Boresight writes it: its member {member.filename[:80]!r} is encrypted or compressed. "
+                f"This file is not a backup as Boresight writes it: its member {member.filename[:80]!r} is encrypted or compressed. "
                 "Use the file as it was written."
             )
     if MANIFEST not in names:
         raise RefusedInputError(NO_MANIFEST)
     if backup.getinfo(MANIFEST).file_size > MANIFEST_BYTES:
         raise RefusedInputError(
-            f"This file is no backup of Boresight: its manifest would be {backup.getinfo(MANIFEST).file_size / 1e6:.0f} MB, "
+            f"This file is not a backup of Boresight: its manifest would be {backup.getinfo(MANIFEST).file_size / 1e6:.0f} MB, "
             f"at most {MANIFEST_BYTES / 1e6:.0f} MB are read. Use another file."
         )
     with backup.open(MANIFEST) as packed_manifest:
         manifest = BackupManifest.from_json(packed_manifest.read(MANIFEST_BYTES))
     if DATABASE not in names:
-        raise RefusedInputError("This file is no backup of Boresight: it contains no database. Use another file.")
+        raise RefusedInputError("This file is not a backup of Boresight: it contains no database. Use another file.")
     return manifest
 
 
