@@ -10,7 +10,9 @@ from boresight.calibration.calibration import (
     Calibration,
     Change,
     Coverage,
+    InputPass,
     Observability,
+    PriorUse,
     RadialDifference,
     Values,
     WeakestDirection,
@@ -196,6 +198,11 @@ def words(settings):
 def test_the_command_says_defaults_in_two_words_quotes_blanks_and_forgets_no_setting(batch_result):
     assert words(CalibrationSettings().document())[2:-1] == ["--method batch", "--match rematch"]
     assert words({})[0] == "boresight calibrate 'a b.csv'"
+    several = [InputPass(name=name, frames=1, detections=4, first_frame=0, last_frame=0) for name in "ab"]
+    found = replace(batch_result, inputs=replace(batch_result.inputs, passes=several))
+    found = replace(found, prior=PriorUse(name="a.json", covariance="noise", inflation=1.0))
+    assert command(found).startswith("boresight calibrate TELEMETRY_1 TELEMETRY_2 --sensor")
+    assert command(found).endswith("--prior PRIOR.json")
     assert set(CHANGED) == set(asdict(CalibrationSettings())) - {"replay_frames_per_s"}
     assert ["--linearisations" in command(batch_result), "--method batch" in command(batch_result)] == [False, True]
 

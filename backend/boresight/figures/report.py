@@ -160,7 +160,12 @@ def command(result: Calibration) -> str:
     """Write the command that makes this result again from the same files."""
     settings = {**result.inputs.settings, "method": result.method}
     validation = "VALIDATION" if result.validation else None
-    return " ".join(calibrate_command("TELEMETRY", "SENSOR.json", settings, validation, "RESULT.json"))
+    first, *words = calibrate_command("TELEMETRY", "SENSOR.json", settings, validation, "RESULT.json")
+    if len(result.inputs.passes) > 1:
+        first = f"{first}_1 " + " ".join(f"TELEMETRY_{number}" for number in range(2, len(result.inputs.passes) + 1))
+    if result.prior is not None and result.variation is None:
+        words.append("--prior PRIOR.json")
+    return " ".join([first, *words])
 
 
 #: Said even where it is the default, because it names the calibration.
