@@ -370,7 +370,7 @@ def test_removed_stars_are_a_table_with_reason_and_probability_and_a_file(site, 
     run_id, victor = site.add_run("batch", state="SUCCEEDED", result=result), site.visitor("victor")
     text = read(victor.get(f"/runs/{run_id}?part=evidence"))
     assert re.search(r"2 of 5\W?000 proposed stars were removed", text)
-    assert re.search("345 12 1 4567 it lies too far (<|&lt;) 1e-12", text)
+    assert re.search("345 12 1 4567 it lies too far (<|&lt;) 1·10⁻¹²", text)
     assert "346 12 1 – it lies too far –" in text
     lines = victor.get(f"/api/v1/runs/{run_id}/removed/data").splitlines()
     assert lines[0] == "row,frame,exposure,star_id,reason,probability"
