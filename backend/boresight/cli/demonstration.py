@@ -103,10 +103,10 @@ def create_demonstration(
     ]
     fleet.add_set(calibration_scenario(FAILED_NUMBER, FAILED_FRAMES), "without-times", timeless=True)
     fleet.launch(FAILED_NUMBER, "Downlinked without times", BATCH, "without-times")
-    first, held_out = _name_pass(0), f"{_name_pass(0)}-validation"
+    first, validation = _name_pass(0), f"{_name_pass(0)}-validation"
     fleet.add_set(_make_pass(0, calibration_scenario(DRIFTING_NUMBER)), first)
-    fleet.add_set(_make_pass(0, validation_scenario(DRIFTING_NUMBER)), held_out, "validation")
-    fleet.launch(DRIFTING_NUMBER, f"Pass 1 of {PASSES}", BATCH, first, held_out)
+    fleet.add_set(_make_pass(0, validation_scenario(DRIFTING_NUMBER)), validation, "validation")
+    fleet.launch(DRIFTING_NUMBER, f"Pass 1 of {PASSES}", BATCH, first, validation)
     new += [fleet.launch(number, "Square-root filter", FILTER, validation="validation") for number in SENSOR_NUMBERS]
     of_filters = _of_runs("The filters", "are", any(new))
     report(f"{of_filters}; the demonstration is ready after {time.perf_counter() - started_s:.1f} s.")
@@ -228,13 +228,13 @@ class _Fleet:
                 None if one is None else set_rows.find_set_named(session, sensor.id, f"{sensor.name}-{one}.parquet")
                 for one in (name, validation)
             ]
-            used, held_out = (row if row and row.archived_utc is None else None for row in known)
+            used, validation = (row if row and row.archived_utc is None else None for row in known)
             if used is None or runs.list_runs(
                 session, telemetry_set_id=used.id, method=settings["method"], state=unless, limit=1
             ):
                 return False
-            held_out_id = None if held_out is None else held_out.id
-            runs.launch(session, self.analyst, sensor.id, used.id, settings, validation_set_id=held_out_id, label=label)
+            validation_id = None if validation is None else validation.id
+            runs.launch(session, self.analyst, sensor.id, used.id, settings, validation_set_id=validation_id, label=label)
             return True
 
     def ask_for_approval(self) -> Iterator[str]:

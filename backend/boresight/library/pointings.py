@@ -188,7 +188,7 @@ def make_plan(
     if not len(plan.place):
         raise RefusedInputError(
             "No candidate can be observed: each is too near the Sun, the Moon or the Earth, has too few stars, or takes longer "
-            "than there is time; allow smaller angles, more minutes, or give other candidates."
+            "than there is time: give smaller angles, more minutes, or other candidates."
         )
     return _write(sensor, names, scale, candidates, stars, constraints, criterion, plan, known=known is not None)
 
