@@ -354,7 +354,7 @@ def _manifest(backup: zipfile.ZipFile) -> BackupManifest:
         packed = stored or (member.compress_type == zipfile.ZIP_DEFLATED and not BLOB.fullmatch(member.filename))
         if member.flag_bits & 1 or not packed:
             raise RefusedInputError(
-                f"This file is not a backup as Boresight writes it: its member {member.filename[:80]!r} is encrypted or compressed. "
+                f"This file is not a backup of Boresight: its member {member.filename[:80]!r} is encrypted or compressed. "
                 "Use the file as it was written."
             )
     if MANIFEST not in names:
