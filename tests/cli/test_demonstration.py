@@ -131,15 +131,15 @@ def test_every_sensor_has_a_batch_and_a_filter_run_queued_with_validation_and_a_
 def test_two_filters_run_on_for_ten_minutes_and_wait_for_the_batch_runs_alone(filled):
     with open_reading(filled.engine) as session:
         queued = runs.list_runs(session)[::-1]
-        paces = [run.settings.get("replay_frames_per_s") or 0.0 for run in queued]
+        rates = [run.settings.get("replay_frames_per_s") or 0.0 for run in queued]
         lasts_s = [
             session.get_known(TelemetrySet, run.telemetry_set_id).frames / pace
-            for run, pace in zip(queued, paces, strict=True)
+            for run, pace in zip(queued, rates, strict=True)
             if pace
         ]
     assert lasts_s == [600.0, 600.0]
     assert [run.method for run in queued[:8]] == ["batch"] * 6 + ["sqrf"] * 2
-    assert all(paces[6:8])
+    assert all(rates[6:8])
 
 
 def test_the_audit_log_tells_who_made_what_and_holds_together(filled):

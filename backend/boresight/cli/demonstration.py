@@ -228,13 +228,15 @@ class _Fleet:
                 None if one is None else set_rows.find_set_named(session, sensor.id, f"{sensor.name}-{one}.parquet")
                 for one in (name, validation)
             ]
-            used, validation = (row if row and row.archived_utc is None else None for row in known)
+            used, validated = (row if row and row.archived_utc is None else None for row in known)
             if used is None or runs.list_runs(
                 session, telemetry_set_id=used.id, method=settings["method"], state=unless, limit=1
             ):
                 return False
-            validation_id = None if validation is None else validation.id
-            runs.launch(session, self.analyst, sensor.id, used.id, settings, validation_set_id=validation_id, label=label)
+            validation_id = None if validated is None else validated.id
+            runs.launch(
+                session, self.analyst, sensor.id, used.id, settings, validation_set_id=validation_id, label=label
+            )
             return True
 
     def ask_for_approval(self) -> Iterator[str]:
