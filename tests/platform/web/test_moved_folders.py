@@ -202,7 +202,7 @@ def test_a_system_error_of_a_disk_is_503_with_a_time_to_come_back_and_any_other_
 
 
 def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(StorageError, match="is not there"):
+    with pytest.raises(StorageError, match="does not exist"):
         refuse_unwritable(tmp_path / "absent" / "file")
     refuse_unwritable(tmp_path / "file")
     assert LEAST_FREE_BYTES > 1 << 20
@@ -213,7 +213,7 @@ def test_a_command_whose_data_folder_cannot_be_made_says_so_in_one_line(tmp_path
     environment = {"BORESIGHT_DATA_FOLDER": str(tmp_path / "file" / "data"), "BORESIGHT_DATABASE_URL": ""}
     done = CliRunner(env=environment).invoke(main, ["audit", "verify"])
     assert (done.exit_code, done.stderr.count("\n")) == (1, 1)
-    assert "is not there" in done.stderr
+    assert "does not exist" in done.stderr
 
 
 PATIENCE_S = 30

@@ -29,7 +29,7 @@ def test_a_problem_names_type_title_status_detail_instance_and_request(house: Ho
         "type": "urn:boresight:problem:not-found",
         "title": "Not found",
         "status": 404,
-        "detail": "There is no run 987654; choose one of the list.",
+        "detail": "There is no run 987654; choose one from the list.",
         "instance": "/api/v1/runs/987654",
         "request_id": "abc-1",
         "errors": [],
