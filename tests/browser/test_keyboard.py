@@ -8,6 +8,7 @@ import pytest
 from playwright.sync_api import Error, expect
 
 from tests.browser.people import get_password
+from tests.browser.window import FORGET_THEME
 from tests.browser.work import choose_filter, ends_as, queue
 
 pytestmark = pytest.mark.browser
@@ -287,7 +288,7 @@ def test_ctrl_k_finds_a_setting_and_presses_what_only_shows_but_nothing_that_wri
         theme = window.page.evaluate("document.documentElement.dataset.theme")
         keyboard.press("Enter")
         window.page.wait_for_function("was => document.documentElement.dataset.theme !== was", arg=theme)
-        window.page.evaluate("localStorage.removeItem('boresight-theme')")
+        window.page.evaluate(FORGET_THEME)
         keyboard.press("Control+k")
         keyboard.type("session hours")
         expect(option.first).to_contain_text("BORESIGHT_SESSION_HOURS")

@@ -4,6 +4,8 @@ import re
 
 import pytest
 
+from tests.browser.window import FORGET_THEME
+
 pytestmark = pytest.mark.browser
 
 A4_PT, SHEET_PX = (595.3, 841.9), 688  # what 14 mm of margin leave at 96 px an inch
@@ -28,7 +30,7 @@ def test_the_theme_is_the_system_s_until_one_is_chosen(people):
         window.use_theme("light")
         window.open("/runs")
         assert window.page.evaluate("document.documentElement.dataset.theme") == "light"
-        window.page.evaluate("localStorage.removeItem('boresight-theme')")
+        window.page.evaluate(FORGET_THEME)
 
 
 @pytest.mark.parametrize("address", ["/approvals/{request}", "/runs/{batch}", "/api/v1/runs/{batch}/report"])

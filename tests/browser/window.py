@@ -55,6 +55,10 @@ TRACES = """figure => figure._fullData.map(t => Object.fromEntries(
 SETTLED = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 50))))"
 GLANCE, HIGHEST_PX = {"width": 1280, "height": 720}, 420
 FIRST = "() => document.querySelector('plot-figure, .answer, main .empty, main .log').getBoundingClientRect().top"
+FORGET_THEME = """() => {
+    localStorage.removeItem("boresight-theme");
+    document.cookie = "boresight-theme=; path=/; max-age=0";
+}"""
 FITS = "() => document.documentElement.scrollWidth <= document.documentElement.clientWidth"
 CUT = """() => [...document.querySelectorAll("table.data")].map(table => table.parentElement)
     .filter(place => place.scrollWidth > place.clientWidth && !place.closest("details:not([open])"))
@@ -125,7 +129,7 @@ class Window:
         """Clear the window for who comes next, with no theme chosen; returns what the browser complained of."""
         self.page.unroute_all(behavior="ignoreErrors")
         if self._themed:
-            self.page.evaluate("localStorage.removeItem('boresight-theme')")
+            self.page.evaluate(FORGET_THEME)
         complaints, self.complaints, self._themed = self.complaints, [], False
         self.page.goto("about:blank")
         self.page.mouse.move(0, 0)  # nothing is pointed at
@@ -253,6 +257,7 @@ class Window:
         self._themed = True
         self.page.route("**/nothing", lambda route: route.fulfill(content_type="text/html", body=NOTHING))
         self.page.goto("/nothing")
+        self.page.evaluate(FORGET_THEME)
         self.page.evaluate("theme => localStorage.setItem('boresight-theme', theme)", theme)
         self.page.set_viewport_size(size)
 

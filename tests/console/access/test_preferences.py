@@ -133,3 +133,15 @@ def test_a_value_that_is_not_known_any_more_counts_as_not_chosen(site):
         assert set(preferences.get_preferences(session, 1)) == set(preferences.PREFERENCES)
         assert preferences.get_time_style(session, 1) == STYLE
     assert 'data-times="day_of_year"' in site.visitor("ada").get("/")
+
+
+def test_a_theme_is_told_to_the_browser_at_the_log_in_and_the_systems_by_telling_none(site):
+    visitor = site.visitor("adele")
+    answer = visitor.post("/preferences", form="iso", theme="contrast")
+    assert "boresight-theme=contrast" in answer.headers["set-cookie"]
+    with open_reading(site.engine) as session:
+        (adele,) = (user for user in users.list_users(session) if user.name == "adele")
+        assert preferences.get_preferences(session, adele.id)["theme"] == "contrast"
+    back = visitor.post("/preferences", form="day_of_year", theme="system")
+    assert 'boresight-theme=""; ' in back.headers["set-cookie"]
+    assert visitor.post("/preferences", form="iso", theme="pink").status_code == 422

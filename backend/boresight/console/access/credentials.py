@@ -102,6 +102,13 @@ class LogInCookie:
         )
         return csrf_token
 
+    def write_theme(self, response: Response, theme: str) -> None:
+        """Tell the browser which theme its person chose, before it paints a page; of the system's there is nothing to tell."""
+        if theme == "system":
+            response.delete_cookie(THEME_COOKIE, path="/", secure=self._secure, samesite="lax")
+            return
+        response.set_cookie(THEME_COOKIE, theme, max_age=THEME_S, path="/", secure=self._secure, samesite="lax")
+
     def clear(self, response: Response) -> None:
         """Take the cookie away from the browser."""
         response.delete_cookie(self.name, path="/", secure=self._secure, httponly=True, samesite="lax")
@@ -121,6 +128,7 @@ class LogInCookie:
 
 
 MOST_REMEMBERED = 10_000
+THEME_COOKIE, THEME_S = "boresight-theme", 365 * 86_400
 LISTENING = "/api/v1/events"
 TIMES = "times"  # in the state of a request: how its person has times shown
 BACKGROUND = (b"x-boresight-background", b"1")  # a page that renews itself says so

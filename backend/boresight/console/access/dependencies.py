@@ -18,7 +18,7 @@ from pydantic import BaseModel, SecretStr
 from starlette.requests import Request
 from starlette.responses import Response
 
-from boresight.console.access import sessions, users
+from boresight.console.access import preferences, sessions, users
 from boresight.console.access.credentials import LogInCookie, bearer, get_actor
 from boresight.console.access.password_checks import PasswordWorker
 from boresight.console.access.passwords import NO_PROOF, PasswordProof
@@ -232,8 +232,11 @@ def depend_on_server(name: str) -> Any:
 def log_in_person(request: Request, response: Response, session: Session, proof: PasswordProof) -> tuple[Actor, str]:
     """Create a log-in for a person who was authenticated, set its cookie, and return the person and the CSRF token."""
     actor = users.authenticate(session, proof, request.state.request_id)
-    _, token = sessions.begin(session, require_person(actor, "log in"), get_client(request))
-    return actor, request.app.state.log_in_cookie.write(response, token)
+    user_id = require_person(actor, "log in")
+    _, token = sessions.begin(session, user_id, get_client(request))
+    cookie: LogInCookie = request.app.state.log_in_cookie
+    cookie.write_theme(response, preferences.get_preferences(session, user_id)["theme"])
+    return actor, cookie.write(response, token)
 
 
 def get_client(request: Request) -> ClientAddress:

@@ -16,6 +16,7 @@ from boresight.console.access import api_keys, preferences, sessions, users
 from boresight.console.access.credentials import current_actor
 from boresight.console.access.dependencies import (
     KNOWN,
+    Cookie,
     PasswordChecks,
     Reading,
     ServerSettings,
@@ -408,11 +409,11 @@ EXAMPLE = datetime(2026, 11, 21, 3, 4, 5, tzinfo=UTC)
 @preference_router.get("", response_class=HTMLResponse)
 def preferences_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
     """Show how one has pages shown."""
-    times = preferences.get_time_style(session, actor.user_id)
-    return _preferences_page(request, times, None)
+    chosen = preferences.get_preferences(session, actor.user_id)
+    return _preferences_page(request, TimeStyle(**chosen["times"]), chosen["theme"], None)
 
 
-def _preferences_page(request: Request, times: TimeStyle, refusal: RefusalContext | None) -> HTMLResponse:
+def _preferences_page(request: Request, times: TimeStyle, theme: str, refusal: RefusalContext | None) -> HTMLResponse:
     beside = times.zone if refusal is None and times.form == "local" else "Europe/Amsterdam"
     return render(
         request,
@@ -420,6 +421,8 @@ def _preferences_page(request: Request, times: TimeStyle, refusal: RefusalContex
         refused=refusal,
         refusal=refusal,
         chosen=times,
+        theme=theme,
+        themes=preferences.THEMES,
         forms=tuple(FORMS.items()),
         examples={form: TimeStyle(form, beside).show(EXAMPLE) for form in FORMS},
         zones=list_zones(),
@@ -427,13 +430,24 @@ def _preferences_page(request: Request, times: TimeStyle, refusal: RefusalContex
 
 
 @preference_router.post("", response_class=HTMLResponse)
-async def choose_times(
-    request: Request, actor: Who, form: Annotated[TimeForm, Form()] = "day_of_year", zone: Annotated[str, Form()] = ""
+async def choose_preferences(
+    request: Request,
+    actor: Who,
+    cookie: Cookie,
+    form: Annotated[TimeForm, Form()] = "day_of_year",
+    zone: Annotated[str, Form()] = "",
+    theme: Annotated[str, Form()] = "system",
 ) -> Response:
-    """Choose how times are shown."""
+    """Choose how times are shown, and the theme."""
     typed = TimeStyle(form, zone.strip())
-    change = partial(preferences.set_preference, actor=actor, name="times", value=asdict(typed))
-    outcome = await attempt(request, change)
+    outcome = await attempt(request, partial(_keep, actor=actor, chosen={"times": asdict(typed), "theme": theme}))
     if outcome.refusal is not None:
-        return await run_in_threadpool(_preferences_page, request, typed, outcome.refusal)
-    return redirect("/preferences", flash="Times are shown so from now on, and are taken in every form.")
+        return await run_in_threadpool(_preferences_page, request, typed, theme, outcome.refusal)
+    answer = redirect("/preferences", flash="Pages are shown so from now on. Times are taken in every form.")
+    cookie.write_theme(answer, theme)
+    return answer
+
+
+def _keep(session: Session, *, actor: Actor, chosen: Mapping[str, Any]) -> None:
+    for name, value in chosen.items():
+        preferences.set_preference(session, actor, name, value)

@@ -16,6 +16,8 @@ from boresight.platform.actors import Actor, require_person
 from boresight.platform.db.sessions import Session
 from boresight.platform.db.times import STYLE, TIME_FORMS, TimeStyle, list_zones
 
+THEMES = ("system", "dark", "light", "contrast")
+
 
 @dataclass(frozen=True)
 class Preference:
@@ -36,8 +38,16 @@ def _check_times(value: Any) -> dict[str, str]:
     return asdict(TimeStyle(form, zone) if form == "local" else TimeStyle(form))
 
 
+def _check_theme(value: Any) -> str:
+    """Refuse a theme that pages do not have."""
+    if value not in THEMES:
+        raise RefusedInputError(f"Pages have the themes {', '.join(THEMES)}; choose one of them.")
+    return str(value)
+
+
 PREFERENCES: Mapping[str, Preference] = {
     "times": Preference(asdict(STYLE), _check_times),
+    "theme": Preference("system", _check_theme),
 }
 
 
