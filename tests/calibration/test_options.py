@@ -176,7 +176,7 @@ def test_decentring_and_parameters_of_another_model_are_refused():
     sensor = sensor_under(SENSOR, there)
     with pytest.raises(RefusedInputError, match=r"no tilt; calibrate the telemetry under pinhole_radial instead"):
         converted(there["parameters"] | {"a1_rad": 0.01}, sensor, "x.json", "pinhole_radial")
-    with pytest.raises(RefusedInputError, match="of the camera model inverted_wang"):
+    with pytest.raises(RefusedInputError, match="uses the camera model inverted_wang"):
         convert({"camera_model": "inverted_wang", "parameters": {}})
 
 
