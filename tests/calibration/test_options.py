@@ -7,7 +7,16 @@ import numpy as np
 import pytest
 
 from boresight.calibration.conversion import ARCSEC_PER_RAD, converted, sensor_file, sensor_under
-from boresight.calibration.options import FILTERS, FORM, GROUPS, METHODS, OPTIONS, CalibrationSettings, schema
+from boresight.calibration.options import (
+    FILTERS,
+    FORM,
+    GROUPS,
+    METHODS,
+    OF_COMMAND_ONLY,
+    OPTIONS,
+    CalibrationSettings,
+    schema,
+)
 from boresight.calibration.parameter_file import parse_parameters, read_parameters
 from boresight.errors import RefusedInputError
 from boresight.estimation import filters, singular_values
@@ -232,6 +241,5 @@ def test_every_choice_stands_once_on_the_form_of_a_launch():
     shown = [
         option.name for part in ("usual", "more") for fieldset in FORM[part] for row in fieldset.rows for option in row
     ]
-    groups = ("Of a prior", "Of a joint calibration")  # a run has neither
-    of_files = [option.name for option in OPTIONS.values() if option.group in groups]
+    of_files = [option.name for option in OPTIONS.values() if option.group in OF_COMMAND_ONLY]
     assert sorted(shown + beside + of_files) == sorted(OPTIONS)

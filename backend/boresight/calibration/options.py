@@ -80,6 +80,8 @@ GROUPS = {
     "Of the filters": FILTERS,
     "Of svd and angular": EITHER_FORM,
 }
+#: Headings of choices that no form has: a run on a server takes one set, and starts from its sensor.
+OF_COMMAND_ONLY = ("Of a joint calibration", "Of a prior")
 #: Headings of a form's sets of fields, by the methods that have them and whether they are usual.
 LEGENDS = {
     (FILTERS, True): "Filter",

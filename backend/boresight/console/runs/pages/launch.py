@@ -22,6 +22,7 @@ from boresight.calibration.evaluation.forecast import Forecast
 from boresight.calibration.options import (
     FORM,
     METHODS,
+    OF_COMMAND_ONLY,
     OPTIONS,
     CalibrationSettings,
     format_value,
@@ -49,7 +50,7 @@ from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.numbers import count, duration
 
 #: The settings with one form field each; free parameters have one per sensor.
-FIELDS = tuple(name for name in OPTIONS if name != "free")
+FIELDS = tuple(name for name, option in OPTIONS.items() if name != "free" and option.group not in OF_COMMAND_ONLY)
 
 
 def typed_settings(document: Mapping[str, Any]) -> dict[str, str]:
