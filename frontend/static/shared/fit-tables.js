@@ -9,7 +9,8 @@ const widths = new WeakMap();
 
 /** Give every cell the heading of its column. @param {HTMLTableElement} table */
 function label(table) {
-  const headings = [...(table.tHead?.rows[table.tHead.rows.length - 1]?.cells ?? [])].flatMap((cell) => Array(cell.colSpan).fill(cell.textContent?.trim()));
+  const cells = [...(table.tHead?.rows[table.tHead.rows.length - 1]?.cells ?? [])];
+  const headings = cells.flatMap((cell) => Array(cell.colSpan).fill(cell.textContent?.trim()));
   for (const row of [...table.tBodies].flatMap((body) => [...body.rows])) {
     let column = 0;
     for (const cell of row.cells) {
