@@ -152,7 +152,7 @@ def test_who_stops_waiting_or_loses_the_server_learns_which_run_goes_on(monkeypa
     with answering([running, *[None] * 5]) as (address, _), bs.Client(address, SECRET) as client:
         with pytest.raises(bs.UnavailableError) as raised:
             client.wait(7)
-        assert "Run 7 goes on" in raised.value.__notes__[0]
+        assert "Run 7 continues" in raised.value.__notes__[0]
 
     def stop(_):
         raise KeyboardInterrupt

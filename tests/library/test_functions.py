@@ -179,7 +179,9 @@ def test_a_notebook_without_widgets_shows_a_line_and_a_script_nothing(simulated,
     assert capsys.readouterr().err.startswith("boresight: ")
 
 
-@pytest.mark.parametrize(("wanted", "said"), [(False, []), (None, ["Boresight is compiling; a few seconds."])])
+@pytest.mark.parametrize(
+    ("wanted", "said"), [(False, []), (None, ["Boresight is compiling; this takes a few seconds."])]
+)
 def test_where_no_progress_is_wanted_not_even_compiling_is_told(wanted, said, simulated, caplog, monkeypatch):
     load = catalogue.load_catalogue
 
