@@ -1,6 +1,6 @@
 """The terms of the console, read from `docs/glossary.md`, and where they are explained.
 
-A page that is rendered explains each term where it is first a label: a heading, a row or column of a table, a fact, a legend.
+A page that is rendered explains each term where it is first a label: a heading but the page's own, part of a table, a fact.
 There it is a link to the glossary, or the button that sorts the column, with the meaning at it, which `glossary.js` shows under
 the pointer and at the focus.
 """
@@ -19,7 +19,7 @@ from boresight.resources import folder
 LINE = re.compile(r"- \*\*(?P<names>[^*]+)\*\*: (?P<meaning>.+\.)(?: `[\w.]+`)+")
 LABEL = re.compile(
     r'<(?:a class="sort"|button [^>]*data-sort=)[^>]*>(?P<column>[^<>]+)(?=<)'
-    r'|<(?:h[1-3]|dt|th|legend)\b(?![^>]*class="sr")[^>]*>\s*(?P<label>[^<>]+?)(?=\s*<)'
+    r'|<(?:h[23]|dt|th)\b(?![^>]*class="sr")[^>]*>\s*(?P<label>[^<>]+?)(?=\s*<)'
 )
 OTHERWISE = frozenset({"state", "term", "cause"})  # also of runs, of noise, of failures
 
