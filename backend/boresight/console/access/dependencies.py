@@ -19,7 +19,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from boresight.console.access import preferences, sessions, users
-from boresight.console.access.credentials import LogInCookie, bearer, get_actor
+from boresight.console.access.credentials import THEME_COOKIE, LogInCookie, bearer, get_actor
 from boresight.console.access.password_checks import PasswordWorker
 from boresight.console.access.passwords import NO_PROOF, PasswordProof
 from boresight.console.access.sessions import ClientAddress
@@ -235,8 +235,11 @@ def log_in_person(request: Request, response: Response, session: Session, proof:
     user_id = require_person(actor, "log in")
     _, token = sessions.begin(session, user_id, get_client(request))
     cookie: LogInCookie = request.app.state.log_in_cookie
-    cookie.write_theme(response, preferences.get_preferences(session, user_id)["theme"])
-    return actor, cookie.write(response, token)
+    csrf_token = cookie.write(response, token)
+    theme = preferences.get_preferences(session, user_id)["theme"]
+    if theme != request.cookies.get(THEME_COOKIE, "system"):
+        cookie.write_theme(response, theme)
+    return actor, csrf_token
 
 
 def get_client(request: Request) -> ClientAddress:
