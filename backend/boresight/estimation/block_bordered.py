@@ -44,7 +44,7 @@ class Solution:
     """A step of every pass, (n_passes, n_free) typical sigmas, its squared length in sigmas, and the covariance of each pass.
 
     `P`: (n_passes, n_free, n_free). `slope`, `slope_covariance`: (n_own,) and (n_own, n_own) of a temperature, typical sigmas a
-    degree; empty for the others.
+    degree; empty for the others. `log_determinant`: log |H| of the whole problem.
     """
 
     step: FloatArray
@@ -52,6 +52,7 @@ class Solution:
     P: FloatArray
     slope: FloatArray
     slope_covariance: FloatArray
+    log_determinant: float
 
 
 class Variation(Protocol):
@@ -110,7 +111,9 @@ class Linked:
             P[k][np.ix_(own, shared)] = -Y[k] @ S_inverse
             P[k][np.ix_(shared, own)] = -(Y[k] @ S_inverse).T
             P[k][np.ix_(own, own)] = Z + Y[k] @ S_inverse @ Y[k].T
-        return Solution(step, -float(g_c @ d_c + np.sum(g * d_own)), P, np.empty(0), np.empty((0, 0)))
+        decrement = -float(g_c @ d_c + np.sum(g * d_own))
+        log_determinant = -float(np.linalg.slogdet(L_inverse)[1].sum() + np.linalg.slogdet(S_inverse)[1])
+        return Solution(step, decrement, P, np.empty(0), np.empty((0, 0)), log_determinant)
 
     def cost(self, z: FloatArray) -> float:
         """What the steps of the walk add to chi-square."""
@@ -144,7 +147,8 @@ class OfTemperature:
         d = -inverse @ g
         slope = np.linalg.lstsq(np.column_stack([np.ones_like(self.t), self.t]), z[:, self.own], rcond=None)[0][1]
         P = np.einsum("kij,jl,kml->kim", B, inverse, B)
-        return Solution(B @ d, -float(g @ d), P, slope + d[n:], inverse[n:, n:])
+        log_determinant = -float(np.linalg.slogdet(inverse)[1])
+        return Solution(B @ d, -float(g @ d), P, slope + d[n:], inverse[n:, n:], log_determinant)
 
     def cost(self, z: FloatArray) -> float:  # noqa: ARG002 - a line costs nothing
         """Nothing: the passes lie on the line."""
