@@ -140,6 +140,17 @@ def test_a_walk_lies_between_one_camera_and_one_for_each_pass(sensor, catalogue)
     assert sigma[0] == pytest.approx(alike, rel=0.05)
 
 
+def test_a_walk_that_nobody_states_is_estimated_with_its_interval(sensor, catalogue):
+    rng, truth = np.random.default_rng(4), 0.5
+    sets = moved(np.cumsum(truth * rng.normal(size=12)), frames=12, days=list(range(12)))
+    found = run(sets, sensor, catalogue, vary=("f_m", "m0_px"), vary_as="walk").variation
+    low, high = found.walk["f_m"].interval
+    assert low < truth < high
+    assert 0.3 < found.walk["f_m"].sigma < 1.0
+    assert found.walk["m0_px"].interval[0] == 0.0
+    assert found.walk["m0_px"].sigma < 0.3 * found.walk["f_m"].sigma
+
+
 def test_a_filter_takes_the_other_passes_as_its_start(sensor, catalogue):
     sets = moved(STEPS)
     by_batch, by_filter = (run(sets, sensor, catalogue, vary=("f_m",), method=method) for method in ("batch", "sqrf"))

@@ -291,16 +291,28 @@ class VariationTest:
 
 
 @dataclass(frozen=True, kw_only=True)
+class WalkSigma:
+    """Drift of a parameter from pass to pass, typical sigmas a square root of a day.
+
+    `interval`: the ends of its 95 % interval where it was estimated, from zero where the data do not show that it moves; None
+    where it was given.
+    """
+
+    sigma: float
+    interval: Numbers | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class PassVariation:
     """What changes from pass to pass of a joint calibration.
 
-    `vary`: the parameters of a pass; `vary_as`: `pass`, `walk` (by `walk_sigma` typical sigmas a square root of a day) or
-    `temperature` (by `slope`, SI a degree from `reference_temperature_c`). `test`: None of a walk.
+    `vary`: the parameters of a pass; `vary_as`: `pass`, `walk` (by `walk`) or `temperature` (by `slope`, SI a degree from
+    `reference_temperature_c`). `test`: None of a walk.
     """
 
     vary: list[str]
     vary_as: str
-    walk_sigma: float | None = None
+    walk: dict[str, WalkSigma] | None = None
     reference_temperature_c: float | None = None
     slope: Values[float] | None = None
     slope_sigma: Values[float] | None = None

@@ -331,9 +331,11 @@ class CalibrationSettings:
             "temperature": "Linear in the mean temperature of a pass",
         },
     )  # fmt: skip
-    walk_sigma: float = option(
-        "Of a joint calibration", "Step of the walk", "Of walk: drift, in typical sigmas a square root of a day.",
-        default=0.1, lowest=1e-4, highest=100.0, unit="typical σ/√d", flag="--walk-sigma",
+    walk_sigma: float | None = option(
+        "Of a joint calibration", "Step of the walk",
+        "Of walk: drift, in typical sigmas a square root of a day; estimated from the passes if left out.",
+        default=None, kind="number", lowest=1e-4, highest=100.0, unit="typical σ/√d", flag="--walk-sigma",
+        hint="Empty: the most likely drift of each parameter.",
     )  # fmt: skip
     prior_covariance: str = option(
         "Of a prior", "Covariance of the prior", "Covariance that a prior enters with.", default="with-misfit",
@@ -516,7 +518,7 @@ class Choices(TypedDict, total=False):
     minimum_stars: int
     vary: str | Sequence[str] | None
     vary_as: str
-    walk_sigma: float
+    walk_sigma: float | None
     prior_covariance: str
     prior_inflation: float
     prior_drift_sigma: float

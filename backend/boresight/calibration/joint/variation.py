@@ -2,7 +2,8 @@
 
 First the passes are matched and fitted as one camera (`passes`). From there every pass gets its own values of the parameters that
 vary, by themselves, as a random walk between the middles of the passes or linear in their mean temperature, and all are fitted
-again as one least-squares problem (`estimation.block_bordered`), R taken at each pass's own state.
+again as one least-squares problem (`estimation.block_bordered`), R taken at each pass's own state. How far a walk steps is either
+told, or estimated from the passes (`estimation.walk`) and the fit repeated with it, until it changes by less than its tenth.
 
 What a person loads is the camera as it is now, so a calibration's numbers are those of the last pass. All that the others know of
 it, P_K of the whole problem less A_K of that pass,
@@ -23,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from boresight.arrays import FloatArray, IntArray
-from boresight.calibration.calibration import InputPass, PassState, PassVariation, Values, VariationTest
+from boresight.calibration.calibration import InputPass, PassState, PassVariation, Values, VariationTest, WalkSigma
 from boresight.calibration.estimate import WHITENING_ROUNDS, Asked, Parameters
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem, whiten_part
@@ -36,6 +37,7 @@ from boresight.estimation.blocks import FRAMES
 from boresight.estimation.prior import Prior
 from boresight.estimation.statistics.special import chdtrc
 from boresight.estimation.stored_arcs import BLOCKS_A_RANGE, Arcs, over_range
+from boresight.estimation.walk import Walk, find_walk, link_by_walk
 
 Ends = Sequence[tuple[int, int]]
 #: Distance from the optimum, in sigmas, at which a fit of passes rests, and below which it has converged.
@@ -47,6 +49,10 @@ MOST_HALVINGS = 10
 OPEN_SIGMAS = 1e4
 #: Smallest step of a walk between two passes, typical sigmas: below, it is none.
 SMALLEST_STEP = 1e-5
+#: Drift where its estimate begins, typical sigmas a square root of a day; rounds of it, and the change of its log that ends them.
+FIRST_WALK, WALK_ROUNDS, WALK_RESTS = 0.1, 4, 0.1
+#: Days between passes, at least, where a drift is estimated.
+SHORTEST_DAYS = 1e-4
 #: Chance below which a change from pass to pass is called one.
 CHANGES = 1e-3
 
@@ -183,9 +189,8 @@ def check_variation(names: Sequence[str], settings: CalibrationSettings) -> None
 
 def make_link(passes: Sequence[InputPass], own: IntArray, settings: CalibrationSettings) -> Variation:
     """Return how the parameters at the places `own` among the free ones hang together from pass to pass."""
-    W = np.zeros((len(passes), len(own)))
     if settings.vary_as == "pass":
-        return Linked(own, W)
+        return Linked(own, np.zeros((len(passes), len(own))))
     if settings.vary_as == "temperature":
         known = [one.temperature_c for one in passes if one.temperature_c is not None]
         if len(known) < len(passes) or np.ptp(known) == 0.0:
@@ -193,12 +198,21 @@ def make_link(passes: Sequence[InputPass], own: IntArray, settings: CalibrationS
                 "Passes of one temperature, or without temperature_c, tell no slope: add the column, or choose --vary-as pass."
             )
         return OfTemperature(own, np.array(known) - np.mean(known))
+    sigma = np.full(len(own), FIRST_WALK if settings.walk_sigma is None else settings.walk_sigma)
+    return _link_by_walk(_days_between(passes), own, sigma)
+
+
+def _link_by_walk(days: FloatArray, own: IntArray, sigma: FloatArray) -> Linked:
+    """Return the link of a walk whose steps are never smaller than what is one."""
+    return link_by_walk(own, np.maximum(days, (SMALLEST_STEP / sigma.min()) ** 2), sigma)
+
+
+def _days_between(passes: Sequence[InputPass]) -> FloatArray:
+    """Days between the middles of the passes, (n_passes - 1,)."""
     days = np.array([_middle_days(one) for one in passes])
     if not np.isfinite(days).all():
         raise RefusedInputError("A walk needs to know when each pass was: add time_utc, or choose --vary-as pass.")
-    step = settings.walk_sigma * np.sqrt(np.maximum(np.diff(days), 0.0))
-    W[1:] = np.maximum(step, SMALLEST_STEP)[:, None] ** -2.0
-    return Linked(own, W)
+    return np.maximum(np.diff(days), 0.0)
 
 
 def _middle_days(one: InputPass) -> float:
@@ -217,10 +231,12 @@ def fit_variation(
     names = [problem.camera.parameter_names[p] for p in parameters.free]
     own = np.array([place for place, name in enumerate(names) if name in (settings.vary or ())], np.int64)
     ends = places_of(problem, passes)
+    walk: Walk | None = None
     try:
-        fitted = fit_passes(
-            problem, ends, parameters, x, make_link(passes, own, settings), cancelled, settings.max_iterations
-        )
+        link = make_link(passes, own, settings)
+        fitted = fit_passes(problem, ends, parameters, x, link, cancelled, settings.max_iterations)
+        if settings.vary_as == "walk" and settings.walk_sigma is None:
+            fitted, walk = _fit_walk(problem, passes, parameters, x, own, fitted, cancelled, settings.max_iterations)
     except np.linalg.LinAlgError as error:
         few = min(range(len(ends)), key=lambda k: ends[k][1] - ends[k][0])
         raise RefusedInputError(
@@ -231,12 +247,30 @@ def fit_variation(
         raise RefusedInputError(
             "The fit of the passes does not settle: choose --vary-as walk, or vary fewer parameters."
         )
-    return fitted, _describe(problem, passes, parameters, own, fitted, settings)
+    return fitted, _describe(problem, passes, parameters, own, fitted, settings, walk)
+
+
+def _fit_walk(
+    problem: Problem, passes: Sequence[InputPass], parameters: Parameters, x: FloatArray, own: IntArray, fitted: PassesFit,
+    cancelled: Asked, most: int,
+) -> tuple[PassesFit, Walk]:  # fmt: skip
+    """Estimate the drift and fit the passes with it, in turn."""
+    days, before = _days_between(passes), np.full(len(own), FIRST_WALK)
+    days = np.maximum(days, SHORTEST_DAYS)
+    for _ in range(WALK_ROUNDS):
+        z = (fitted.states[:, parameters.free] - x[parameters.free]) / parameters.scale
+        walk = find_walk(fitted.sums, z, own, days)
+        link = _link_by_walk(days, own, walk.sigma)
+        fitted = fit_passes(problem, places_of(problem, passes), parameters, x, link, cancelled, most)
+        if np.abs(np.log(walk.sigma / before)).max() < WALK_RESTS:
+            break
+        before = walk.sigma
+    return fitted, walk
 
 
 def _describe(
     problem: Problem, passes: Sequence[InputPass], parameters: Parameters, own: IntArray, fitted: PassesFit,
-    settings: CalibrationSettings,
+    settings: CalibrationSettings, walk: Walk | None,
 ) -> PassVariation:  # fmt: skip
     names = [problem.camera.parameter_names[p] for p in parameters.free]
     states = []
@@ -258,7 +292,7 @@ def _describe(
     found = PassVariation(
         vary=of,
         vary_as=settings.vary_as,
-        walk_sigma=settings.walk_sigma if settings.vary_as == "walk" else None,
+        walk=_write_walk(of, walk, settings) if settings.vary_as == "walk" else None,
         reference_temperature_c=float(np.mean([one.temperature_c for one in passes])) if by_temperature else None,
         slope=Values(dict(zip(of, slope.tolist(), strict=True))) if by_temperature else None,
         slope_sigma=Values(dict(zip(of, slope_sigma.tolist(), strict=True))) if by_temperature else None,
@@ -268,6 +302,13 @@ def _describe(
         sentence="",
     )
     return PassVariation(**{**vars(found), "sentence": _sentence(found)})
+
+
+def _write_walk(names: Sequence[str], walk: Walk | None, settings: CalibrationSettings) -> dict[str, WalkSigma]:
+    if walk is None:
+        return {name: WalkSigma(sigma=settings.walk_sigma or FIRST_WALK) for name in names}
+    rows = zip(names, walk.sigma.tolist(), walk.low.tolist(), walk.high.tolist(), strict=True)
+    return {name: WalkSigma(sigma=sigma, interval=[low, high]) for name, sigma, low, high in rows}
 
 
 def _test(fitted: PassesFit, n_own: int, vary_as: str) -> VariationTest | None:
@@ -283,9 +324,19 @@ def _sentence(found: PassVariation) -> str:
     how = {"pass": "one value in each", "walk": "a random walk over each", "temperature": "linear in the temperature"}
     opening = f"{', '.join(found.vary)}: {how[found.vary_as]} of {len(found.states)} passes"
     if found.test is None:
-        return f"{opening}; the numbers are those of the last, {found.states[-1].name}."
+        return f"{opening}{_drifts(found)}; the numbers are those of the last, {found.states[-1].name}."
     real = "beyond chance" if found.test.p_value < CHANGES else "no more than chance has it"
     return (
         f"{opening}, {real} (chi-square falls by {found.test.fall:.3g} for {found.test.dof} parameters); the numbers are those of "
         f"the last, {found.states[-1].name}."
     )
+
+
+def _drifts(found: PassVariation) -> str:
+    """Say how far each parameter drifts, where that was estimated."""
+    said = [
+        f"{name} {one.sigma:.2g} ({one.interval[0]:.2g} to {one.interval[1]:.2g})"
+        for name, one in (found.walk or {}).items()
+        if one.interval is not None and one.interval[0] is not None and one.interval[1] is not None
+    ]
+    return f" by the most likely drift, typical sigmas a square root of a day: {', '.join(said)}" if said else ""
