@@ -428,7 +428,7 @@ def test_a_covariance_that_is_too_small_is_widened_by_the_worst_sign_of_it(
     [
         ({"status": "max_iterations"}, "max iterations"),
         ({"variant": "q"}, "process noise"),
-        ({"variant": "no-refit"}, "matches were held"),
+        ({"variant": "no-refit"}, "matches used only"),
         ({"variant": "no-q", "inputs": Inputs(settings={"linearisations": 1})}, "over-confident"),
         ({"variant": "no-q", "inputs": Inputs(settings={"forgetting_factor": 0.99})}, "forgets"),
     ],
