@@ -15,6 +15,7 @@ COPY pyproject.toml README.md LICENSE ./
 COPY backend backend
 COPY frontend frontend
 COPY migrations migrations
+COPY docs/glossary.md docs/glossary.md
 RUN pip install --no-deps .
 
 # A user of its own, who owns nothing but the data folder.

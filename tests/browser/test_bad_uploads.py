@@ -78,11 +78,14 @@ def test_a_parquet_file_that_was_cut_short_is_refused_with_what_to_do(people, se
         expect(told).to_contain_text("again")
 
 
-def test_telemetry_of_another_sensor_is_refused_by_where_its_stars_lie(people, small_sensor, files):
+def test_telemetry_of_another_sensor_is_refused_and_goes_to_that_sensor_by_one_press(
+    people, telemetry, small_sensor, files
+):
     with people.seat("analyst") as window:
         told = refused(window, small_sensor, files / "calibration.csv", "32-wrong-sensor")
-        expect(told).to_contain_text("off the detector (-0.5 to 599.5): exchange rows and columns")
-        expect(told.locator("code").first).to_have_text("row_px")
+        expect(told).to_contain_text("ST16-1")
+        told.get_by_role("button", name="Upload it to ST16-1 instead").click()
+        window.page.wait_for_url(f"**/telemetry/{telemetry['calibration']}")
 
 
 def test_a_sensor_file_with_a_mistake_stays_as_it_was_typed(people, files):
