@@ -171,7 +171,7 @@ def test_a_member_has_a_name_and_the_unit_it_is_shown_in(name, title, unit):
         (False, "no"),
         ([], "none"),
         (["viewer", "analyst"], "viewer, analyst"),
-        ("2026-11-21T03:04:05.123456Z", "2026-325 03:04:05Z"),
+        ("2026-11-21T03:04:05.123456Z", "2026-11-21T03:04:05.123456Z"),  # pages show it as each person chose
         ("c" * 64, "cccccccc"),
         (7, "7"),
         (1.0 / 3.0, "0.3333333"),

@@ -232,9 +232,9 @@ def test_where_a_name_leads_is_judged_at_each_attempt_and_the_judged_address_is_
         WebhookSender(store, targets, box).deliver()
         outcomes.append(str(_delivery(store, number).outcome))
     assert lookups == ["rebinding.example"] * 3
-    assert "leads to 10.0.0.7, an address of a private network" in outcomes[0]
+    assert "resolves to 10.0.0.7, an address of a private network" in outcomes[0]
     assert [headers["host"].partition(":")[0] for _, headers, _ in receiver.heard] == ["rebinding.example"]
-    assert "leads to 10.0.0.7" in outcomes[2]
+    assert "resolves to 10.0.0.7" in outcomes[2]
 
 
 def test_while_a_former_secret_holds_both_verify_and_afterwards_only_the_new_one(store, hook, receiver, box, deliver):
