@@ -3,11 +3,12 @@
 import pytest
 import sqlalchemy as sa
 
-from boresight.console.access.tables import ApiKey, LoginSession, User
+from boresight.console.access.tables import ApiKey, LoginSession, User, UserPreference
 from boresight.console.approvals.tables import Opening
 from boresight.console.fleet.tables import Sensor
 from boresight.console.runs.queries import finish
-from boresight.console.runs.tables import Run, RunEvent
+from boresight.console.runs.tables import ArchivedRun, Run, RunEvent
+from boresight.console.saved_views.tables import SavedView
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.console.webhooks.tables import WebhookDelivery
 from boresight.platform.audit import chain, seals, verification
@@ -46,6 +47,7 @@ def _records(engine: Engine) -> list[AuditRecord]:
 def test_every_table_is_sealed_or_says_why_not() -> None:
     tables = {mapper.class_ for mapper in Base.registry.mappers}
     unsealed = {LoginSession, Opening, RunEvent, WebhookDelivery, AuditRecord, IdempotentResponse, Blob}
+    unsealed |= {ArchivedRun, UserPreference, SavedView}
     assert {*seals.list_sealed()} == tables - unsealed
     assert all(model.sealing.unsealed for model in unsealed)
 
