@@ -156,7 +156,10 @@ def copied(place: Path) -> Path:
                 link = place / path.relative_to(ROOT)
                 link.parent.mkdir(parents=True, exist_ok=True)
                 link.symlink_to(path)
-    for path in (*(ROOT / "frontend").iterdir(), *(ROOT / top for top in ("migrations", "docs", "tests", "benchmarks"))):
+    for path in (
+        *(ROOT / "frontend").iterdir(),
+        *(ROOT / top for top in ("migrations", "docs", "tests", "benchmarks")),
+    ):
         if path.name != "templates":
             (place / path.relative_to(ROOT)).symlink_to(path)
     for name in (f"{PACKAGE}/resources.py", *LINES):

@@ -194,6 +194,8 @@ def test_what_makes_no_plan_is_refused_by_name(given, named):
     [
         ("ra_deg,dec_deg\n1,2\n", "roll_deg"),
         ("ra_deg,dec_deg,roll_deg\n1,2,3\n1,91,3\n", "row 3"),
+        ("ra_deg,dec_deg,roll_deg\n1,,3\n", "row 2"),
+        ("ra_deg,dec_deg,roll_deg\n2026-01-01,2,3\n", "2026-01-01"),
         ("ra_deg,dec_deg,roll_deg\n", "0"),
     ],
 )

@@ -117,26 +117,22 @@ class PointingPlan(Summarised, Tabular):
 def read_candidates(path: str | Path) -> Candidates:
     """Read attitudes that may be chosen: CSV with ra_deg, dec_deg and roll_deg; refuses what is no angle with its row."""
     name = Path(path).name
+    columns = csv.ConvertOptions(
+        include_columns=list(CANDIDATE_COLUMNS), column_types=dict.fromkeys(CANDIDATE_COLUMNS, pa.float64())
+    )
     try:
-        table = csv.read_csv(path)
+        table = csv.read_csv(path, convert_options=columns)
     except FileNotFoundError as error:
         raise RefusedInputError(f"There is no file {name}: check the name.") from error
-    except (pa.ArrowInvalid, OSError) as error:
+    except (pa.ArrowException, KeyError, OSError) as error:
         raise RefusedInputError(
-            f"{name} cannot be read as CSV ({error}): write {', '.join(CANDIDATE_COLUMNS)}, one attitude a row."
+            f"{name} cannot be read ({error}): write CSV with {', '.join(CANDIDATE_COLUMNS)}, once each, one attitude a row."
         ) from error
-    if missing := [one for one in CANDIDATE_COLUMNS if one not in table.column_names]:
-        raise RefusedInputError(
-            f"{name} has no column {missing[0]}: write {', '.join(CANDIDATE_COLUMNS)} as its header."
-        )
     if not 0 < len(table) <= MOST_CANDIDATES:
         raise RefusedInputError(f"{name} has {len(table):,} attitudes: give 1 to {MOST_CANDIDATES:,}.")
     angles = []
     for column, most in zip(CANDIDATE_COLUMNS, (360.0, 90.0, 360.0), strict=True):
-        try:
-            values = np.asarray(table[column].cast(pa.float64()).to_numpy(zero_copy_only=False))
-        except pa.ArrowInvalid as error:
-            raise RefusedInputError(f"{name}: column {column} has texts: write degrees.") from error
+        values = np.asarray(table[column].to_numpy())
         wrong = np.flatnonzero(~(np.abs(values) <= most))
         if len(wrong):
             raise RefusedInputError(

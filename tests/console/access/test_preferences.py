@@ -11,6 +11,7 @@ from boresight.console.access import preferences, users
 from boresight.console.access.queries import write_preference
 from boresight.errors import ForbiddenError, NotFoundError, RefusedInputError
 from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import open_reading, open_writing, utc_after
 from boresight.platform.db.times import STYLE, TIME_FORMS, TimeStyle, read_time
 from tests.console.alarms.test_pages import drifting  # noqa: F401 - a fixture
@@ -145,3 +146,13 @@ def test_a_theme_is_told_to_the_browser_at_the_log_in_and_the_systems_by_telling
     back = visitor.post("/preferences", form="day_of_year", theme="system")
     assert 'boresight-theme=""; ' in back.headers["set-cookie"]
     assert visitor.post("/preferences", form="iso", theme="pink").status_code == 422
+
+
+def test_what_only_looks_like_a_time_stays_as_it_was_written(site):
+    odd = "9999-99-99T99:99:99Z"
+    with open_writing(site.engine) as session:
+        audit.append(session, COMMAND_LINE, "tried", "users", None, {"name": odd})
+    for path in ("/audit", f"/audit?since={odd}", f"/sensors/1/timeline?at={odd}"):
+        answer = site.visitor("adele").send("GET", path)
+        assert answer.status_code in {200, 422}, path
+        assert odd in answer.text, path

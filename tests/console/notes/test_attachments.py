@@ -1,5 +1,7 @@
 """Files at notes: of known kinds and sizes, by the note's author, given back byte for byte and never as a page."""
 
+from dataclasses import replace
+
 import pytest
 
 from boresight.console.notes import service as notes
@@ -58,6 +60,8 @@ def test_only_the_author_attaches_and_no_more_than_ten(session, people, blobs, n
         attach(session, people["dee"], blobs, note.id, file)
     with pytest.raises(NotFoundError):
         attach(session, people["ana"], blobs, 99, file)
+    with pytest.raises(ForbiddenError):
+        attach(session, replace(people["ana"], roles=frozenset({"viewer"})), blobs, note.id, file)
     for _ in range(MOST_ATTACHMENTS):
         attach(session, people["ana"], blobs, note.id, file)
     with pytest.raises(ConflictError):

@@ -73,6 +73,13 @@ def test_an_object_is_a_favourite_until_its_star_is_pressed_again(session, peopl
         views.toggle_favourite(session, people["eve"], "All runs", "/runs")
 
 
+def test_a_star_keeps_a_view_that_was_saved_under_a_name_and_shared(session, people):
+    views.save_view(session, people["eve"], "Reference run", "/runs/1", shared=True)
+    stars = [views.toggle_favourite(session, people["eve"], "Run 1", "/runs/1") for _ in range(2)]
+    assert stars == [True, False]
+    assert [(row.name, row.shared) for row in views.list_views(session, people["ana"])] == [("Reference run", 1)]
+
+
 def _send(visitor, place, **form):
     answer = visitor.send("POST", place, data={**form, "csrf_token": visitor.csrf_token})
     assert answer.status_code == 303

@@ -76,3 +76,17 @@ def test_a_browser_shows_a_time_as_the_server_does(form, zone):
     """
     done = subprocess.run(["node", "--input-type=module", "-"], input=code, capture_output=True, text=True, check=True)
     assert json.loads(done.stdout) == [TimeStyle(form, zone).show(moment) for moment in moments]
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["a" + 60 * " " + "b", "x" * 81, "2026-11-21T03:04:05Z" + " (03:04:05+00:00)" * 3, "9999-99-99T99:99:99Z"],
+)
+def test_a_time_is_short_and_names_at_most_one_other(text):
+    with pytest.raises(RefusedInputError):
+        read_time(text)
+
+
+def test_a_long_text_is_refused_before_it_is_looked_at():
+    with pytest.raises(RefusedInputError):
+        read_time("a" + " " * 10_000_000 + "b")

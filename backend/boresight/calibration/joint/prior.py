@@ -64,7 +64,12 @@ class PriorSource:
         times = [one.end_utc for one in found.inputs.passes]
         if found.history is not None and found.history.time_utc:
             times.append(found.history.time_utc[-1])
-        known = [np.datetime64(time.rstrip("Z"), "us") for time in times if time]
+        try:
+            known = [np.datetime64(time.removesuffix("Z"), "us") for time in times if time]
+        except ValueError as error:
+            raise RefusedInputError(
+                f"{self.name} has a time that is none ({error}): write times as 2026-11-21T03:04:05Z."
+            ) from error
         return max(known) if known else None
 
 
@@ -147,6 +152,8 @@ def take_prior(
             f"{source.name} knows {', '.join(found.covariance.names)} and this run frees {', '.join(wanted)}: give "
             f"--free {','.join(found.covariance.names)}, for a covariance holds with the others where they were."
         )
+    if missing := [name for name in names if name not in found.parameters]:
+        raise RefusedInputError(f"{source.name} has no parameter {missing[0]}: give the file as it was written.")
     x = np.array([found.parameters[name] for name in names], np.float64)
     P = _covariance(found, wanted, settings) / np.outer(parameters.scale, parameters.scale)
     age = _age_days(source, settings, begins)
@@ -185,7 +192,17 @@ def _covariance(found: Calibration, wanted: Sequence[str], settings: Calibration
     matrix = found.covariance.matrix if of_noise or entry is None else entry.covariance
     listed = found.covariance.names if of_noise or entry is None else entry.names
     place = [listed.index(name) for name in wanted]
-    return np.array(matrix, np.float64)[np.ix_(place, place)]
+    try:
+        P = np.array(matrix, np.float64)
+    except ValueError as error:
+        raise RefusedInputError(
+            "The prior's covariance is not a square of numbers: give the file as it was written."
+        ) from error
+    if P.shape != (len(listed), len(listed)):
+        raise RefusedInputError(
+            f"The prior's covariance is {' by '.join(map(str, P.shape))} for {len(listed)} names: give the file as it was written."
+        )
+    return P[np.ix_(place, place)]
 
 
 def _age_days(source: PriorSource, settings: CalibrationSettings, begins: np.datetime64 | None) -> float | None:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from boresight.console.notes.service import WRITERS
 from boresight.console.notes.tables import Note, NoteAttachment
 from boresight.errors import ConflictError, ForbiddenError, RefusedInputError
-from boresight.platform.actors import Actor, require_person
+from boresight.platform.actors import Actor, require_person, require_role
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.store import BlobStore, register_blob
 from boresight.platform.db.sessions import Session, utc_now
@@ -44,6 +45,7 @@ def check_file(sent_name: str, content: bytes) -> AttachedFile:
 def attach(session: Session, actor: Actor, blobs: BlobStore, note_id: int, file: AttachedFile) -> NoteAttachment:
     """Add a file to a note of one's own; nobody can change or remove it afterwards."""
     user_id = require_person(actor, "attach a file")
+    require_role(actor, *WRITERS)
     note = session.get_known(Note, note_id)
     if note.user_id != user_id:
         raise ForbiddenError("Only who wrote a note may attach a file to it; write a note of your own.")

@@ -71,8 +71,16 @@ STORED_TIME = re.compile(r"\b\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?Z")
 def with_times(context: Context, text: str) -> str:
     """Print a text with every stored time in it in the form that the reader chose, as a form's field takes it."""
     style = _style(context)
-    found = STORED_TIME.sub(lambda one: style.show(instant(one[0])), text)
+    found = STORED_TIME.sub(lambda one: _show(one[0], style), text)
     return Markup(found) if isinstance(text, Markup) else found  # noqa: S704 - what was markup, with a time in it
+
+
+def _show(text: str, style: TimeStyle) -> str:
+    """Print a time in a form; what only looks like one, as people may write it, stays as it is."""
+    try:
+        return style.show(instant(text))
+    except (ValueError, OverflowError):
+        return text
 
 
 def seconds_since(text: str | None, now: datetime | None = None) -> float | None:

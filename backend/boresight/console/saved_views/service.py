@@ -46,10 +46,12 @@ def toggle_favourite(session: Session, actor: Actor, name: str, path: str) -> bo
         raise RefusedInputError("Only a sensor, a run, a parameter set or a request can be a favourite; save a view.")
     found = queries.find_of_path(session, user_id, path)
     if found is None:
-        _save(session, user_id, name, path, favourite=True)
-    else:
-        session.delete(found)
-    return found is None
+        return bool(_save(session, user_id, name, path, favourite=True).favourite)
+    if found.favourite and not found.shared and found.name == normal_name("name of the view", name, LONGEST_NAME):
+        session.delete(found)  # the star made it, and nothing else would be left of it
+        return False
+    found.favourite = 1 - found.favourite
+    return bool(found.favourite)
 
 
 def remove_view(session: Session, actor: Actor, view_id: int) -> SavedView:

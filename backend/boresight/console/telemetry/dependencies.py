@@ -171,6 +171,14 @@ def import_request(session: Session, upload: Upload) -> telemetry_sets.ImportReq
     return telemetry_sets.ImportRequest(profile, time and read_time(time), elements)
 
 
+def _is_kept(upload: Upload) -> bool:
+    """Whether a form keeps its set although it is of another sensor's camera: 1, or nothing."""
+    said = upload.fields.get("keep_here", "")
+    if said not in {"", "1"}:
+        raise RefusedInputError(f"keep_here is 1 or left out, and this is {said[:20]!r}; send 1 to keep the set here.")
+    return said == "1"
+
+
 @contextmanager
 def hold_upload(
     upload: Upload, settings: Settings, forecast_sources: ForecastSources, engine: Engine
@@ -179,7 +187,7 @@ def hold_upload(
     with open_reading(engine) as session:
         sensor_id = upload.number("sensor_id")
         document = session.get_known(Sensor, sensor_id).document
-        cameras = telemetry_sets.read_cameras(session, sensor_id, kept=bool(upload.fields.get("keep_here")))
+        cameras = telemetry_sets.read_cameras(session, sensor_id, kept=_is_kept(upload))
         wanted = import_request(session, upload)
     images = telemetry_sets.ImageUpload(upload.images, settings.image_limits, settings.image_seconds)
     with telemetry_sets.hold_prepared(

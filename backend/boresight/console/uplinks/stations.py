@@ -114,7 +114,7 @@ class _Viewer:
         """Ask a step of everyone who has one of some roles."""
         asked = tuple(roles)
         able = [user for user in self.people if user.disabled_utc is None and set(asked).intersection(user.roles)]
-        mine = bool(self.actor.roles.intersection(asked))
+        mine = not self.actor.is_key and bool(self.actor.roles.intersection(asked))
         return NextStep(sentence, label, href, posts, mine, tuple(user.printed_name for user in able), asked[0])
 
 

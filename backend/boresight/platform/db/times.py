@@ -22,8 +22,11 @@ from boresight.errors import RefusedInputError
 
 TimeForm = Literal["day_of_year", "iso", "local"]
 TIME_FORMS: tuple[TimeForm, ...] = get_args(TimeForm)
+LONGEST = 80  # characters of a time in any form
 _DAY_OF_YEAR = re.compile(r"(\d{4})-(\d{3})(?!\d|-)")
-_WITH_LOCAL = re.compile(r"(.+?)\s*\((?:(\d{4}-\d{2}-\d{2})[ T])?(\d{2}:\d{2}(?::\d{2})?[+-]\d{2}:\d{2}(?::\d{2})?)\)")
+_WITH_LOCAL = re.compile(
+    r"([^()]+?) ?\((?:(\d{4}-\d{2}-\d{2})[ T])?(\d{2}:\d{2}(?::\d{2})?[+-]\d{2}:\d{2}(?::\d{2})?)\)"
+)
 
 
 def utc_now() -> str:
@@ -84,6 +87,10 @@ STYLE = TimeStyle()
 
 def read_time(text: str) -> str:
     """Convert a time in any form that pages show to the store's form; one that names no zone is taken as UTC."""
+    if len(text) > LONGEST:
+        raise RefusedInputError(
+            f"A time has at most {LONGEST} characters, and this has {len(text):,}; write a shorter one."
+        )
     try:
         return utc_text(_read(text.strip()))
     except RefusedInputError:

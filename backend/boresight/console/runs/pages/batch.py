@@ -41,7 +41,10 @@ async def batch(
     request: Request, actor: Who, runs: Annotated[str, Form()] = "", act: Annotated[str, Form()] = ""
 ) -> Response:
     """Assess, archive or restore the chosen runs, and tell what came of each."""
-    numbers = list(dict.fromkeys(number for text in runs.split(",") if (number := parse_row_id(text.strip()))))
+    chosen = [text.strip() for text in runs.split(",") if text.strip()]
+    numbers = list(dict.fromkeys(number for text in chosen if (number := parse_row_id(text))))
+    if unread := [text for text in chosen if not parse_row_id(text)]:
+        raise RefusedInputError(f"{unread[0][:20]!r} is not the number of a run; choose runs in the list.")
     if act not in ACTS:
         raise RefusedInputError(f"Nothing like {act[:20]!r} can be done with runs; choose from {', '.join(ACTS)}.")
     if not 0 < len(numbers) <= MOST[act]:
