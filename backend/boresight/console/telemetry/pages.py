@@ -134,6 +134,12 @@ class TelemetryContext:
         error = None if self.refusal is None else self.refusal.error
         return error.sensors if isinstance(error, OtherCameraError) else ()
 
+    @property
+    def keepable(self) -> bool:
+        """Whether such a set can be kept where it was sent."""
+        error = None if self.refusal is None else self.refusal.error
+        return isinstance(error, OtherCameraError) and error.keepable
+
 
 def _in_use(view: TableView) -> dict[str, Any]:
     """Return the filter that hides archived sets, unless the view shows them too."""

@@ -106,13 +106,16 @@ class RegisteredCameras:
 
 
 class OtherCameraError(RefusedInputError):
-    """The upload is of another sensor's camera; `sensors` are the numbers and names that it is offered to, best first."""
+    """The upload is of another sensor's camera.
 
-    def __init__(self, sentence: str, sensors: Sequence[tuple[int, str]]) -> None:
+    `sensors`: the numbers and names that it is offered to, best first. `keepable`: whether it can be kept where it was sent.
+    """
+
+    def __init__(self, sentence: str, sensors: Sequence[tuple[int, str]], keepable: bool) -> None:
         instead = "; ".join(f"{number} is {name}" for number, name in sensors)
-        detail = f"send one of these instead ({instead}), or keep_here=1 to keep the set with this sensor"
-        super().__init__(sentence, (Fault(None, "sensor_id", detail),))
-        self.sensors = tuple(sensors)
+        keep = ", or keep_here=1 to keep the set with this sensor" if keepable else ""
+        super().__init__(sentence, (Fault(None, "sensor_id", f"send one of these instead ({instead}){keep}"),))
+        self.sensors, self.keepable = tuple(sensors), keepable
 
 
 def read_cameras(session: Session, sensor_id: int, *, kept: bool = False) -> RegisteredCameras:
@@ -254,7 +257,7 @@ def _checked(
     if catalogue is not None and cameras is not None:
         other = find_other_cameras(sample.get(), cameras.own, cameras.others, catalogue, cache_folder)
     if other is not None and cameras is not None and not cameras.kept:
-        raise _refusal_of(other, name, sensor)
+        raise _refusal_of(other, name, sensor, keepable=not quality.off_detector.too_many)
     try:
         quality.off_detector.refuse()
     except OffDetectorError as error:
@@ -272,13 +275,14 @@ def _checked(
     return add_to_report(report, diagnose(_stored(table), sensor, catalogue, cache_folder=cache_folder))
 
 
-def _refusal_of(other: OtherCameras, name: str, sensor: Sensor) -> OtherCameraError:
-    """Say whose set this is, and what to do."""
+def _refusal_of(other: OtherCameras, name: str, sensor: Sensor, *, keepable: bool) -> OtherCameraError:
+    """Say whose set this is, and what to do; a set off the detector can be kept here by nobody."""
     offered = [(one.sensor_id, one.sensor.name) for one in other.cameras[:MOST_OFFERED]]
+    keep = f", or keep it with {sensor.name} on purpose" if keepable else ""
     return OtherCameraError(
-        f"{name} is not of {sensor.name} but of {_named(other)}, for {other.why}: upload it there, or keep it with {sensor.name} "
-        "on purpose.",
+        f"{name} is not of {sensor.name} but of {_named(other)}, for {other.why}: upload it there{keep}.",
         offered,
+        keepable,
     )
 
 
