@@ -84,6 +84,7 @@ def test_telemetry_of_another_sensor_is_refused_and_goes_to_that_sensor_by_one_p
     with people.seat("analyst") as window:
         told = refused(window, small_sensor, files / "calibration.csv", "32-wrong-sensor")
         expect(told).to_contain_text("ST16-1")
+        window.page.get_by_role("radio", name="calibration").check()  # as it is stored already
         told.get_by_role("button", name="Upload it to ST16-1 instead").click()
         window.page.wait_for_url(f"**/telemetry/{telemetry['calibration']}")
 

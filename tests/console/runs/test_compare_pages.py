@@ -88,7 +88,7 @@ def test_the_view_is_in_every_address_of_the_page_and_tables_alone_draw_nothing(
 def test_two_methods_on_one_set_differ_by_no_noise_and_the_page_says_on_what_that_rests(site, read):
     text = read(site.visitor("victor").get("/compare?runs=1,2"))
     assert "the same data, TS-calibration" in text
-    assert "not noise" in text
+    assert "the difference comes from the methods" in text
     assert "Runs of separate data: the variances add up." in text
 
 

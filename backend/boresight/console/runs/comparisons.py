@@ -44,8 +44,8 @@ ASSUMPTION = (
     "The sigma of a difference takes into account which data two runs share. Runs of separate data: the variances add up."
     " A run within the other's data, or the same data with another method or other free parameters: the larger variance minus"
     " the smaller (Hausman), which holds where the smaller sigma is that of an efficient estimate. Partly shared data: each"
-    " variance counts by the share of exposures that the other run has not. Same data and equal sigmas: what differs is not"
-    " noise, no sigma measures it, and the difference is told in sigmas of the reference instead."
+    " variance counts by the share of exposures that the other run has not. Same data and equal sigmas: the difference"
+    " comes from the methods, no sigma measures it, and it is given in sigmas of the reference instead."
 )
 
 

@@ -27,6 +27,7 @@ from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
 from boresight.console.uplinks.tables import Package, Uplink
 from boresight.platform.actors import Actor, Policy
 from boresight.platform.db.sessions import Session
+from boresight.verdicts.verdict import LEVEL_OF_STATUS
 
 TITLES = ("Created", "Assessed", "Submitted", "Signed", "Promoted", "Exported", "Sent", "Loaded", "Read back", "Active")
 UPLINK_STATES = {"Sent": "SENT", "Loaded": "LOADED", "Read back": "VERIFIED", "Active": "ACTIVE"}
@@ -178,7 +179,13 @@ def _on_the_ground(row: ParameterSet, known: _Records, viewer: _Viewer) -> list[
 
 
 def _assessed(report: GateReport, viewer: _Viewer) -> Station:
-    return Station("Assessed", "normal", report.verdict, report.created_utc, viewer.name(report.created_by))
+    return Station(
+        "Assessed",
+        LEVEL_OF_STATUS.get(report.verdict, "normal"),
+        report.verdict,
+        report.created_utc,
+        viewer.name(report.created_by),
+    )
 
 
 def _submitted(request: Approval, viewer: _Viewer) -> Station:
@@ -237,7 +244,7 @@ def find_exported_package(packages: Sequence[Package], records: Sequence[Uplink]
 def _step_of_run(viewer: _Viewer, run: Run | None) -> NextStep:
     """What follows for a run that no set was made of."""
     if run is None or run.state not in TERMINAL_RUN_STATES:
-        return NextStep("This page updates by itself; the result appears here when the run ends.")
+        return NextStep("This page updates by itself.")
     again = f"/runs/new?clone={run.id}"
     if run.state != "SUCCEEDED":
         return viewer.step_for(("analyst",), "Correct what failed, then run it again.", "Run it again", again)
@@ -289,7 +296,7 @@ def _signing_step(viewer: _Viewer, request: Approval) -> NextStep:
     said = f"{missing} signature{'s' if missing != 1 else ''} by a second person {'are' if missing != 1 else 'is'} missing."
     mine = approvals.explain_why_not_sign(viewer.session, viewer.actor, request.id, policy=viewer.policy) is None
     names = tuple(user.printed_name for user in able)
-    return NextStep(said, "Review and sign", f"/approvals/{request.id}", is_mine=mine, who=names, role="approver")
+    return NextStep(said, "Review and sign", f"/approvals/{request.id}#sign", is_mine=mine, who=names, role="approver")
 
 
 def _uplink_step(viewer: _Viewer, row: ParameterSet, known: _Records) -> NextStep:

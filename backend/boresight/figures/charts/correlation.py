@@ -28,8 +28,8 @@ ROW_PX, LEAST_PX = 34, 200
 Correlations = tuple[list[str], FloatArray, FloatArray]
 
 
-def draw(found: Sequence[Part[Correlations]], beside: int = MAX_MAPS) -> go.Figure:
-    """Draw one map a run, up to three, so many beside each other."""
+def draw(found: Sequence[Part[Correlations]], beside: int = MAX_MAPS, *, numbers: bool = True) -> go.Figure:
+    """Draw one map a run, up to three, so many beside each other; without numbers where a cell has no room for one."""
     drawn = found[:MAX_MAPS]
     columns = min(beside, len(drawn))
     rows = -(-len(drawn) // columns)
@@ -38,6 +38,8 @@ def draw(found: Sequence[Part[Correlations]], beside: int = MAX_MAPS) -> go.Figu
     for place, (trace, _, (names, rho, _)) in enumerate(drawn):
         row, column = divmod(place, columns)
         figure.add_trace(_map(trace, names, rho, scale=place == len(drawn) - 1), row=row + 1, col=column + 1)
+    if not numbers:
+        figure.update_traces(texttemplate=None)
     height = LEAST_PX + rows * ROW_PX * max(len(one[2][0]) for one in drawn)
     theme.dress(figure, title=_headline(drawn[0]), height_px=height, legend=False, hovermode="closest")
     figure.update_xaxes(showgrid=False, type="category", side="bottom")
@@ -112,5 +114,5 @@ CORRELATION = make_figure(
         "by one, but look at the distortion and at the weakest direction."
     ),
     advanced=True,
-    forms={"narrow": partial(draw, beside=1)},
+    forms={"narrow": partial(draw, beside=1, numbers=False)},
 )

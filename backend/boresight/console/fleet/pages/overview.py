@@ -33,6 +33,7 @@ from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.runs import service as runs
 from boresight.console.runs.tables import TERMINAL_RUN_STATES
 from boresight.console.saved_views import service as saved_views
+from boresight.console.uplinks.stations import UPLINK_STEPS
 from boresight.platform.actors import Actor, Policy
 from boresight.platform.audit import log as audit
 from boresight.platform.db.data_version import VersionedCache
@@ -139,7 +140,11 @@ def _promotions(session: Session, actor: Actor) -> Iterator[WaitingItems]:
         return
     yield _sets(session, {"state": "APPROVED"}, "is approved and can be promoted", "Promote", "#promote")
     unsent = {"state": "BASELINE", "board": "NOT SENT", "of_a_run": True}
-    yield _sets(session, unsent, "is the baseline; nothing is recorded about it on board", "Record", "/uplink")
+    yield _sets(session, unsent, "is the baseline; nothing is recorded about it on board", "Export", "/uplink")
+    for state, (words, label, place) in UPLINK_STEPS.items():
+        if state != "NOT SENT":
+            on_board = {"state": "BASELINE", "board": state, "of_a_run": True}
+            yield _sets(session, on_board, f"is {state} on board. {words.rstrip('.')}", label, f"/uplink#{place}")
 
 
 def _sets(session: Session, where: Mapping[str, Any], words: str, label: str, place: str) -> WaitingItems:

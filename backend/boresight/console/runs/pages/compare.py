@@ -102,7 +102,7 @@ def _cell(found: Comparison, i: int, k: int) -> ComparedCell:
         return ComparedCell(printed, "alike" if alike else held or MISSING, differs=not alike)
     if abs(apart) < NEGLIGIBLE:
         return ComparedCell(printed, f"{number(apart, 2)} σ, negligible")
-    return ComparedCell(printed, f"{number(apart, 2)} σ of the reference, not noise", differs=True)
+    return ComparedCell(printed, f"{number(apart, 2)} σ of the reference", differs=True)
 
 
 def _apart(against: Contrast, i: int, spread: float | None) -> float | None:
@@ -139,8 +139,10 @@ def answer(found: Comparison) -> ComparedAnswer:
             "caution",
             f"{count(len(far))} of {count(len(known))} differ from the reference beyond chance ({named}); {worst}.",
         )
+    if same and largest[0] > FAR_SIGMAS:
+        return ComparedAnswer("caution", f"Same data: the runs differ by {worst}, more than methods may differ.")
     if same:
-        return ComparedAnswer("caution", f"Same data: the runs differ by {worst}, which is not noise.")
+        return ComparedAnswer("normal", f"Same data: the runs differ by {worst}, within what methods may differ.")
     return ComparedAnswer("normal", f"No run differs from the reference beyond chance; {worst}.")
 
 

@@ -31,7 +31,7 @@ from boresight.console.approvals.pages.gates import assess_set
 from boresight.console.fleet.tables import Sensor
 from boresight.console.notes import queries as note_queries
 from boresight.console.notes import service as notes
-from boresight.console.pages.formats import short_hash, time_element, words
+from boresight.console.pages.formats import get_level, short_hash, time_element, words
 from boresight.console.pages.rendering import attempt, redirect, redirect_refused, render
 from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets import service as parameter_sets
@@ -653,4 +653,4 @@ async def create_parameter_set(request: Request, actor: Who, run_id: int) -> Res
             f"/parameter-sets/{made.id}", flash=f"{made.name} is a candidate, not assessed{why}", level="caution"
         )
     words = f"{made.name} is a candidate; the verdict of its gates is {assessed.value.verdict}."
-    return redirect(f"/parameter-sets/{made.id}", flash=words)
+    return redirect(f"/parameter-sets/{made.id}", flash=words, level=get_level(assessed.value.verdict))
