@@ -50,6 +50,7 @@ def list_remedies(result: Calibration | None) -> list[Remedy]:
     if result is None or result.status in {"running", "too_few_stars"}:
         return []
     found = [*_of_status(result), *_of_causes(result), *_of_suspects(result), *_of_weak_directions(result)]
+    found += _of_spare(result)
     settings = result.inputs.settings
     return list(
         {
@@ -87,6 +88,18 @@ def _of_suspects(result: Calibration) -> Iterator[Remedy]:
         stars = ",".join(map(str, sorted({*known, *suspects})))
         words = "this star" if len(suspects) == 1 else f"these {count(len(suspects))} stars"
         yield Remedy(f"Leave out {words}", {"leave_out_stars": stars})
+
+
+def _of_spare(result: Calibration) -> Iterator[Remedy]:
+    """Hold the parameter that costs least, where the data give no evidence that it changed."""
+    entries = (result.trust.drop_one if result.trust else None) or []
+    spare = [one for one in entries if not one.needed and one.settled]
+    if spare and result.status != "diverged" and len(result.free) > 1:
+        least = min(spare, key=lambda one: one.chi2_increase).name
+        yield Remedy(
+            f"Clone with {quantity(least, result).symbol} held fixed",
+            free=tuple(name for name in result.free if name != least),
+        )
 
 
 def _of_weak_directions(result: Calibration) -> Iterator[Remedy]:

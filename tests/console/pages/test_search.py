@@ -26,6 +26,9 @@ def found(site):
         ("PS-ST16-1-0", "Parameter set", "/parameter-sets/1"),
         ("focus step", "Run", "/runs/3"),
         ("#2", "Run", "/runs/2"),
+        ("run 2", "Run", "/runs/2"),
+        ("Sensor st16-1", "Sensor", "/sensors/1"),
+        ("telemetry set 1", "Telemetry", "/telemetry/1"),
         ("calibration", "Telemetry", "/telemetry/1"),
         ("tolerance", "Setting", "/help/settings#option-match_rule"),
         ("--noise-model", "Setting", "/help/settings#option-noise_model"),
@@ -38,6 +41,10 @@ def found(site):
 )
 def test_a_part_of_a_name_or_a_number_finds_its_page(found, text, kind, href):
     assert (kind, href) in {(one["kind"], one["href"]) for one in found(text)}
+
+
+def test_a_kind_before_a_name_keeps_to_it(found):
+    assert {one["kind"] for one in found("parameter set st16")} == {"Parameter set"}
 
 
 @pytest.mark.parametrize("text", ["", "   ", "%", "_", "no such name", "#0", "9" * 30, "x" * 5000, "'; --"])

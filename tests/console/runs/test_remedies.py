@@ -61,3 +61,10 @@ def test_what_is_held_leaves_every_direction_of_the_others_known(result):
     A = ((V.T * s**2) @ V)[np.ix_(left, left)]
     assert 1 / np.sqrt(np.linalg.eigvalsh(A)[0]) <= WEAK
     assert 0 < len(remedy.free) < n
+
+
+def test_what_the_data_do_not_ask_for_may_be_held(result):
+    entries = [replace(one, needed=one.name != "a2_rad", settled=True) for one in result.trust.drop_one]
+    spare = replace(result, causes=[], trust=replace(result.trust, drop_one=entries, stars=[]))
+    (remedy,) = list_remedies(spare)
+    assert remedy.free == tuple(name for name in result.free if name != "a2_rad")

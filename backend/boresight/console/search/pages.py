@@ -22,11 +22,18 @@ from boresight.console.approvals.tables import Approval
 from boresight.console.help.glossary import list_terms
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import Run
+from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.db.sessions import Session
 from boresight.platform.web.paging import parse_row_id
 from boresight.settings import SETTINGS
 
 LONGEST_TEXT, MOST_OF_A_KIND = 64, 6
+#: What one may say before a name or number, and the kind that is meant.
+KINDS = {
+    "sensor": "Sensor", "run": "Run", "set": "Parameter set", "parameter set": "Parameter set", "request": "Request",
+    "approval": "Request", "telemetry": "Telemetry", "telemetry set": "Telemetry", "alarm": "Alarm",
+}  # fmt: skip
+NEWEST_ALARMS = 200  # whose sentences are looked through
 SHORTEST_WORD = 2  # of what is no row: one letter would find them all
 HELP = {
     "Glossary": "/help/glossary",
@@ -50,9 +57,19 @@ class Found:
 
 @router.get("/search", response_class=JSONResponse)
 def search(session: Reading, q: str = "") -> JSONResponse:
-    """Find what a text names; a number finds the run, the request and the alarm of that number too."""
-    text = q.strip()[:LONGEST_TEXT]
-    return JSONResponse({"found": [asdict(one) for one in _find(session, text)] if text else []})
+    """Find what a text names; a number finds what has that number too, and a kind before either keeps to it: `run 9`."""
+    text = " ".join(q.split())[:LONGEST_TEXT]
+    kind, name = _split(text)
+    found = [one for one in _find(session, name) if kind is None or one.kind == kind] if text else []
+    return JSONResponse({"found": [asdict(one) for one in found]})
+
+
+def _split(text: str) -> tuple[str | None, str]:
+    """Part a kind from the name or number behind it; what is only a word is looked for as it is."""
+    for word in sorted(KINDS, key=len, reverse=True):
+        if text.lower().startswith(f"{word} ") and text[len(word) :].strip():
+            return KINDS[word], text[len(word) :].strip()
+    return None, text
 
 
 def _find(session: Session, text: str) -> Iterator[Found]:
@@ -69,10 +86,19 @@ def _find(session: Session, text: str) -> Iterator[Found]:
     yield from map(_run, _rows(session, "runs", text, "-run"))
     for row in _rows(session, "telemetry", text, "-uploaded"):
         yield Found("Telemetry", row.name, row.purpose, f"/telemetry/{row.id}")
-    yield from map(_alarm, lists.read_page(session, "alarms", {"sensor_name": text}, "-alarm", limit=MOST_OF_A_KIND))
+    yield from map(_alarm, _alarms(session, text))
     if len(text) >= SHORTEST_WORD:
         for fitting in (_settings(text.lower()), _terms(text.lower()), _help(text.lower())):
             yield from islice(fitting, MOST_OF_A_KIND)
+
+
+def _alarms(session: Session, text: str) -> list[Alarm]:
+    """Return the newest alarms of a sensor, or whose sentence or kind has a text."""
+    of_sensor = lists.read_page(session, "alarms", {"sensor_name": text}, "-alarm", limit=MOST_OF_A_KIND)
+    newest = lists.list_newest(session, Alarm, limit=NEWEST_ALARMS) if len(text) >= SHORTEST_WORD else ()
+    said = (row for row in newest if text.lower() in f"{row.kind} {row.sentence}".lower())
+    found = {row.id: row for row in (*of_sensor, *islice(said, MOST_OF_A_KIND))}
+    return list(found.values())[:MOST_OF_A_KIND]
 
 
 def _settings(text: str) -> Iterator[Found]:
@@ -105,6 +131,8 @@ def _of_number(session: Session, number: int) -> Iterator[Found]:
         yield _request(request, session.get_one(ParameterSet, request.parameter_set_id))
     if (alarm := session.get(Alarm, number)) is not None:
         yield _alarm(alarm)
+    if (known := session.get(TelemetrySet, number)) is not None:
+        yield Found("Telemetry", known.name, known.purpose, f"/telemetry/{known.id}")
 
 
 def _run(row: Run) -> Found:
