@@ -171,6 +171,13 @@ def test_a_command_writes_pointings_and_a_document_and_starts_from_a_calibration
         assert document["sigma_after"][name] < before
 
 
+def test_a_plan_of_a_sensor_file_without_distortion_is_that_of_a_lens_that_has_some(catalogue):
+    plain = calibration_scenario(1).sensor
+    assert not plain.initial[list(CAMERA.parameter_names).index("a1_rad")]
+    found = make_plan(plain, None, None, replace(HALF_HOUR, minutes=10.0), "A", catalogue)
+    assert found.weakest_after < 0.3
+
+
 @pytest.mark.parametrize(
     ("given", "named"),
     [

@@ -725,7 +725,8 @@ def plan(
     start, minutes
         When it begins, UTC in ISO 8601, and how long it may take.
     calibration
-        What is known before; left out, ten typical sigmas of each free parameter of the sensor file.
+        What is known before; left out, ten typical sigmas of each free parameter of the sensor file, at a lens that has one
+        typical sigma of the distortion, tilt and decentring that the file has none of.
     candidates
         CSV of attitudes that may be chosen: ra_deg, dec_deg, roll_deg; left out, pointings over the whole sky.
     criterion

@@ -191,14 +191,17 @@ def make_plan(
 
 def _known(sensor: Sensor, known: Calibration | None, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
     """Return the state where information is taken, and what is known before (n_free, n_free), in typical sigmas."""
+    camera = CAMERA_MODELS[sensor.camera_model]
     if known is None:
-        return sensor.initial, np.eye(len(names)) / CalibrationSettings().initial_sigma_scale ** 2
+        # without distortion, tilt and decentring, principal point and tilt are one rotation: a real lens has some of each
+        neutral = np.array([one.neutral or 0.0 for one in camera.parameters])
+        x = np.where(sensor.initial == neutral, sensor.initial + sensor.typical_sigma, sensor.initial)
+        return x, np.eye(len(names)) / CalibrationSettings().initial_sigma_scale ** 2
     if known.camera_model != sensor.camera_model or not known.is_usable:
         raise RefusedInputError(
             f"The calibration is of a {known.camera_model} and ended {known.status}: give one of this {sensor.camera_model} that "
             "converged."
         )
-    camera = CAMERA_MODELS[sensor.camera_model]
     scale = sensor.typical_sigma[[camera.parameter_names.index(name) for name in names]]
     x = np.array([known.parameters[name] for name in camera.parameter_names])
     P = np.array(known.reliable_covariance, np.float64) / np.outer(scale, scale)
