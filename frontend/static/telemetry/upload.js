@@ -64,6 +64,7 @@ function finish(answer) {
 
 /** @param {HTMLFormElement} form @param {HTMLElement | null} submitter */
 function upload(form, submitter) {
+  const content = new FormData(form, submitter); // before the button that was pressed goes with the refusal it stands in
   result().replaceChildren();
   const sent = (request = new XMLHttpRequest());
   sent.upload.onprogress = ({ loaded, total }) =>
@@ -83,7 +84,7 @@ function upload(form, submitter) {
   sent.setRequestHeader("X-Boresight-Upload", "1");
   say(0, "Sending");
   offer(true);
-  sent.send(new FormData(form, submitter));
+  sent.send(content);
 }
 
 if (form) {
