@@ -112,9 +112,9 @@ def test_the_keys_g_and_a_letter_go_to_a_page_and_never_while_typing(people):
         expect(window.page.locator("#keys-open")).to_be_visible()
         left = []
         window.page.on("request", lambda request: request.is_navigation_request() and left.append(request.url))
-        window.page.get_by_label("Object").focus()
+        window.page.get_by_label("Object", exact=True).focus()
         window.page.keyboard.type(f"g{letter}")
-        expect(window.page.get_by_label("Object")).to_have_value(f"g{letter}")
+        expect(window.page.get_by_label("Object", exact=True)).to_have_value(f"g{letter}")
         window.settle()
         assert left == []
 

@@ -162,7 +162,7 @@ def test_clock_and_time_axes_are_in_the_form_that_was_chosen(people, drifting):
             window.page.locator("#zone").fill("Asia/Kathmandu")
             window.page.locator(f"#form-{form}").check()
             window.shoot(f"84-preferences-{form}")
-            window.page.get_by_role("button", name="Save").click()
+            window.page.get_by_role("button", name="Save", exact=True).click()
             expect(window.page.locator("html")).to_have_attribute("data-times", form)
             window.open(f"/sensors/{drifting}/trend")
             window.figures_drawn()

@@ -13,7 +13,7 @@ OUTSIDE = """() => [...document.querySelectorAll("body *")].filter(one => {
     const place = one.getBoundingClientRect();
     return place.width && place.right > innerWidth + 1 && !one.closest("svg, .sr, .skip, caption");
 }).map(one => one.outerHTML.slice(0, 80))"""
-FOLDED = """() => [...document.querySelectorAll("details:not([open], [data-figure-table], [data-view])")]
+FOLDED = """() => [...document.querySelectorAll("details:not([open], [data-figure-table], [data-view], :has(plot-figure))")]
     .filter(one => one.checkVisibility() && one.offsetHeight <= one.querySelector("summary").offsetHeight + 2)
     .map(one => one.outerHTML.slice(0, 80))"""
 

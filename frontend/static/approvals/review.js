@@ -44,7 +44,10 @@ function markOpened(name) {
 }
 
 for (const view of findAll("[data-view]", HTMLDetailsElement)) {
+  const small = view.parentElement?.querySelector("plot-figure[small]");
   view.addEventListener("toggle", () => {
+    if (view.open) small?.remove(); // the large one is there instead
+    else if (small) view.after(small);
     const held = find("template", HTMLTemplateElement, view);
     if (!view.open || !held) return;
     const figure = held.content.querySelector("plot-figure");

@@ -6,8 +6,9 @@ import pytest
 
 from boresight.console.notes import service as notes
 from boresight.console.notes.attachments import MOST_ATTACHMENTS, attach, check_file
-from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
+from boresight.errors import BoresightError, ConflictError, ForbiddenError, NotFoundError, RefusedInputError
 from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import mark_dry_run
 from boresight.platform.web.middleware import ATTACHMENT_LIMIT_BYTES
 
 CONTENT = b"12:00 safe mode\n"
@@ -66,6 +67,13 @@ def test_only_the_author_attaches_and_no_more_than_ten(session, people, blobs, n
         attach(session, people["ana"], blobs, note.id, file)
     with pytest.raises(ConflictError):
         attach(session, people["ana"], blobs, note.id, file)
+
+
+def test_a_dry_run_stores_no_bytes(session, people, blobs, note):
+    mark_dry_run(session)
+    row = attach(session, people["ana"], blobs, note.id, check_file("a.txt", CONTENT))
+    with pytest.raises(BoresightError):
+        blobs.read(row.sha256)
 
 
 def _add(visitor, name, content):

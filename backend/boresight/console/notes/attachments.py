@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 
 from boresight.console.notes.service import WRITERS
@@ -10,7 +11,7 @@ from boresight.errors import ConflictError, ForbiddenError, RefusedInputError
 from boresight.platform.actors import Actor, require_person, require_role
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.store import BlobStore, register_blob
-from boresight.platform.db.sessions import Session, utc_now
+from boresight.platform.db.sessions import Session, is_dry_run, utc_now
 from boresight.platform.web.middleware import ATTACHMENT_LIMIT_BYTES
 from boresight.platform.web.text_validation import normal_name
 
@@ -51,10 +52,10 @@ def attach(session: Session, actor: Actor, blobs: BlobStore, note_id: int, file:
         raise ForbiddenError("Only who wrote a note may attach a file to it; write a note of your own.")
     if len(note.attachments) >= MOST_ATTACHMENTS:
         raise ConflictError(f"The note has {MOST_ATTACHMENTS} attachments; write another note.")
-    blob = register_blob(session, blobs, blobs.put(file.content), "application/octet-stream")
-    row = NoteAttachment(
-        note_id=note_id, name=file.name, sha256=blob.sha256, size_bytes=len(file.content), made_utc=utc_now()
-    )
+    size = len(file.content)
+    sha256 = hashlib.sha256(file.content).hexdigest() if is_dry_run(session) else blobs.put(file.content)
+    blob = register_blob(session, blobs, sha256, "application/octet-stream", size)
+    row = NoteAttachment(note_id=note_id, name=file.name, sha256=blob.sha256, size_bytes=size, made_utc=utc_now())
     session.put(row)
     session.expire(note, ["attachments"])
     after = {"name": row.name, "sha256": row.sha256, "size_bytes": row.size_bytes}

@@ -10,7 +10,7 @@ from pydantic import Field
 from starlette.datastructures import UploadFile
 from starlette.requests import Request
 
-from boresight.console.access.dependencies import Blobs, Reading, Who, Writing, refuse_dry_run
+from boresight.console.access.dependencies import Blobs, Reading, Who, Writing
 from boresight.console.notes import attachments, schemas
 from boresight.console.notes import service as notes
 from boresight.console.notes.tables import Annotation, Note, NoteAttachment
@@ -134,7 +134,6 @@ async def read_file(request: Request) -> attachments.AttachedFile:
     "/notes/{note_id}/attachments",
     summary="Attach a file to a note",
     status_code=201,
-    dependencies=[Depends(refuse_dry_run)],
     response_model=schemas.NoteAttachment,
     openapi_extra={"requestBody": FORM},
 )

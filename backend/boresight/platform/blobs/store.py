@@ -105,11 +105,18 @@ def written_beside(source: BinaryIO, folder: Path) -> Iterator[tuple[Path, str]]
         Path(name).unlink(missing_ok=True)
 
 
-def register_blob(session: Session, blobs: BlobStore, sha256: str, media_type: str) -> Blob:
-    """Return the row of a blob, created if needed, for rows that refer to it."""
+def register_blob(
+    session: Session, blobs: BlobStore, sha256: str, media_type: str, size_bytes: int | None = None
+) -> Blob:
+    """Return the row of a blob, created if needed, for rows that refer to it; of what a dry run did not store, by its size."""
     row = session.scalar(sa.select(Blob).where(Blob.sha256 == sha256))
     if row is None:
-        row = Blob(sha256=sha256, size_bytes=blobs.size(sha256), media_type=media_type, created_utc=utc_now())
+        row = Blob(
+            sha256=sha256,
+            size_bytes=blobs.size(sha256) if size_bytes is None else size_bytes,
+            media_type=media_type,
+            created_utc=utc_now(),
+        )
         session.add(row)
         session.flush()
     return row

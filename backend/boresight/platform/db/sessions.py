@@ -36,6 +36,7 @@ __all__ = [
     "current_revision",
     "downgrade",
     "head_revision",
+    "is_dry_run",
     "keep_despite_refusal",
     "list_downgrade_losses",
     "mark_dry_run",
@@ -135,6 +136,11 @@ def _end(session: Session) -> None:
 def mark_dry_run(session: Session) -> None:
     """Make this transaction a dry run: every check is made, and it is rolled back at its end."""
     session.info[DRY_RUN] = True
+
+
+def is_dry_run(session: Session) -> bool:
+    """Whether this transaction is rolled back at its end, so that nothing outside of it may be stored."""
+    return bool(session.info.get(DRY_RUN))
 
 
 def keep_despite_refusal(session: Session) -> None:
