@@ -94,9 +94,9 @@ def take_it_on_board(people, made):
         window.page.wait_for_url(re.compile(r"/uplink$"))
         at.next("Record SENT")
         window.page.locator("dialog[open] select").select_option(index=1)
-        at.confirm("Record SENT", Known_from="Pass 4711")
+        at.confirm("Record SENT", Source="Pass 4711")
         at.next("Record LOADED")
-        at.confirm("Record LOADED", Known_from="Pass 4712")
+        at.confirm("Record LOADED", Source="Pass 4712")
         expect(window.page.locator("#stations [aria-current=step]")).to_contain_text("Read back")
         table = sent_table(window, made.rpartition("/")[2])
         dump = {"name": "dump.bin", "mimeType": "application/octet-stream", "buffer": table}
@@ -105,7 +105,7 @@ def take_it_on_board(people, made):
         at.press("button", "^Compare with what was sent")
         at.next("Sign ACTIVE")
         at.confirm(
-            "Sign", Known_from="Pass 4713", What_your_signature="I saw it.", Your_password=get_password("operator")
+            "Sign", Source="Pass 4713", What_your_signature="I saw it.", Your_password=get_password("operator")
         )
         expect(window.page.locator("#stations li").last).to_contain_text("Active: done")
         window.shoot("path-4-active")
@@ -126,4 +126,4 @@ def test_a_set_is_on_board_after_at_most_twenty_presses(path):
 
 
 def test_at_the_end_nothing_is_left_to_do(path):
-    assert "nothing is left" in path[1]
+    assert "nothing more to do" in path[1]

@@ -164,7 +164,7 @@ def test_a_frame_is_stepped_through_scaled_and_found_again_by_its_address(people
         expect(drawing).to_be_focused()
         assert page.url.endswith("frame=7&scale=100")
 
-        page.get_by_label("Drawn").select_option("500")
+        page.get_by_label("Scale").select_option("500")
         assert page.url.endswith("frame=7&scale=500")
         frame = window.read(f"/api/v1/runs/{batch_run}/frames/7")
         star = next(star for star in frame["exposures"][0]["stars"] if star["new"])
