@@ -104,9 +104,7 @@ def take_it_on_board(people, made):
         window.page.locator("#read-back-source").fill("Pass 4712")
         at.press("button", "^Compare with what was sent")
         at.next("Sign ACTIVE")
-        at.confirm(
-            "Sign", Source="Pass 4713", What_your_signature="I saw it.", Your_password=get_password("operator")
-        )
+        at.confirm("Sign", Source="Pass 4713", What_your_signature="I saw it.", Your_password=get_password("operator"))
         expect(window.page.locator("#stations li").last).to_contain_text("Active: done")
         window.shoot("path-4-active")
         return at.count, window.page.locator("#stations .next-act").inner_text()
