@@ -17,7 +17,7 @@ from boresight.cameras.pinhole_radial import PINHOLE_RADIAL
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.estimation.metrics import rms
 from boresight.simulation import scenes
-from boresight.simulation.fields import GALACTIC_POLE_DEG, _attitudes, _unit_vectors, random_fields
+from boresight.simulation.fields import GALACTIC_POLE_DEG, _attitudes, random_fields
 from boresight.simulation.orbits import (
     EARTH_RADIUS_M,
     MOTIONS,
@@ -28,6 +28,7 @@ from boresight.simulation.orbits import (
     attitude,
     state,
     sun_direction,
+    unit_vectors,
     usable,
 )
 from boresight.simulation.scenes import (
@@ -297,7 +298,7 @@ def test_the_true_camera_gives_back_the_catalogues_angles_and_its_share_of_a_uni
 def test_attitudes_are_rotations_with_their_boresights_in_the_band_spread_evenly():
     rng = np.random.default_rng(2)
     C = np.concatenate([_attitudes(25.0, rng) for _ in range(20)])
-    sine = C[:, 2] @ _unit_vectors(*np.radians(GALACTIC_POLE_DEG))
+    sine = C[:, 2] @ unit_vectors(*np.radians(GALACTIC_POLE_DEG))
     assert np.allclose(C @ C.transpose(0, 2, 1), np.eye(3), atol=1e-12)
     assert np.allclose(np.linalg.det(C), 1)
     assert np.abs(sine).max() <= np.sin(np.radians(25))

@@ -17,6 +17,7 @@ import numpy as np
 from boresight.arrays import FloatArray, IntArray
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import corners
+from boresight.simulation.orbits import unit_vectors
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.sensors import Sensor
 
@@ -51,7 +52,7 @@ class StarFields:
 
 def directions(catalogue: Catalogue) -> FloatArray:
     """Unit vectors (n_stars, 3) at the catalogue's epoch."""
-    return _unit_vectors(catalogue.ra_rad, catalogue.dec_rad)
+    return unit_vectors(catalogue.ra_rad, catalogue.dec_rad)
 
 
 def random_fields(
@@ -106,7 +107,7 @@ def _block(
 
 def _attitudes(latitude_deg: float, rng: np.random.Generator) -> FloatArray:
     """Draw `BLOCK` rotations C (n, 3, 3) from ICRS whose third rows, the boresights, lie in the band."""
-    pole = _unit_vectors(*np.radians(GALACTIC_POLE_DEG))
+    pole = unit_vectors(*np.radians(GALACTIC_POLE_DEG))
     sine = rng.uniform(-1, 1, BLOCK) * np.sin(np.radians(latitude_deg))
     across = _perpendicular(np.broadcast_to(pole, (BLOCK, 3)), rng)
     z = np.sqrt(1 - sine**2)[:, None] * across + sine[:, None] * pole
@@ -119,7 +120,3 @@ def _perpendicular(z: FloatArray, rng: np.random.Generator) -> FloatArray:
     drawn = rng.normal(size=z.shape)
     drawn -= np.sum(drawn * z, axis=1, keepdims=True) * z
     return np.asarray(drawn / np.linalg.norm(drawn, axis=1, keepdims=True))
-
-
-def _unit_vectors(ra_rad: FloatArray, dec_rad: FloatArray) -> FloatArray:
-    return np.stack([np.cos(dec_rad) * np.cos(ra_rad), np.cos(dec_rad) * np.sin(ra_rad), np.sin(dec_rad)], axis=-1)

@@ -49,7 +49,16 @@ from scipy.spatial.transform import Rotation
 from boresight.arrays import BoolArray, FloatArray, IntArray, TimeArray
 from boresight.cameras import CAMERA_MODELS
 from boresight.estimation import MINIMUM_STARS
-from boresight.simulation.orbits import EARTH_RADIUS_M, GOLDEN_ANGLE_RAD, J2000, Orbit, look_at, state, sun_direction
+from boresight.simulation.orbits import (
+    EARTH_RADIUS_M,
+    GOLDEN_ANGLE_RAD,
+    J2000,
+    Orbit,
+    look_at,
+    state,
+    sun_direction,
+    unit_vectors,
+)
 from boresight.simulation.scenes import is_on_detector
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.sensors import Sensor
@@ -152,7 +161,7 @@ class Candidates:
     @property
     def boresight(self) -> FloatArray:
         """(n, 3) unit vectors, ICRS."""
-        return _unit_vectors(self.ra_rad, self.dec_rad)
+        return unit_vectors(self.ra_rad, self.dec_rad)
 
     @property
     def attitude(self) -> FloatArray:
@@ -166,10 +175,6 @@ class Candidates:
     def quaternion(self) -> FloatArray:
         """(n, 4) x, y, z, w, ICRS to the triad."""
         return np.asarray(Rotation.from_matrix(self.attitude).inv().as_quat(canonical=True))
-
-
-def _unit_vectors(ra_rad: FloatArray, dec_rad: FloatArray) -> FloatArray:
-    return np.stack([np.cos(dec_rad) * np.cos(ra_rad), np.cos(dec_rad) * np.sin(ra_rad), np.sin(dec_rad)], axis=-1)
 
 
 def spread_over_sky(pointings: int, rolls: int) -> Candidates:
@@ -208,7 +213,7 @@ def exposure_information(
     """
     limit = np.inf if sensor.magnitude_limit is None else sensor.magnitude_limit
     bright = np.flatnonzero(catalogue.magnitude < limit)
-    s_i = _unit_vectors(catalogue.ra_rad[bright], catalogue.dec_rad[bright])
+    s_i = unit_vectors(catalogue.ra_rad[bright], catalogue.dec_rad[bright])
     cone = CAMERA_MODELS[sensor.camera_model].cone_rad(x, sensor.rows, sensor.columns, sensor.pixel_pitch_m)
     sky = KDTree(s_i)
     parts = []

@@ -69,7 +69,7 @@ from boresight.arrays import FloatArray, IntArray
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import Role
 from boresight.errors import RefusedInputError
-from boresight.simulation.orbits import GOLDEN_ANGLE_RAD, MOTIONS, Orbit, attitude, look_at, state, usable
+from boresight.simulation.orbits import GOLDEN_ANGLE_RAD, MOTIONS, Orbit, attitude, look_at, state, unit_vectors, usable
 from boresight.simulation.sensors import SENSOR_NUMBERS, st16_sensor, st16_truth
 from boresight.site import Site
 from boresight.sky.catalogue import Catalogue
@@ -535,8 +535,7 @@ def _resolved(scenario: Scenario, s_i: FloatArray, magnitude: FloatArray) -> NDA
 
 def _catalogue_directions(catalogue: Catalogue, star: IntArray) -> FloatArray:
     """Return unit vectors (n, 3) at the catalogue's epoch: near enough to choose candidates."""
-    ra, dec = catalogue.ra_rad[star], catalogue.dec_rad[star]
-    return np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=-1)
+    return unit_vectors(catalogue.ra_rad[star], catalogue.dec_rad[star])
 
 
 def _cone_rad(scenario: Scenario) -> float:
