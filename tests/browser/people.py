@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from playwright.sync_api import Browser, BrowserContext
 
 from tests.browser.installation import Installation
-from tests.browser.window import NARROW, Window
+from tests.browser.window import FORGET_THEME, NARROW, Window
 
 PRINTED_NAMES = {
     "administrator": "Adele Administrator",
@@ -60,5 +60,6 @@ class People:
             window.open("/login")
             window.enter(name, get_password(name))
             window.page.wait_for_url("**/")
+            window.page.evaluate(FORGET_THEME)  # which a log-in tells of a test that chose one as the same person
             self._windows[name] = [window]
         return self._windows[name].pop() if self._windows[name] and not new else Window(self._contexts[name])

@@ -21,6 +21,7 @@ FOLDED = """() => [...document.querySelectorAll("details:not([open], [data-figur
 def test_the_theme_is_the_system_s_until_one_is_chosen(people):
     with people.seat("analyst", new=True) as window:
         window.open("/")
+        window.page.evaluate(FORGET_THEME)
         for asked, shown in (({"color_scheme": "light"}, "light"), ({"color_scheme": "dark"}, "dark")):
             window.page.emulate_media(**asked)
             window.page.wait_for_function("theme => document.documentElement.dataset.theme === theme", arg=shown)
