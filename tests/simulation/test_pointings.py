@@ -183,7 +183,7 @@ def test_a_plan_of_a_sensor_file_without_distortion_is_that_of_a_lens_that_has_s
     [
         ({"minutes": 0.0}, "minutes"),
         ({"visits": 0}, "visits"),
-        ({"start": "yesterday"}, "yesterday"),
+        ({"start": "yesterday"}, "start_utc"),
         ({"criterion": "E"}, "'E'"),
         ({"orbit": {"altitude_km": 570.0}}, "node_hour"),
         ({"sun_deg": 120.0, "moon_deg": 120.0}, "candidate"),

@@ -28,7 +28,6 @@ from boresight.simulation.orbits import (
     attitude,
     state,
     sun_direction,
-    unit_vectors,
     usable,
 )
 from boresight.simulation.scenes import (
@@ -48,6 +47,7 @@ from boresight.simulation.sensors import (
     wu_sensor,
 )
 from boresight.sky.apparent import apparent_directions
+from boresight.sky.catalogue import unit_vectors
 from boresight.telemetry.sensors import sensor_document
 
 numbers = st.sampled_from(SENSOR_NUMBERS)

@@ -747,15 +747,15 @@ def plan(
     from boresight.library import pointings
     from boresight.library.inputs import read_any_calibration, read_any_sensor
     from boresight.simulation.pointings import Constraints
+    from boresight.simulation.scenes import parse_orbit, parse_start
 
     described = read_any_sensor(sensor)
     known = None if calibration is None else read_any_calibration(calibration)
     if unknown := set(constraints) - {one.name for one in fields(Constraints)}:
         raise RefusedInputError(f"A plan has no {min(unknown)!r}: choose a constraint that `help(plan)` lists.")
-    begins = pointings.parse_start(start)
-    wanted = Constraints(
-        start_utc=begins, minutes=minutes, orbit=pointings.parse_orbit(orbit, begins), **cast("Any", constraints)
-    )
+    begins = parse_start(start)
+    circle = None if orbit is None else parse_orbit(orbit, begins)
+    wanted = Constraints(start_utc=begins, minutes=minutes, orbit=circle, **cast("Any", constraints))
     listed = None if candidates is None else pointings.read_candidates(Path(candidates))
     with _prepared(progress, "planning") as prepared:
         return pointings.make_plan(described, known, listed, wanted, criterion, prepared.load_catalogue())

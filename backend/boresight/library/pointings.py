@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -265,31 +265,3 @@ def _write(  # noqa: PLR0913 - what a plan is written from
         minutes_to_gate=to_gate,
         sentence=sentence,
     )
-
-
-def parse_start(text: str) -> np.datetime64:
-    """Read the start of a plan."""
-    try:
-        start = np.datetime64(text.removesuffix("Z"), "us")
-    except ValueError as error:
-        raise RefusedInputError(
-            f"The start {text[:40]!r} is no time: write UTC in ISO 8601, as 2026-10-01T00:00:00Z."
-        ) from error
-    if not np.datetime64("1980-01-01") <= start <= np.datetime64("2100-01-01"):
-        raise RefusedInputError("The start is not between 1980 and 2100: write another.")
-    return start
-
-
-def parse_orbit(orbit: Mapping[str, float] | None, start: np.datetime64) -> Any:
-    """Read a circular orbit: `altitude_km`, `inclination_deg` and `node_hour`, the local solar time of its ascending node."""
-    from boresight.simulation.orbits import Orbit
-    from boresight.simulation.scenes import ORBIT_MEASURES
-
-    if orbit is None:
-        return None
-    if set(orbit) != set(ORBIT_MEASURES):
-        raise RefusedInputError(f"An orbit is {', '.join(ORBIT_MEASURES)}: give these three.")
-    for name, (low, high) in ORBIT_MEASURES.items():
-        if not low <= orbit[name] <= high:
-            raise RefusedInputError(f"{name} is {orbit[name]:g}: choose {low:g} to {high:g}.")
-    return Orbit(orbit["altitude_km"] * 1e3, float(np.radians(orbit["inclination_deg"])), orbit["node_hour"], start)

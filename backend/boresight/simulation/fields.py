@@ -17,8 +17,7 @@ import numpy as np
 from boresight.arrays import FloatArray, IntArray
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import corners
-from boresight.simulation.orbits import unit_vectors
-from boresight.sky.catalogue import Catalogue
+from boresight.sky.catalogue import Catalogue, unit_vectors
 from boresight.telemetry.sensors import Sensor
 
 #: North Galactic pole, ICRS, degrees (ESA SP-1200, 1.5.3).

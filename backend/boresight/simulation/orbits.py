@@ -97,11 +97,6 @@ class Orbit:
         return instants
 
 
-def unit_vectors(ra_rad: FloatArray, dec_rad: FloatArray) -> FloatArray:
-    """Return directions (n, 3), ICRS, of right ascensions and declinations (n,)."""
-    return np.stack([np.cos(dec_rad) * np.cos(ra_rad), np.cos(dec_rad) * np.sin(ra_rad), np.sin(dec_rad)], axis=-1)
-
-
 def sun_direction(time_utc: TimeArray) -> FloatArray:
     """Return the Sun's direction (n, 3), ICRS, to 0.01 deg (the Astronomical Almanac's low-precision series)."""
     days = (time_utc - J2000) / np.timedelta64(1, "us") / 1e6 / DAY_S

@@ -57,10 +57,9 @@ from boresight.simulation.orbits import (
     look_at,
     state,
     sun_direction,
-    unit_vectors,
 )
 from boresight.simulation.scenes import is_on_detector
-from boresight.sky.catalogue import Catalogue
+from boresight.sky.catalogue import Catalogue, unit_vectors
 from boresight.telemetry.sensors import Sensor
 
 Criterion = Literal["D", "A"]

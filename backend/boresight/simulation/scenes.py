@@ -69,10 +69,10 @@ from boresight.arrays import FloatArray, IntArray
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import Role
 from boresight.errors import RefusedInputError
-from boresight.simulation.orbits import GOLDEN_ANGLE_RAD, MOTIONS, Orbit, attitude, look_at, state, unit_vectors, usable
+from boresight.simulation.orbits import GOLDEN_ANGLE_RAD, MOTIONS, Orbit, attitude, look_at, state, usable
 from boresight.simulation.sensors import SENSOR_NUMBERS, st16_sensor, st16_truth
 from boresight.site import Site
-from boresight.sky.catalogue import Catalogue
+from boresight.sky.catalogue import Catalogue, unit_vectors
 from boresight.sky.ground import observed_directions, view_from
 from boresight.telemetry.schema import UNMATCHED, Telemetry
 from boresight.telemetry.sensors import Sensor, parse_sensor, sensor_document
@@ -216,7 +216,8 @@ def parse_scenario(document: Mapping[str, Any]) -> Scenario:
     changes: dict[str, Any] = {"truth": _parse_truth(document.get("truth", {}), base)}
     changes |= {key: int(_measure(document, key, WHOLE_NUMBERS)) for key in WHOLE_NUMBERS if key in document}
     changes |= {key: _measure(document, key, MEASURES) for key in MEASURES if key in document}
-    changes["orbit"] = _parse_orbit(document, base.orbit)
+    start = parse_start(document["start_utc"]) if "start_utc" in document else base.orbit.start_utc
+    changes["orbit"] = parse_orbit(document.get("orbit", {}), start, base.orbit)
     if "pointing_deg" in document:
         changes["pointing_rad"] = float(np.radians(_measure(document, "pointing_deg", {"pointing_deg": (-360, 360)})))
     if "motion" in document:
@@ -283,20 +284,17 @@ def _parse_truth(truth: Any, base: Scenario) -> FloatArray:
     return x
 
 
-def _parse_orbit(document: Mapping[str, Any], base: Orbit) -> Orbit:
-    """Return the orbit: the default one with the given measures and start time."""
-    orbit = document.get("orbit", {})
-    if not isinstance(orbit, Mapping) or set(orbit) - set(ORBIT_MEASURES):
-        raise RefusedInputError(f"A scenario's `orbit` must be an object of {', '.join(ORBIT_MEASURES)}.")
-    given = {key: _measure(orbit, key, ORBIT_MEASURES) for key in orbit}
-    return Orbit(
-        altitude_m=given["altitude_km"] * 1e3 if "altitude_km" in given else base.altitude_m,
-        inclination_rad=(
-            float(np.radians(given["inclination_deg"])) if "inclination_deg" in given else base.inclination_rad
-        ),
-        node_hour=given.get("node_hour", base.node_hour),
-        start_utc=_parse_time(document["start_utc"]) if "start_utc" in document else base.start_utc,
-    )
+def parse_orbit(orbit: Any, start_utc: np.datetime64, base: Orbit | None = None) -> Orbit:
+    """Return a circular orbit: the base one with the given measures, or of all three where there is none."""
+    names = set(orbit) if isinstance(orbit, Mapping) else {""}
+    if not names <= set(ORBIT_MEASURES) or (base is None and len(names) < len(ORBIT_MEASURES)):
+        raise RefusedInputError(f"An orbit must be an object of {', '.join(ORBIT_MEASURES)}.")
+    measures: dict[str, Any] = {key: _measure(orbit, key, ORBIT_MEASURES) for key in orbit}
+    if "altitude_km" in measures:
+        measures["altitude_m"] = measures.pop("altitude_km") * 1e3
+    if "inclination_deg" in measures:
+        measures["inclination_rad"] = float(np.radians(measures.pop("inclination_deg")))
+    return Orbit(**measures, start_utc=start_utc) if base is None else replace(base, **measures, start_utc=start_utc)
 
 
 def _parse_motion(motion: Any) -> str:
@@ -320,11 +318,9 @@ def _check_ground(scenario: Scenario) -> None:
         )
 
 
-def _parse_time(text: Any) -> np.datetime64:
+def parse_start(text: Any) -> np.datetime64:
     """Return an instant between 1980 and 2100, where the stars' linear motions hold."""
-    refusal = RefusedInputError(
-        "A scenario's `start_utc` must be an ISO 8601 time in UTC from 1980 to 2100, as 2026-10-01T00:00:00Z."
-    )
+    refusal = RefusedInputError("`start_utc` must be an ISO 8601 time in UTC from 1980 to 2100, as 2026-10-01T00:00:00Z.")
     try:
         instant = np.datetime64(str(text).removesuffix("Z"), "us")
     except ValueError as error:
@@ -341,7 +337,7 @@ def _measure(document: Mapping[str, Any], key: str, limits: Mapping[str, tuple[f
     kinds = int if whole else (int, float)
     if isinstance(value, bool) or not isinstance(value, kinds) or not low <= value <= high:
         kind = "a whole number" if whole else "a number"
-        raise RefusedInputError(f"A scenario's `{key}` must be {kind} from {low:g} to {high:g}; it is {value!r}.")
+        raise RefusedInputError(f"`{key}` must be {kind} from {low:g} to {high:g}; it is {value!r}.")
     return value
 
 

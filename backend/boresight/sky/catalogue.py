@@ -38,6 +38,11 @@ _FIELDS_READ = (0, 1, 4, 5, 6, 7, 8, 19, 23, 24)  # HIP, Sn, RA, Dec, parallax, 
 _MAGNITUDE = _FIELDS_READ.index(19)
 
 
+def unit_vectors(ra_rad: FloatArray, dec_rad: FloatArray) -> FloatArray:
+    """Return directions (n, 3), ICRS, of right ascensions and declinations (n,)."""
+    return np.stack([np.cos(dec_rad) * np.cos(ra_rad), np.cos(dec_rad) * np.sin(ra_rad), np.sin(dec_rad)], axis=-1)
+
+
 @dataclass(frozen=True)
 class Catalogue:
     """Stars as a structure of arrays, ascending in `hip`; ICRS, epoch J1991.25.

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from boresight.arrays import FloatArray, IntArray
 from boresight.errors import RefusedInputError
 from boresight.site import Site
-from boresight.sky.catalogue import Catalogue
+from boresight.sky.catalogue import Catalogue, unit_vectors
 from boresight.sky.ground import observed_directions
 
 
@@ -84,8 +84,7 @@ def _given_directions(ra_rad: FloatArray | None, dec_rad: FloatArray | None) -> 
     """Return the (n_rows, 3) unit vectors that the file gives, NaN where it gives none; None without such columns."""
     if ra_rad is None or dec_rad is None:
         return None
-    cos_dec = np.cos(dec_rad)
-    return np.column_stack([cos_dec * np.cos(ra_rad), cos_dec * np.sin(ra_rad), np.sin(dec_rad)])
+    return unit_vectors(ra_rad, dec_rad)
 
 
 def _get_times(time_utc: NDArray[np.datetime64] | None, rows: IntArray) -> NDArray[np.datetime64]:

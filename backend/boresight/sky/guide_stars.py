@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from boresight.arrays import FloatArray, IntArray
 from boresight.site import Site
 from boresight.sky.apparent import C_AU_DAY, C_M_S, DAYS_PER_YEAR, J1991_25_DAYS, days_since_j2000, earth_state
-from boresight.sky.catalogue import SINGLE_STAR, Catalogue
+from boresight.sky.catalogue import SINGLE_STAR, Catalogue, unit_vectors
 from boresight.sky.ground import velocity_at, view_from
 
 #: Bands of z are so far apart where places are put in one order: x and a reach fit between, each two at most.
@@ -112,10 +112,9 @@ def _triad(catalogue: Catalogue, star: IntArray) -> tuple[FloatArray, FloatArray
     """Unit vectors to stars, and east and north of them, each (n, 3)."""
     ra, dec = catalogue.ra_rad[star], catalogue.dec_rad[star]
     zero = np.zeros_like(ra)
-    place = np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=-1)
     east = np.stack([-np.sin(ra), np.cos(ra), zero], axis=-1)
     north = np.stack([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)], axis=-1)
-    return place, east, north
+    return unit_vectors(ra, dec), east, north
 
 
 def close_pairs(place: FloatArray, reach: float) -> tuple[IntArray, IntArray]:
@@ -262,8 +261,7 @@ def _unreliable(solution_type: IntArray) -> NDArray[np.int8]:
 
 def _place(catalogue: Catalogue, star: IntArray | slice) -> FloatArray:
     """Unit vectors (n, 3) to some stars."""
-    ra, dec = catalogue.ra_rad[star], catalogue.dec_rad[star]
-    return np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+    return unit_vectors(catalogue.ra_rad[star], catalogue.dec_rad[star])
 
 
 def phrases(flag: int) -> list[str]:

@@ -45,7 +45,7 @@ from boresight.errors import RefusedInputError
 from boresight.estimation.attitude import conjugate, rotation_vector, to_matrix, triad
 from boresight.estimation.attitude import product as turn
 from boresight.sky.apparent import apparent_directions
-from boresight.sky.catalogue import Catalogue
+from boresight.sky.catalogue import Catalogue, unit_vectors
 from boresight.sky.directions import star_directions
 from boresight.sky.identification import FEWEST_STARS, FIELD_ERROR, MOST_STARS, Recognised
 from boresight.telemetry.mapping import TelemetryMapping
@@ -397,7 +397,7 @@ class _Search:
         rows = np.flatnonzero((telemetry.star_id > 0) & (index >= 0) & np.isfinite(telemetry.ra_rad))
         if len(rows) < FEWEST_STARS or self.bench.timeless:
             return Hypothesis()
-        told = _unit(telemetry.ra_rad[rows], telemetry.dec_rad[rows])
+        told = unit_vectors(telemetry.ra_rad[rows], telemetry.dec_rad[rows])
         velocity = None if telemetry.velocity_m_s is None else telemetry.velocity_m_s[rows]
         seen = apparent_directions(catalogue, index[rows], self.bench.times[rows], velocity)
         years = {"J1991.25": 0.0, "J2000": 8.75}
@@ -626,11 +626,6 @@ def _noise(trial: Trial) -> float:
     return 1.0 if trial.agreement is None else trial.agreement.noise**2
 
 
-def _unit(ra_rad: FloatArray, dec_rad: FloatArray) -> FloatArray:
-    """Unit vectors (n, 3) of places (n,)."""
-    return np.column_stack([np.cos(dec_rad) * np.cos(ra_rad), np.cos(dec_rad) * np.sin(ra_rad), np.sin(dec_rad)])
-
-
 def _apart(one: FloatArray, other: FloatArray) -> FloatArray:
     """Angles (n,) between unit vectors, rad, exact where they are small."""
     return np.asarray(np.linalg.norm(one - other, axis=1))
@@ -640,4 +635,4 @@ def _resting(catalogue: Catalogue, index: IntArray, years: float) -> FloatArray:
     """Catalogue places (n, 3) with proper motion for some years from J1991.25, seen by an observer at rest in the barycentre."""
     ra, dec = catalogue.ra_rad[index], catalogue.dec_rad[index]
     east = catalogue.pm_ra_cosdec_rad_yr[index] * years / np.cos(dec)
-    return _unit(ra + east, dec + catalogue.pm_dec_rad_yr[index] * years)
+    return unit_vectors(ra + east, dec + catalogue.pm_dec_rad_yr[index] * years)

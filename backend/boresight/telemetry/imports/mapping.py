@@ -847,10 +847,10 @@ def _apparent(
 ) -> tuple[FloatArray, FloatArray]:
     """Turn places of a catalogue towards the velocity of the Earth and, where known, the satellite."""
     from boresight.sky.apparent import aberrated, days_since_j2000, earth_state  # noqa: PLC0415 - erfa's tables, only for these
+    from boresight.sky.catalogue import unit_vectors  # noqa: PLC0415 - as these
 
     velocity = earth_state(days_since_j2000(moments))[1] * _AU_A_DAY_IN_C
     if velocity_m_s is not None:
         velocity = velocity + np.nan_to_num(velocity_m_s) / _LIGHT_M_S
-    s = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
-    seen = aberrated(s, velocity)
+    seen = aberrated(unit_vectors(ra, dec), velocity)
     return np.arctan2(seen[:, 1], seen[:, 0]) % (2 * np.pi), np.arcsin(np.clip(seen[:, 2], -1, 1))
