@@ -83,6 +83,9 @@ PARTS: dict[str, Part] = {
     "diagnosis": Part(
         "diagnosis:measure", "what is named of forty wrong inputs, each mistake alone and in pairs, and what is mended wrongly"
     ),
+    "pointings": Part(
+        "pointings:measure", "how soon planned pointings pass the gate of observability, beside chance and the paper's sets"
+    ),
     "fresh": Part("growth:measure_fresh", "what a fresh process pays before its first calibration, beside a warm one"),
     "growth": Part("growth:measure", "time and memory from a thousand frames to a million"),
     "spread": Part("spread:measure", "one batch over one worker, two, and two of which one is killed"),

@@ -449,10 +449,30 @@ def _diagnosis(found: Found) -> str:
     )
 
 
+def _pointings(found: Found) -> str:
+    ways = {"plan": "planned", "chance": f"by chance, median of {found['draws']}", "paper": "the paper's set"}
+    rows = [
+        [row["sensor"], words, *(number(row[way][key]) for key in ("minutes", "exposures", "weakest_sigma"))]
+        for row in found["sensors"] for way, words in ways.items()
+    ]  # fmt: skip
+    heads = (
+        "sensor",
+        "pointings",
+        "minutes to the gate",
+        "exposures to the gate",
+        "weakest direction after an hour, σ",
+    )
+    return (
+        "All begin at ten typical sigmas of each free parameter; the gate asks that the weakest direction be known to half of "
+        "one.\n\n" + table(heads, rows, (0, 1))
+    )
+
+
 SECTIONS = {
     "kernels": _kernels, "accuracy": _accuracy, "efficiency": _efficiency, "choice": _choice, "growth": _growth, "whole": _whole,
     "spread": _spread, "queue": _queue, "clients": _clients, "fleet": _fleet, "trust": _trust,
     "ground": _ground, "images": _images, "diagnosis": _diagnosis,
+    "pointings": _pointings,
 }  # fmt: skip
 
 

@@ -8,6 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 import boresight as bs
+from benchmarks import pointings
 from boresight.calibration.problem import build_problem
 from boresight.cameras import CAMERA_MODELS
 from boresight.cli import main
@@ -218,3 +219,9 @@ def test_a_plan_chooses_among_the_attitudes_of_a_list_only(catalogue):
     free = replace(HALF_HOUR, orbit=None, sun_deg=0.0, moon_deg=0.0)
     plan = make_plan(SENSOR, None, few, free, "A", catalogue)
     assert {round(one.ra_deg) for one in plan.pointings} <= {10, 120, 200}
+
+
+def test_a_plan_passes_the_gate_before_chance_and_the_paper_s_set_do():
+    (row,) = pointings.measure(lambda *_: None, sensors=(6,), draws=3)["sensors"]
+    assert row["plan"]["minutes"] < min(row["chance_best"]["minutes"], row["paper"]["minutes"])
+    assert row["plan"]["exposures"] < min(row["chance_best"]["exposures"], row["paper"]["exposures"])

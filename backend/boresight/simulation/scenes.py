@@ -320,7 +320,9 @@ def _check_ground(scenario: Scenario) -> None:
 
 def parse_start(text: Any) -> np.datetime64:
     """Return an instant between 1980 and 2100, where the stars' linear motions hold."""
-    refusal = RefusedInputError("`start_utc` must be an ISO 8601 time in UTC from 1980 to 2100, as 2026-10-01T00:00:00Z.")
+    refusal = RefusedInputError(
+        "`start_utc` must be an ISO 8601 time in UTC from 1980 to 2100, as 2026-10-01T00:00:00Z."
+    )
     try:
         instant = np.datetime64(str(text).removesuffix("Z"), "us")
     except ValueError as error:
