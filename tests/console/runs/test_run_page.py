@@ -162,7 +162,7 @@ def test_a_filter_on_its_way_counts_the_frames_so_far_and_no_star_that_is_still_
 
 def test_no_validation_is_no_data_and_never_passes_and_noise_above_the_model_is_a_caution(results):
     mark = find_mark({**results["batch"], "validation": None}, "validation_rms")
-    assert (mark.word, mark.level == "normal") == ("NO DATA", False)
+    assert (mark.word, mark.level == "normal") == ("NOT TESTED", False)
     result = {**results["batch"], "chi2_per_dof": 3.0, "chi2": {**results["batch"]["chi2"], "consistent": False}}
     assert find_mark(result, "chi_square").level == "normal"  # its test is one of the family, which noticed nothing
     noticed = [{**test, "noticed": test["name"] == "chi_square"} for test in result["tests"]]
@@ -346,7 +346,7 @@ def test_a_part_that_could_not_be_made_is_no_data_with_its_reason(site, read, re
     why = {"two_halves": "Two halves of 3 frames are too few: use 20.", "stars": "No star has a number."}
     result = examined_result(results["batch"], two_halves=None, stars=None, suspects=[], unavailable=why)
     text = read(site.visitor("victor").get(f"/runs/{site.add_run(state='SUCCEEDED', result=result)}?part=evidence"))
-    assert re.search(f"Two halves NO DATA – {why['two_halves']}", text)
+    assert re.search(f"Two halves NOT TESTED – {why['two_halves']}", text)
     assert text.count(why["stars"]) == 2
     assert "Copy the stars to flag" not in text
 
