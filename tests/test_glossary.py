@@ -46,6 +46,16 @@ def test_each_code_name_of_the_glossary_is_a_name_in_the_code():
     assert sorted(named - known) == []
 
 
+def test_the_word_of_a_gate_without_data_is_written_for_nothing_else():
+    paths = [
+        *(ROOT / "backend/boresight").rglob("*.py"),
+        *(ROOT / "frontend/templates").rglob("*.html"),
+        *(ROOT / "docs").glob("*.md"),
+    ]
+    found = [path.name for path in paths if re.search("NO DATA|[\"']no data[\"']", path.read_text(encoding="utf-8"))]
+    assert found == []
+
+
 def find_names(tree: ast.Module) -> Iterator[str]:
     """Yield every name that a module gives to something of its own: definitions, arguments, variables, members, aliases."""
     for node in ast.walk(tree):

@@ -10,7 +10,7 @@ from playwright.sync_api import expect, sync_playwright
 from tests.browser.installation import Installation
 from tests.browser.people import PRINTED_NAMES, People, get_password
 from tests.browser.window import launch_chromium
-from tests.browser.work import choose_filter, ends_as, make_set, queue, sign, submit, upload
+from tests.browser.work import choose_filter, ends_as, look_at_views, make_set, queue, sign, submit, upload
 
 FRAMES = "100"
 SLOW_FRAMES_PER_S, QUICK_FRAMES_PER_S = 2.0, 100.0
@@ -195,9 +195,10 @@ def promoted(people, batch_run):
         window.shoot("05-submitted")
     with people.seat("approver") as window:
         window.open(f"/approvals/{request_id}")
-        for view in window.page.locator("[data-view] > summary").all():
-            view.click()
+        window.page.get_by_role("button", name="Open the four views").click()
         window.figures_drawn()
+        expect(window.page.locator("[data-view] [data-opened]", has_text="not opened")).not_to_have_count(0)
+        look_at_views(window)
         expect(window.page.locator("[data-view] [data-opened]", has_text="not opened")).to_have_count(0)
         for reason in window.page.locator("#sign .reason").all():
             reason.fill("Known, and small.")

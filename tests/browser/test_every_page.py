@@ -5,7 +5,7 @@ from playwright.sync_api import expect
 
 from boresight.console.runs.pages.run import PARTS
 from boresight.figures import CHAPTERS
-from tests.browser.window import CUT, GLANCE
+from tests.browser.window import CUT, CUT_OFF, GLANCE, WRITES
 from tests.effort import effort
 
 pytestmark = pytest.mark.browser
@@ -98,6 +98,9 @@ def test_a_page_keeps_nobody_out_fits_its_window_and_sends_nothing_by_keys(peopl
         window.holds_in_widths()
         if effort(name in KEYED, True):
             window.sends_nothing_by_keys()
+        if name != "log-in":  # which changes nothing of others
+            assert window.page.evaluate(WRITES), "every page has at least the button that logs out"
+            assert window.page.evaluate(CUT_OFF) == [], "a button that writes is alive while the server is gone"
         if name in REFUSED:
             window.forgive(f"status of {REFUSED[name]}")
 

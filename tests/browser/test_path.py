@@ -7,7 +7,7 @@ import pytest
 from playwright.sync_api import expect
 
 from tests.browser.people import get_password
-from tests.browser.work import choose_upload, register_with_table, sent_table
+from tests.browser.work import choose_upload, look_at_views, register_with_table, sent_table
 
 pytestmark = pytest.mark.browser
 MOST_PRESSES = 20
@@ -74,6 +74,7 @@ def sign_it(people):
         at.press("link", "^(Sign|Review)", window.page.locator("main"))
         at.press("button", "^Open the four views")
         window.figures_drawn()
+        look_at_views(window)
         for reason in window.page.locator("#sign .reason").all():
             reason.fill("Known, and small.")
         window.page.locator("#password").fill(get_password("approver"))

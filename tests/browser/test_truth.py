@@ -8,15 +8,12 @@ import pytest
 from playwright.sync_api import expect
 
 from boresight.console.runs.pages.run import PARTS
+from tests.browser.window import WRITES
 from tests.browser.work import choose_filter, ends_as, queue, upload
 
 pytestmark = pytest.mark.browser
 
 STARS = 3
-WRITES = """() => [...document.querySelectorAll("button")].filter(button => !button.disabled
-    && (button.dataset.act !== undefined
-        || (button.type === "submit" && button.form?.getAttribute("method") === "post"))
-).map(button => button.textContent.trim())"""
 WHY, LABEL = "The pass ends soon.", "Typed before the server went"
 ONE_A_SECOND, TEN_A_SECOND = 1.0, 10.0
 

@@ -63,6 +63,17 @@ FITS = "() => document.documentElement.scrollWidth <= document.documentElement.c
 CUT = """() => [...document.querySelectorAll("table.data")].map(table => table.parentElement)
     .filter(place => place.scrollWidth > place.clientWidth && !place.closest("details:not([open])"))
     .map(place => place.ariaLabel)"""
+#: What would write now: whatever opens the dialog of an act, or sends a form by POST.
+WRITES = """() => [...document.querySelectorAll("button, input[type=submit], input[type=image]")].filter(one => !one.disabled
+    && (one.dataset.act !== undefined || (["submit", "image"].includes(one.type)
+        && (one.getAttribute("formmethod") ?? one.form?.getAttribute("method")) === "post"))
+).map(one => (one.textContent || one.value).trim())"""
+#: The page's own event when the server is not heard any more; what would write then.
+CUT_OFF = f"""() => {{
+    const detail = {{ state: "disconnected", sinceMs: Date.now() }};
+    document.dispatchEvent(new CustomEvent("boresight:link", {{ detail }}));
+    return ({WRITES})();
+}}"""
 GROWN = """([place, length]) => {
     const points = document.querySelector(place)?._fullData?.[1]?.x?.length;
     return points > length && points;

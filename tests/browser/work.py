@@ -23,6 +23,13 @@ DOCUMENT = {
 }
 
 
+def look_at_views(window: Window) -> None:
+    """Keep every figure of a request in sight until it counts as opened; the views are unfolded."""
+    for view in window.page.locator("[data-view]").all():
+        view.locator("plot-figure").scroll_into_view_if_needed()
+        expect(view.locator("[data-opened]")).to_have_text("opened")
+
+
 def register_with_table(window: Window, document: dict[str, Any]) -> int:
     """Register a sensor over REST with the layout of its table on board; returns its number."""
     window.open("/")

@@ -10,8 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import sqlalchemy as sa
 from pydantic import BaseModel
 
+from boresight.console.access.tables import User
+from boresight.console.approvals import queries as approval_queries
+from boresight.platform.db.sessions import open_writing, utc_after
 from boresight.platform.web.paging import Page
 from boresight.server import create_app
 from tests.console.alarms import alarms
@@ -156,6 +160,16 @@ def _sign(house: House) -> Made:
 def _sign_beside(house: House) -> Made:
     _, options = _sign(house)
     return "victor", {**options, "json": {**options["json"], "name": "alan", "decision": "APPROVE"}}
+
+
+def _opening(house: House) -> Made:
+    approval = house.submitted()
+    house.person("alan").get(f"/api/v1/approvals/{approval['id']}/figures/radial")
+    with open_writing(house.app.state.engine) as session:
+        alan = session.scalar(sa.select(User.id).where(User.name == "alan"))
+        given = approval_queries.find_delivery(session, approval["id"], alan, "radial")
+        given.given_utc = utc_after(-60.0)
+    return "alan", {"approval_id": approval["id"], "json": {"evidence": "radial"}}
 
 
 def _roll_back(house: House) -> Made:
@@ -342,6 +356,7 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "list_remarks": lambda house: ("victor", {"approval_id": house.submitted()["id"]}),
     "remark": lambda house: ("ada", {"approval_id": house.submitted()["id"], "json": {"text": "Was the heater on?"}}),
     "list_openings": lambda house: ("victor", {"approval_id": house.submitted()["id"]}),
+    "record_opening": _opening,
     "list_points": lambda house: ("alan", {"approval_id": house.submitted()["id"]}),
     "open_figure": lambda house: ("alan", {"approval_id": house.submitted()["id"], "name": "radial"}),
     "list_threads": lambda house: ("victor", {"approval_id": house.submitted()["id"]}),

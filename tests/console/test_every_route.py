@@ -108,6 +108,7 @@ BODIES: dict[str, dict[str, Any]] = {
     "get_parameter_set_camera_file": {"params": {"to": "opencv"}},
     "get_run_camera_file": {"params": {"to": "opencv"}},
     "edit_sensor": {"json": {"name": "x"}},
+    "record_opening": {"json": {"evidence": "radial"}},
     "attach": {"files": {"file": ("a.txt", b"x")}},
     "get_attachment": {"attachment_id": 1},
     "annotate": {"json": {"at_utc": "2026-01-01", "text": "x"}},

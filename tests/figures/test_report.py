@@ -144,7 +144,7 @@ def test_a_part_that_is_missing_is_no_data_and_never_passes(part, sequential_res
     before = trust_marks(sequential_result)
     after = trust_marks(changed(sequential_result, trust={part: None}))
     (lost,) = [now for was, now in zip(before, after, strict=True) if was != now]
-    assert (lost.level, lost.word) == ("off", "NO DATA")
+    assert (lost.level, lost.word) == ("off", "NOT TESTED")
 
 
 def test_doubts_are_the_sentences_of_the_cautions_and_reservations_of_the_verdict(sequential_result):

@@ -34,6 +34,7 @@ LEVEL_OF_STATUS = {
     "diverged": "critical",
     "too_few_stars": "critical",
 }
+NOT_TESTED = "NOT TESTED"  # what nothing was computed for; NO-DATA is the word of a gate alone
 WORD_OF_LEVEL = {
     "serious": "converged, but no better",
     "caution": "converged, with reservations",
@@ -82,7 +83,7 @@ class RunVerdict:
 
 
 def _unknown(name: str, question: str, detail: str) -> VerdictMark:
-    return VerdictMark(name, question, "off", "NO DATA", "–", detail)
+    return VerdictMark(name, question, "off", NOT_TESTED, "–", detail)
 
 
 def _not_yet(result: Calibration, never: str) -> str:
@@ -280,7 +281,7 @@ def prospects(result: Calibration) -> list[str]:
 
 def _not_made(trust: Trust, name: str, question: str) -> VerdictMark:
     """Make a mark of a part that is not there; the mark has the part's name."""
-    return VerdictMark(name, question, "off", "NO DATA", "–", _why_not_made(trust, name))
+    return VerdictMark(name, question, "off", NOT_TESTED, "–", _why_not_made(trust, name))
 
 
 def _examined(name: str, question: str, words: tuple[str, str], sound: bool, value: str, sentence: str) -> VerdictMark:

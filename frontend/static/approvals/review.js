@@ -1,8 +1,13 @@
 /**
- * The review of a request: a figure is fetched when its view is first opened, a reason that is typed ticks its point, and the panel
+ * The review of a request: a figure is fetched when its view is first opened and counts as opened when it stood in sight for a
+ * second, which the server is told; a reason that is typed ticks its point, and the panel
  * counts the points that are open. The server decides all the same what is missing.
  */
-import { around, find, findAll } from "../shared/dom.js";
+import { around, find, findAll, need } from "../shared/dom.js";
+import { Problem, send } from "../shared/requests.js";
+
+const IN_SIGHT_MS = 1100; // the server asks for a second since it gave the figure
+const IN_SIGHT = 0.5; // of the figure, or of the window where that is smaller
 
 const panel = find("#sign", HTMLElement);
 
@@ -43,6 +48,41 @@ function markOpened(name) {
   showCount();
 }
 
+/** Tell the server that a figure stood in sight. @param {string} name */
+async function tellShown(name) {
+  const token = need("#sign-form input[name=csrf_token], input[name=csrf_token]", HTMLInputElement).value;
+  const headers = { "Content-Type": "application/json", "X-CSRF-Token": token };
+  try {
+    await send(`/api/v1${location.pathname}/openings`, { method: "POST", headers, body: JSON.stringify({ evidence: name }) });
+    markOpened(name);
+    return true;
+  } catch (error) {
+    if (!(error instanceof Problem)) throw error;
+    return false; // such as a server that is away: it is told when the figure is in sight again
+  }
+}
+
+/** Count a drawn figure as opened once it stood in sight long enough. @param {Element} figure @param {string} name */
+function watchInSight(figure, name) {
+  let timer = 0;
+  const seen = () => {
+    const { top, bottom, height } = figure.getBoundingClientRect();
+    const shown = Math.min(bottom, innerHeight) - Math.max(top, 0);
+    return height > 0 && !document.hidden && shown >= IN_SIGHT * Math.min(height, innerHeight);
+  };
+  const look = () => {
+    clearTimeout(timer);
+    if (seen()) timer = setTimeout(async () => { if (seen() && await tellShown(name)) stop(); }, IN_SIGHT_MS);
+  };
+  const observer = new IntersectionObserver(look, { threshold: [0, 0.25, 0.5, 0.75, 1] });
+  const stop = () => {
+    observer.disconnect();
+    document.removeEventListener("visibilitychange", look);
+  };
+  document.addEventListener("visibilitychange", look);
+  observer.observe(figure);
+}
+
 for (const view of findAll("[data-view]", HTMLDetailsElement)) {
   const small = view.parentElement?.querySelector("plot-figure[small]");
   view.addEventListener("toggle", () => {
@@ -52,11 +92,11 @@ for (const view of findAll("[data-view]", HTMLDetailsElement)) {
     if (!view.open || !held) return;
     const figure = held.content.querySelector("plot-figure");
     held.replaceWith(held.content);
-    if (!figure) return;
+    if (!figure || !find("[data-left]", HTMLElement) || find("[data-opened]", HTMLElement, view)?.textContent === "opened") return;
     new MutationObserver((_, watch) => {
       if (figure.getAttribute("data-state") !== "ready" && figure.getAttribute("data-state") !== "empty") return;
       watch.disconnect();
-      markOpened(view.dataset.view ?? "");
+      watchInSight(figure, view.dataset.view ?? "");
     }).observe(figure, { attributeFilter: ["data-state"] });
   });
 }

@@ -1,4 +1,5 @@
 /** Asking the server, its refusals (application/problem+json) turned into one sentence. */
+import { showTimes } from "./times.js";
 
 /** A refusal; `message` is for the person, `status` for the code. */
 export class Problem extends Error {
@@ -26,7 +27,7 @@ async function readProblem(response) {
   }
   const sentence = body.detail || body.title || `The server answered ${response.status}.`;
   const id = body.request_id ? ` (request ${body.request_id})` : "";
-  return new Problem(`${typeof sentence === "string" ? sentence : "The server refused the request."}${id}`, response.status);
+  return new Problem(`${typeof sentence === "string" ? showTimes(sentence) : "The server refused the request."}${id}`, response.status);
 }
 
 /** Send a request and return the answer, or throw a Problem. @param {string} url @param {RequestInit} [options] */

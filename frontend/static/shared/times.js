@@ -34,6 +34,16 @@ export function showTime(moment) {
   return `${date} ${clock}Z (${local.date === date ? "" : `${local.date} `}${local.clock}${local.offset})`;
 }
 
+const STORED_TIME = /\b\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?Z/g;
+
+/** Print a sentence of the server with every time in it in the reader's form. @param {string} text */
+export function showTimes(text) {
+  return text.replace(STORED_TIME, (found) => {
+    const moment = new Date(found);
+    return Number.isNaN(moment.getTime()) ? found : showTime(moment);
+  });
+}
+
 /** What a time axis is drawn with, in Plotly's words. */
 function describeAxis() {
   const day = form === "day_of_year" ? "%Y-%j" : "%Y-%m-%d";

@@ -3,6 +3,7 @@
  * everything else typed stay. Without this script the form is sent as any other.
  */
 import { find, make, need } from "../shared/dom.js";
+import { showTimes } from "../shared/times.js";
 
 const form = find("#upload", HTMLFormElement);
 /** @param {number} bytes */
@@ -44,7 +45,7 @@ function refuse(sentence) {
 /** A refusal comes as the page again, or as a problem where the body was cut short. @param {XMLHttpRequest} answer */
 function showRefusal(answer) {
   if ((answer.getResponseHeader("Content-Type") ?? "").includes("json")) {
-    refuse(JSON.parse(answer.responseText).detail);
+    refuse(showTimes(JSON.parse(answer.responseText).detail));
     return;
   }
   const page = new DOMParser().parseFromString(answer.responseText, "text/html");

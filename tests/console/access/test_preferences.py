@@ -9,13 +9,15 @@ import pytest
 
 from boresight.console.access import preferences, users
 from boresight.console.access.queries import write_preference
+from boresight.console.pages.formats import STORED_TIME, show_times
 from boresight.errors import ForbiddenError, NotFoundError, RefusedInputError
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import open_reading, open_writing, utc_after
 from boresight.platform.db.times import STYLE, TIME_FORMS, TimeStyle, read_time
 from tests.console.alarms.test_pages import drifting  # noqa: F401 - a fixture
-from tests.sites import PEOPLE
+from tests.console.approvals.test_pages import signed, submitted
+from tests.sites import PASSWORD, PEOPLE
 
 ZONE = "Asia/Kathmandu"
 PAGES = (
@@ -76,6 +78,38 @@ def test_every_field_for_a_time_takes_what_is_shown(site, form):
     until = style.show(_moment(utc_after(7200)))
     assert ada.post("/alarms/1/shelve", version=version, until=until, text="A pass comes.").status_code == 303
     assert TimeStyle("iso").show(_moment(read_time(until))) in ada.get("/alarms/1")
+
+
+@pytest.mark.parametrize("form", TIME_FORMS)
+@pytest.mark.usefixtures("drifting")
+def test_times_in_sentences_that_the_store_has_are_shown_in_the_chosen_form(site, form):
+    style, until = TimeStyle(form, ZONE), utc_after(7200)
+    for name in ("ada", "both"):
+        _choose(site, name, form)
+    ada, both = site.visitor("ada"), site.visitor("both")
+    version = ada.get("/alarms/1").split('name="version" value="')[1].split('"')[0]
+    ada.post("/alarms/1/shelve", version=version, until=until, text="<b>2026-11-21T03:04:05Z</b>")
+    request = submitted(site, "ada", 1)
+    signed(site.visitor("alan"), request)
+    for path in ("/alarms", "/alarms/1"):
+        page = ada.get(path)
+        assert f"shelved until {style.show(_moment(until))}" in html.unescape(page)
+    shown = style.show(_moment("2026-11-21T03:04:05Z"))
+    assert f"&lt;b&gt;{shown}&lt;/b&gt;" in page  # and nothing that was escaped is markup now
+    refused = both.post(f"{request}/sign", version="77", password=PASSWORD, decision="REFUSE", comment="No.")
+    at = re.search(r"approved it at (.+?)\. Reload", html.unescape(refused.text))[1]
+    assert style.show(_moment(read_time(at))) == at
+    for text in (refused.text, both.get(request), ada.get("/parameter-sets"), ada.get("/audit")):
+        outside = re.sub(r"<(pre|textarea|script|code)\b.*?</\1>|<[^>]*>", " ", text, flags=re.DOTALL)
+        assert STORED_TIME.findall(outside) == []
+
+
+def test_fields_documents_and_attributes_that_are_not_read_keep_a_time():
+    stored, style = "2026-11-21T03:04:05.600000Z", TimeStyle("iso")
+    kept = f'<i data-value="{stored}"><input value="at {stored}"><pre>{stored}</pre><code>{stored}</code></i>'
+    assert show_times(kept, style) == kept
+    told = f'<p title="at {stored}" aria-label="{stored}">at {stored}, {stored} and 2026-13-45T99:99:99Z</p>'
+    assert show_times(told, style) == told.replace(stored, "2026-11-21 03:04:05Z")
 
 
 def test_fields_are_filled_in_as_times_are_shown(site):

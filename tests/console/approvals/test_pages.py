@@ -7,6 +7,7 @@ import pytest
 from boresight.calibration.parameter_set import ParameterSetDocument
 from boresight.console.approvals import gate_profiles
 from boresight.console.approvals import queries as approval_queries
+from boresight.console.approvals import service as approvals
 from boresight.console.approvals.review import warn_of_shifts
 from boresight.console.approvals.tables import Approval
 from boresight.console.parameter_sets import service as parameter_sets
@@ -83,10 +84,15 @@ def test_a_signature_lands_on_its_confirmation_and_stands_in_the_roll_with_its_r
     site.visitor("victor").get(f"{request_page}/signatures/9", status=404)
 
 
-def test_a_figure_given_to_a_person_is_opened_by_that_person_and_needs_no_reason(site, request_page):
+def test_a_figure_given_to_a_person_is_opened_by_that_person_and_needs_no_reason(site, request_page, monkeypatch):
+    monkeypatch.setattr(approvals, "SHOWN_S", 0.0)
     alan = site.visitor("alan")
     for _ in range(2):
         alan.get("/api/v1/approvals/1/figures/radial")
+    assert 'name="tick:evidence:radial"' in alan.get(request_page)  # it was not in sight yet
+    token = {"X-CSRF-Token": alan.csrf_token}
+    answer = alan.send("POST", "/api/v1/approvals/1/openings", json={"evidence": "radial"}, headers=token)
+    assert answer.json()["opened_utc"]
     page = alan.get(request_page)
     assert 'name="tick:evidence:radial"' not in page
     assert 'name="tick:evidence:rms"' in page
@@ -193,6 +199,25 @@ def test_a_second_person_signs_at_the_submitters_console_and_the_roll_says_so(si
     assert "Ada Analyst" in ada.get("/approvals"), "the console's log-in became another's"
     with open_reading(site.engine) as session:
         assert session.get_known(Approval, 1).state == "APPROVED"
+
+
+def test_a_second_person_answers_for_what_only_the_person_at_the_console_opened(site, request_page, monkeypatch):
+    monkeypatch.setattr(approvals, "SHOWN_S", 0.0)
+    ada = site.visitor("ada")
+    ada.get("/api/v1/approvals/1/figures/radial")
+    token = {"X-CSRF-Token": ada.csrf_token}
+    ada.send("POST", "/api/v1/approvals/1/openings", json={"evidence": "radial"}, headers=token)
+    assert 'name="their:evidence:radial"' in ada.get(request_page)
+    theirs = {"name": "alan", "their_password": PASSWORD, "their:evidence:radial": "1"}
+    refused = signed(ada, request_page, "sign-over-the-shoulder", **theirs)
+    assert refused.status_code == 422
+    assert "Radial difference was not opened" in refused.text
+    answer = signed(ada, request_page, "sign-over-the-shoulder", **theirs, their_reason="Seen on paper.")
+    assert answer.status_code == 303
+    with open_reading(site.engine) as session:
+        (signature,) = session.get_known(Approval, 1).signatures
+    (point,) = (point for point in signature.points if point["name"] == "radial")
+    assert (point["opened_utc"], point["reason"]) == (None, "Seen on paper.")
 
 
 def test_nobody_signs_over_ones_own_shoulder(site, request_page):

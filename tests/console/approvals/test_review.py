@@ -66,10 +66,15 @@ def _answers(points: list[dict[str, Any]]) -> list[dict[str, str]]:
     return [{"kind": one["kind"], "name": one["name"], "reason": "Known."} for one in points if not one["opened_utc"]]
 
 
-def test_over_rest_points_that_are_given_must_be_whole_and_stand_in_the_signature_with_what_was_opened(house):
+def test_over_rest_points_that_are_given_must_be_whole_and_stand_in_the_signature_with_what_was_opened(
+    house, monkeypatch
+):
     approval = house.submitted()
     alan, address = house.person("alan"), f"/api/v1/approvals/{approval['id']}"
     assert alan.get(f"{address}/figures/radial").status_code == 200
+    assert not any(one["opened_utc"] for one in alan.get(f"{address}/points").json()["items"])
+    monkeypatch.setattr(approvals, "SHOWN_S", 0.0)
+    assert alan.post(f"{address}/openings", json={"evidence": "radial"}).status_code == 200
     points = alan.get(f"{address}/points").json()["items"]
     assert {one["kind"] for one in points} >= {"gate", "evidence"}
     assert [one["name"] for one in points if one["opened_utc"]] == ["radial"]

@@ -11,6 +11,7 @@ from boresight.console.approvals import gate_profiles, gates, staleness, threads
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import queries as gate_rows
 from boresight.console.approvals import service as approvals
+from boresight.console.approvals.review import read_points
 from boresight.console.approvals.tables import Approval, Signature
 from boresight.console.campaigns import service as campaigns
 from boresight.console.campaigns.tables import Campaign, CampaignRun
@@ -397,10 +398,30 @@ def test_a_remark_that_says_nothing_or_too_much_is_refused(engine, people, reque
         threads.add_remark(session, people[actor], request_id, text)
 
 
-def test_what_a_person_opened_is_kept_once(engine, people, request_id):
+def test_what_a_person_opened_is_kept_once_and_not_before_it_was_in_sight(engine, people, request_id, monkeypatch):
     with open_writing(engine) as session:
+        for name in ("cy", "cy", "bo"):
+            approvals.record_delivery(session, people[name], request_id, "radial")
+        with pytest.raises(ConflictError):  # it was given just now
+            approvals.record_opening(session, people["cy"], request_id, "radial")
+        monkeypatch.setattr(approvals, "SHOWN_S", 0.0)
+        with pytest.raises(ConflictError):  # nobody gave it to her
+            approvals.record_opening(session, people["ana"], request_id, "radial")
         for name in ("cy", "cy", "bo"):
             approvals.record_opening(session, people[name], request_id, "radial")
     with open_reading(engine) as session:
         opened = [row.user_id for row in approvals.list_openings(session, request_id)]
     assert opened == [people["cy"].user_id, people["bo"].user_id]
+
+
+def test_what_the_person_at_the_console_opened_does_not_count_for_who_signs_there(
+    engine, people, request_id, monkeypatch
+):
+    monkeypatch.setattr(approvals, "SHOWN_S", 0.0)
+    with open_writing(engine) as session:
+        approvals.record_delivery(session, people["ana"], request_id, "radial")
+        approvals.record_opening(session, people["ana"], request_id, "radial")
+        decided = approvals.Decision("APPROVE", "I approve this set.", "")
+        words = (request_id, decided, proved(session, people["cy"], PASSWORD), 1)
+        signature = approvals.sign_over_the_shoulder(session, people["ana"], *words)
+        assert [point.name for point in read_points(signature.points) if point.opened_utc is not None] == []

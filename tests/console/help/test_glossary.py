@@ -45,6 +45,13 @@ def test_a_term_is_explained_where_it_is_first_a_label_and_nowhere_else():
     assert re.sub(r"</?a[^>]*>", "", marked) == page
 
 
+def test_every_term_in_a_label_is_explained_the_longest_first_and_no_word_that_only_contains_one():
+    page = "<h1>Telemetry sets of runs</h1><dt>Innovations (NIS)</dt><th>Re-run</th><th>Framework</th><h2>State of the run</h2>"
+    marked = mark_terms(page)
+    assert [label for _, _, label in LINK.findall(marked)] == ["Telemetry sets", "runs", "Innovations", "NIS"]
+    assert re.sub(r"</?a[^>]*>", "", marked) == page
+
+
 def test_a_column_that_is_sorted_is_explained_at_its_button_and_what_is_not_seen_nowhere():
     page = '<th scope="col"><button type="button" data-sort="word">Baseline</button></th><h2 class="sr">Verdict</h2>'
     meaning = html.escape(find_term("baseline").meaning)
@@ -53,7 +60,15 @@ def test_a_column_that_is_sorted_is_explained_at_its_button_and_what_is_not_seen
 
 @pytest.mark.parametrize(
     ("path", "least"),
-    [("/sensors/1", 4), ("/runs/1", 1), ("/parameter-sets/1", 2)],
+    [
+        ("/sensors/1", 4),
+        ("/runs/1", 6),
+        ("/parameter-sets/1", 5),
+        ("/sensors/1/gates", 6),
+        ("/telemetry", 3),
+        ("/telemetry/1", 4),
+        ("/parameter-sets/1/uplink", 1),
+    ],
 )
 def test_a_page_explains_its_terms_by_the_glossary_each_once(site, path, least):
     found = LINK.findall(site.visitor("ada").get(path))

@@ -8,7 +8,7 @@ from boresight.console.notes import service as notes
 from boresight.console.notes.attachments import MOST_ATTACHMENTS, attach, check_file
 from boresight.errors import BoresightError, ConflictError, ForbiddenError, NotFoundError, RefusedInputError
 from boresight.platform.audit import log as audit
-from boresight.platform.db.sessions import mark_dry_run
+from boresight.platform.db.sessions import mark_dry_run, open_writing
 from boresight.platform.web.middleware import ATTACHMENT_LIMIT_BYTES
 
 CONTENT = b"12:00 safe mode\n"
@@ -20,6 +20,7 @@ def note(session, people):
 
 
 def test_a_file_stands_at_its_note_by_the_sha256_of_its_bytes_and_on_record(session, people, blobs, note):
+    blobs.put(CONTENT)
     row = attach(session, people["ana"], blobs, note.id, check_file("C:\\passes\\ 4711.LOG", CONTENT))
     assert [(one.name, one.size_bytes) for one in notes.list_notes(session, "sensors", 1)[0].attachments] == [
         ("4711.LOG", len(CONTENT))
@@ -63,6 +64,9 @@ def test_only_the_author_attaches_and_no_more_than_ten(session, people, blobs, n
         attach(session, people["ana"], blobs, 99, file)
     with pytest.raises(ForbiddenError):
         attach(session, replace(people["ana"], roles=frozenset({"viewer"})), blobs, note.id, file)
+    with pytest.raises(NotFoundError):  # its bytes were not stored before
+        attach(session, people["ana"], blobs, note.id, file)
+    blobs.put(CONTENT)
     for _ in range(MOST_ATTACHMENTS):
         attach(session, people["ana"], blobs, note.id, file)
     with pytest.raises(ConflictError):
@@ -91,6 +95,32 @@ def test_a_page_takes_a_file_with_a_note_and_gives_it_back_as_a_download_that_no
     assert answer.headers["content-type"] == "application/octet-stream"
     assert answer.headers["content-disposition"] == 'attachment; filename="large.txt"'
     assert answer.headers["x-content-type-options"] == "nosniff"
+
+
+def _attach(visitor, name, content):
+    headers = {"X-CSRF-Token": visitor.csrf_token}
+    return visitor.send("POST", "/api/v1/notes/1/attachments", files={"file": (name, content)}, headers=headers)
+
+
+def test_bytes_are_stored_before_the_transaction_and_go_again_where_nothing_names_them(site, monkeypatch):
+    ada, alan, put, stored = site.visitor("ada"), site.visitor("alan"), site.blobs.put, []
+
+    def store(content):
+        assert not site.app.state.write_lock.locked()
+        with open_writing(site.engine):  # another writer is not kept waiting
+            stored.append(put(content))
+        return stored[-1]
+
+    monkeypatch.setattr(site.blobs, "put", store)
+    assert _add(ada, "a.txt", CONTENT).status_code == 303
+    assert _attach(ada, "b.txt", b"more").status_code == 201
+    assert _attach(alan, "c.txt", b"of another").status_code == 403  # in the transaction
+    assert _attach(alan, "c.txt", CONTENT).status_code == 403
+    form = {"csrf_token": ada.csrf_token, "text": " "}
+    assert ada.send("POST", "/notes/sensors/1", data=form, files={"file": ("d.txt", b"of no note")}).status_code == 422
+    assert _attach(site.visitor("victor"), "e.txt", b"of a viewer").status_code == 403  # before anything is stored
+    kept = [site.blobs.locate(sha256).exists() for sha256 in stored]
+    assert kept == [True, True, False, True, False]
 
 
 def test_a_refused_file_leaves_no_note_and_what_was_typed(site):

@@ -1,12 +1,18 @@
 """The list of parameter sets and the page of one."""
 
+import html
+import re
+
 import pytest
 
+from boresight.console.approvals import queries as approval_queries
 from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import open_reading, open_writing
+from boresight.verdicts.gates import parse_report
+from boresight.verdicts.gates.judgement import STATUSES
 from tests.sites import PASSWORD, answer_points
 
 TURNED = {
@@ -64,6 +70,30 @@ def test_a_set_shows_its_values_against_the_baseline_and_where_it_comes_from(sit
     assert "TS-calibration" in text
     assert "#1 reference" in text
     assert "Nothing recorded: this set was not sent." in text
+
+
+def test_the_verdict_of_a_set_stands_in_its_head_with_the_worst_warning(site, candidate):
+    ada = site.visitor("ada")
+    verdict, warning = (
+        re.compile('<details class="verdict-fold".*?</details>', re.DOTALL),
+        re.compile('title="([^"]+)">'),
+    )
+    ground = verdict.search(ada.get("/parameter-sets/1"))[0]
+    assert "declared" in ground
+    assert "typical spread" in ground
+    page = ada.get(candidate)
+    head = verdict.search(page)[0]
+    assert page.index('id="verdict"') < page.index('id="lineage-title"')
+    with open_reading(site.engine) as session:
+        report = parse_report(approval_queries.find_newest_report(session, 2).document)
+    against = [gate for gate in report.gates if gate.status != "PASS"]
+    passing = len(report.gates) - len(against)
+    assert f"{passing} of {len(report.gates)} gates pass" in head
+    worst = max(
+        (gate for gate in against), key=lambda gate: (gate.name in report.blocking, STATUSES.index(gate.status))
+    )
+    assert html.unescape(warning.search(head)[1]) == f"{worst.title}: {worst.sentence}"
+    assert head.count("<li") >= len(against)
 
 
 def test_a_set_is_submitted_with_a_reason_and_the_request_opens(site, candidate, read):

@@ -8,12 +8,16 @@ from dataclasses import asdict, replace
 import pytest
 
 from boresight.calibration.calibration import parse_calibration
+from boresight.console.fleet.tables import Sensor
 from boresight.console.runs.pages.run import FORMER, PARTS
 from boresight.console.runs.queries import Line, write_event
 from boresight.console.runs.tables import RUN_STATES, RunEvent
+from boresight.console.telemetry.tables import TelemetrySet
 from boresight.figures import CHAPTERS, FIGURES
 from boresight.figures.example_calibration import get_example_calibrations
 from boresight.figures.tables import parameter_rows
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import open_writing, utc_after, utc_now
 from boresight.verdicts.answers import make_four_views, make_headline
 from boresight.verdicts.verdict import PART_JUDGES, PartVerdict, judge_parts, make_verdict_marks
@@ -162,7 +166,7 @@ def test_a_filter_on_its_way_counts_the_frames_so_far_and_no_star_that_is_still_
 
 def test_no_validation_is_no_data_and_never_passes_and_noise_above_the_model_is_a_caution(results):
     mark = find_mark({**results["batch"], "validation": None}, "validation_rms")
-    assert (mark.word, mark.level == "normal") == ("NO DATA", False)
+    assert (mark.word, mark.level == "normal") == ("NOT TESTED", False)
     result = {**results["batch"], "chi2_per_dof": 3.0, "chi2": {**results["batch"]["chi2"], "consistent": False}}
     assert find_mark(result, "chi_square").level == "normal"  # its test is one of the family, which noticed nothing
     noticed = [{**test, "noticed": test["name"] == "chi_square"} for test in result["tests"]]
@@ -346,7 +350,7 @@ def test_a_part_that_could_not_be_made_is_no_data_with_its_reason(site, read, re
     why = {"two_halves": "Two halves of 3 frames are too few: use 20.", "stars": "No star has a number."}
     result = examined_result(results["batch"], two_halves=None, stars=None, suspects=[], unavailable=why)
     text = read(site.visitor("victor").get(f"/runs/{site.add_run(state='SUCCEEDED', result=result)}?part=evidence"))
-    assert re.search(f"Two halves NO DATA – {why['two_halves']}", text)
+    assert re.search(f"Two halves NOT TESTED – {why['two_halves']}", text)
     assert text.count(why["stars"]) == 2
     assert "Copy the stars to flag" not in text
 
@@ -475,6 +479,28 @@ def test_a_failed_run_shows_its_cause_the_end_of_its_log_and_the_next_step(site,
     assert [f"step {k}" in text for k in range(9)] == [False] * 4 + [True] * 5
     assert f'href="/runs/{run_id}?part=record#log"' in page
     assert 'href="/telemetry/1">Quality report' in page
+
+
+@pytest.mark.parametrize("declared", [{}, {"declared": {"directions": "j2000"}}])
+def test_a_run_that_failed_for_want_of_times_offers_an_upload_and_never_the_same_set_again(site, read, declared):
+    missing = {
+        "code": "TIME_MISSING",
+        "severity": "SERIOUS",
+        "sentence": "760 matched stars are not used.",
+        "count": 760,
+    }
+    with open_writing(site.engine) as session:
+        row = session.get_known(TelemetrySet, 1)
+        row.quality = row.quality | {"time": None, "findings": [] if declared else [missing]}
+        audit.append(session, COMMAND_LINE, "checked", "telemetry-sets/1")
+        document = session.get_known(Sensor, 1).document | declared
+    run_id = site.add_run(state="FAILED", reason="No star has a direction.", sensor_document=document)
+    page = site.visitor("ada").get(f"/runs/{run_id}")
+    assert page.count('href="/telemetry?sensor=1#upload-title"') >= 2  # as the remedy, and as the next step
+    assert f"clone={run_id}" not in page
+    assert "it fails each time" in read(page)
+    lost = site.add_run(state="LOST", sensor_document=document)
+    assert f"clone={lost}" in site.visitor("ada").get(f"/runs/{lost}")  # it may have been the worker
 
 
 def test_a_row_says_how_much_the_rms_fell_in_microradians(site, read, results):

@@ -30,6 +30,7 @@ def _step(session: Session, site: Any, set_id: int, state: str) -> None:
     olga, source, row = site.actor("olga"), f"pass for {state}", session.get_one(ParameterSet, set_id)
     if state == "VERIFIED":
         sent = read_backs.get_sent_table(session, site.blobs, row).content
+        site.blobs.put(sent)
         read_backs.read_back(session, olga, site.blobs, set_id, sent, source, row.version)
     elif state == "ACTIVE":
         uplinks.activate(session, olga, set_id, source, "I saw it.", proved(session, olga, PASSWORD), row.version)

@@ -31,6 +31,8 @@ Read = Callable[..., Uplink]
 @pytest.fixture
 def read(engine, people, blobs) -> Read:
     def make(what: bytes | str, set_id: int = 1, name: str = "dee", source: str = "TM 4711", **given: Any) -> Uplink:
+        if isinstance(what, bytes):
+            blobs.put(what)
         with open_writing(engine) as session:
             seen = given.pop("seen", session.get_one(ParameterSet, set_id).version)
             return read_back(session, people[name], blobs, set_id, what, source, seen, **given)

@@ -307,6 +307,7 @@ def _make(session: Session, actor: Actor, blobs: BlobStore, move: str, table: by
     if move == "sign active":
         return uplinks.activate(session, actor, 1, "pass 1", "I saw it.", proved(session, actor, PASSWORD), seen)
     dump = table if move == "read back well" else bytes([table[0] ^ 1]) + table[1:]
+    blobs.put(dump)
     return read_back(session, actor, blobs, 1, dump, "pass 1", seen)
 
 

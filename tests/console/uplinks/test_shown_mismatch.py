@@ -45,6 +45,8 @@ class Board:
                 self.session, self.dee, 1, "pass 1", "I saw it.", proved(self.session, self.dee, PASSWORD), seen
             )
         elif move in READ:
+            if isinstance(self.read[move], bytes):
+                self.blobs.put(self.read[move])
             read_back(self.session, self.dee, self.blobs, 1, self.read[move], "pass 1", seen)
         else:
             uplinks.record(self.session, self.dee, 1, move, "pass 1", seen)

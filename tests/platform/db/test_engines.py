@@ -305,6 +305,7 @@ def test_the_ladder_and_the_question_of_when_work(
             uplinks.record(session, dee, 1, state, "pass 4711")
         seen = session.get_one(ParameterSet, 1)
         sent = get_sent_table(session, blobs, seen).content
+        blobs.put(sent)
         read_back(session, dee, blobs, 1, sent, "pass 4711", seen.version)
         uplinks.activate(session, dee, 1, "pass 4711", "I saw it.", proved(session, dee, PASSWORD), seen.version)
     with open_reading(postgresql) as session:

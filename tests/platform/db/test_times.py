@@ -71,11 +71,16 @@ def test_a_browser_shows_a_time_as_the_server_does(form, zone):
     given = [moment.isoformat(timespec="milliseconds") for moment in moments]
     code = f"""
         globalThis.document = {{ documentElement: {{ dataset: {{ times: "{form}", zone: "{zone}" }} }} }};
-        const {{ showTime }} = await import("{MODULE.as_uri()}");
+        const {{ showTime, showTimes }} = await import("{MODULE.as_uri()}");
         console.log(JSON.stringify({json.dumps(given)}.map((text) => showTime(new Date(text)))));
+        console.log(showTimes("from {given[0][:23]}Z until {given[1][:19]}Z, not 2026-13-45T99:99:99Z."));
     """
     done = subprocess.run(["node", "--input-type=module", "-"], input=code, capture_output=True, text=True, check=True)
-    assert json.loads(done.stdout) == [TimeStyle(form, zone).show(moment) for moment in moments]
+    shown = [TimeStyle(form, zone).show(moment) for moment in moments]
+    assert (
+        done.stdout
+        == f"{json.dumps(shown, separators=(',', ':'))}\nfrom {shown[0]} until {shown[1]}, not 2026-13-45T99:99:99Z.\n"
+    )
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import sqlalchemy as sa
 
 from boresight.console.approvals.tables import (
     Approval,
+    FigureDelivery,
     GateProfile,
     GateReport,
     Opening,
@@ -106,6 +107,12 @@ def list_threads(session: Session, approval_id: int) -> Sequence[Thread]:
 def list_openings(session: Session, approval_id: int) -> Sequence[Opening]:
     """Return who opened which evidence of a request, in order."""
     return session.scalars(sa.select(Opening).where(Opening.approval_id == approval_id).order_by(Opening.id)).all()
+
+
+def find_delivery(session: Session, approval_id: int, user_id: int, evidence: str) -> FigureDelivery | None:
+    """Return when a person was given a figure of a request."""
+    query = sa.select(FigureDelivery).where(FigureDelivery.approval_id == approval_id)
+    return session.scalar(query.where(FigureDelivery.user_id == user_id, FigureDelivery.evidence == evidence))
 
 
 def find_opening(session: Session, approval_id: int, user_id: int, evidence: str) -> Opening | None:

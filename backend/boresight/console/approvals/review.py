@@ -2,12 +2,13 @@
 
 A point is a gate that is not PASS, a warning, or a figure of the run that an approver must have opened. Gates and warnings are
 closed by a reason, a figure by having been read under this request, or by a reason too. What a signature says of every point is
-stored with it and sealed. An opening counts for the person whom the server gave the figure to.
+stored with it and sealed. An opening counts for the person whom the server gave the figure to, and for nobody else, once
+it had been in their sight for a second.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -77,14 +78,10 @@ class Point:
         return self.kind, self.name
 
 
-def list_points(session: Session, approval: Approval, readers: Collection[int | None] = ()) -> list[Point]:
-    """Return the points of a request, gates first, with the figures that any of these people opened."""
+def list_points(session: Session, approval: Approval, reader: int | None = None) -> list[Point]:
+    """Return the points of a request, gates first, with the figures that a person opened."""
     row = session.get_one(ParameterSet, approval.parameter_set_id)
-    opened = {
-        one.evidence: one.opened_utc
-        for one in reversed(rows.list_openings(session, approval.id))
-        if one.user_id in readers
-    }
+    opened = {one.evidence: one.opened_utc for one in rows.list_openings(session, approval.id) if one.user_id == reader}
     views = VIEWS if row.run_id is not None else {}
     return [
         *_list_gate_points(_find_bound_report(session, approval)),

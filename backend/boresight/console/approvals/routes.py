@@ -354,6 +354,12 @@ class NewRemark(Shape):
     text: str = Field(examples=["Was the focus heater on during this pass?"])
 
 
+class ShownFigure(Shape):
+    """Which figure was in sight."""
+
+    evidence: Literal["convergence", "rms", "radial", "observability"]
+
+
 class NewThread(NewRemark):
     """What a thread is about, and its first comment."""
 
@@ -387,29 +393,35 @@ def list_openings(approval_id: Id, session: Reading) -> Listing[Opening]:
     return Listing(approvals.list_openings(session, approval_id))
 
 
+@discussion_router.post("/openings", summary="Say that a figure was in sight", response_model=schemas.Opening)
+def record_opening(approval_id: Id, shown: ShownFigure, actor: Who, session: Writing) -> Opening:
+    """Say that a figure which you were given at least a second ago stood in your sight; it then counts as opened by you."""
+    return approvals.record_opening(session, actor, approval_id, shown.evidence)
+
+
 @discussion_router.get("/points", summary="Read what a signature answers for", response_model=Page[schemas.Point])
 def list_points(approval_id: Id, actor: Who, session: Reading) -> Listing[Point]:
     """Read the points of a request, gates first, with the figures that you opened."""
-    return Listing(review.list_points(session, session.get_known(Approval, approval_id), (actor.user_id,)))
+    return Listing(review.list_points(session, session.get_known(Approval, approval_id), actor.user_id))
 
 
-async def keep_opening(
+async def keep_delivery(
     request: Request, actor: Who, approval_id: Id, name: FigureName, engine: Database
 ) -> AsyncIterator[None]:
     """Keep, once the figure was made, that the person who asked was given it."""
     yield
     with open_reading(engine) as session:
-        is_first = name in review.VIEWS and approvals.must_record_opening(session, actor, approval_id, name)
+        is_first = name in review.VIEWS and approvals.must_record_delivery(session, actor, approval_id, name)
     if is_first:
         async with asynccontextmanager(open_write_session)(request) as session:
-            await run_in_threadpool(approvals.record_opening, session, actor, approval_id, name)
+            await run_in_threadpool(approvals.record_delivery, session, actor, approval_id, name)
 
 
 @discussion_router.get(
     "/figures/{name}",
     summary="Open a figure of the evidence",
     response_model=PlotlyFigure,
-    dependencies=[Depends(keep_opening, scope="function")],
+    dependencies=[Depends(keep_delivery, scope="function")],
 )
 def open_figure(
     approval_id: Id,
@@ -420,7 +432,10 @@ def open_figure(
     request: Request,
     seen: Seen,
 ) -> Response:
-    """Read a figure of the run behind a request. While the request is open, the server records that you received it."""
+    """Read a figure of the run behind a request. While the request is open, the server records that you received it.
+
+    It counts as opened by you once it was in your sight, which a page says by POST /approvals/{id}/openings.
+    """
     approval = session.get_known(Approval, approval_id)
     row = session.get_one(ParameterSet, approval.parameter_set_id)
     if row.run_id is None:

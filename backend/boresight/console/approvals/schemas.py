@@ -120,7 +120,7 @@ class Thread(Row):
 
 
 class Opening(Row):
-    """The server gave a person a figure of a request while it was open."""
+    """A figure of a request stood in sight of the person whom the server gave it to, while the request was open."""
 
     id: int
     approval_id: int

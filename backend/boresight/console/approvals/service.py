@@ -45,7 +45,7 @@ from boresight.console.approvals.staleness import (
     refuse_changed_binding,
     refuse_expired,
 )
-from boresight.console.approvals.tables import Approval, Opening, Remark, Signature
+from boresight.console.approvals.tables import Approval, FigureDelivery, Opening, Remark, Signature
 from boresight.console.list_queries import Signatory
 from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.parameter_sets.service import record_promotion
@@ -71,9 +71,11 @@ from boresight.platform.actors import (
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session, utc_after, utc_now
+from boresight.platform.db.times import seconds_between
 from boresight.platform.web.text_validation import refuse_control_characters
 
 DECISIONS = ("APPROVE", "REFUSE")
+SHOWN_S = 1.0  # how long a figure stands in sight before it counts as opened
 
 
 @dataclass(frozen=True)
@@ -211,8 +213,7 @@ def _sign(
     points = None
     if decided.decision == "APPROVE":
         refuse_blocked(session, parameter_set)
-        readers = {user_id, None if console is None else console.user_id}
-        points = answer_points(list_points(session, approval, readers), decided.acknowledged or ())
+        points = answer_points(list_points(session, approval, user_id), decided.acknowledged or ())
         if policy.rest_review or decided.acknowledged is not None:
             refuse_open_points(points)
     signature = Signature(
@@ -308,22 +309,33 @@ def list_remarks(session: Session, approval_id: int) -> Sequence[Remark]:
     return rows.list_remarks(session, session.get_known(Approval, approval_id).id)
 
 
-def record_opening(session: Session, actor: Actor, approval_id: int, view: str) -> Opening | None:
+def record_delivery(session: Session, actor: Actor, approval_id: int, view: str) -> FigureDelivery | None:
     """Record that a person was given a figure of an open request; only the first time counts."""
-    if not must_record_opening(session, actor, approval_id, view):
+    if not must_record_delivery(session, actor, approval_id, view):
         return None
-    row = Opening(
-        approval_id=approval_id, user_id=require_person(actor, "open evidence"), evidence=view, opened_utc=utc_now()
-    )
-    return session.put(row)
+    user_id = require_person(actor, "open evidence")
+    return session.put(FigureDelivery(approval_id=approval_id, user_id=user_id, evidence=view, given_utc=utc_now()))
 
 
-def must_record_opening(session: Session, actor: Actor, approval_id: int, view: str) -> bool:
-    """Whether this would be the first time that a person opens a figure of an open request; a key opens none."""
+def must_record_delivery(session: Session, actor: Actor, approval_id: int, view: str) -> bool:
+    """Whether this would be the first time that a person is given a figure of an open request; a key opens none."""
     approval = session.get_known(Approval, approval_id)
     if actor.is_key or actor.user_id is None or approval.state != "OPEN":
         return False
-    return rows.find_opening(session, approval_id, actor.user_id, view) is None
+    return rows.find_delivery(session, approval_id, actor.user_id, view) is None
+
+
+def record_opening(session: Session, actor: Actor, approval_id: int, view: str) -> Opening:
+    """Record that a figure stood in sight of the person whom it was given to; only then it counts as opened by them."""
+    user_id = require_person(actor, "open evidence")
+    _refuse_decided(session, session.get_known(Approval, approval_id), "APPROVE")
+    given = rows.find_delivery(session, approval_id, user_id, view)
+    if given is None:
+        raise ConflictError(f"You were not given the figure {view!r} of request {approval_id}: open it first.")
+    if seconds_between(given.given_utc, utc_now()) < SHOWN_S:
+        raise ConflictError(f"The figure {view!r} was given to you less than {SHOWN_S:g} s ago: look at it first.")
+    known = rows.find_opening(session, approval_id, user_id, view)
+    return known or session.put(Opening(approval_id=approval_id, user_id=user_id, evidence=view, opened_utc=utc_now()))
 
 
 def list_openings(session: Session, approval_id: int) -> Sequence[Opening]:

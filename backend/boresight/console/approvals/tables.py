@@ -103,8 +103,21 @@ class Thread(Base):
     )
 
 
-class Opening(Base):
+class FigureDelivery(Base):
     """The server gave a person a figure of a request; only the first time is kept."""
+
+    __tablename__ = "figure_deliveries"
+    __table_args__ = (sa.UniqueConstraint("approval_id", "user_id", "evidence"), STRICT)
+    sealing = Sealing(unsealed="only says that an opening may follow")
+    id: Mapped[int] = mapped_column(primary_key=True)
+    approval_id: Mapped[int] = mapped_column(sa.ForeignKey("approvals.id"))
+    user_id: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
+    evidence: Mapped[str] = mapped_column(sa.Text)
+    given_utc: Mapped[str] = mapped_column(sa.Text)
+
+
+class Opening(Base):
+    """A figure that a person was given stood in their sight for a moment; only the first time is kept."""
 
     __tablename__ = "openings"
     __table_args__ = (sa.UniqueConstraint("approval_id", "user_id", "evidence"), STRICT)

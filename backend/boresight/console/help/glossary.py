@@ -1,6 +1,6 @@
 """The terms of the console, read from `docs/glossary.md`, and where they are explained.
 
-A page that is rendered explains each term where it is first a label: a heading but the page's own, part of a table, a fact.
+A page that is rendered explains each term where it first stands in a label: a heading, part of a table, a fact, a group of fields.
 There it is a link to the glossary, or the button that sorts the column, with the meaning at it, which `glossary.js` shows under
 the pointer and at the focus.
 """
@@ -19,7 +19,7 @@ from boresight.resources import folder
 LINE = re.compile(r"- \*\*(?P<names>[^*]+)\*\*: (?P<meaning>.+\.)(?: `[\w.]+`)+")
 LABEL = re.compile(
     r'<(?:a class="sort"|button [^>]*data-sort=)[^>]*>(?P<column>[^<>]+)(?=<)'
-    r'|<(?:h[23]|dt|th)\b(?![^>]*class="sr")[^>]*>\s*(?P<label>[^<>]+?)(?=\s*<)'
+    r'|<(?:h[1-4]|dt|th|legend)\b(?![^>]*class="sr")[^>]*>\s*(?P<label>[^<>]+?)(?=\s*<)'
 )
 OTHERWISE = frozenset({"state", "term", "cause"})  # also of runs, of noise, of failures
 
@@ -73,19 +73,38 @@ def find_term(label: str) -> GlossaryTerm | None:
     return None if word in OTHERWISE else terms_by_name().get(word) or terms_by_name().get(word.removesuffix("s"))
 
 
+@cache
+def _terms_in_words() -> re.Pattern[str]:
+    """Return what finds terms in a label, the longest first, also in the plural."""
+    names = sorted((name for name in terms_by_name() if name not in OTHERWISE), key=len, reverse=True)
+    return re.compile(rf"(?<![\w-])(?:{'|'.join(map(re.escape, names))})s?(?![\w-])", re.IGNORECASE)
+
+
 def mark_terms(page: str) -> str:
-    """Explain each term of a page where it is first a label."""
+    """Explain each term of a page where it first stands in a label."""
     seen: set[str] = set()
 
-    def mark(found: re.Match[str]) -> str:
-        label = found["label"] or found["column"]
-        term = find_term(html.unescape(label))
+    def take(word: str) -> str | None:
+        """Return the attribute with the meaning of a term that was not explained yet."""
+        term = find_term(word)
         if term is None or term.anchor in seen:
-            return found[0]
+            return None
         seen.add(term.anchor)
-        meaning = f'data-meaning="{html.escape(term.meaning)}"'
-        if found["column"]:
-            return f"{found[0].removesuffix(f'>{label}')} {meaning}>{label}"
-        return f'{found[0].removesuffix(label)}<a class="term" href="{term.address}" {meaning}>{label}</a>'
+        return f'data-meaning="{html.escape(term.meaning)}"'
+
+    def link(found: re.Match[str]) -> str:
+        meaning, term = take(found[0]), find_term(found[0])
+        return (
+            found[0]
+            if meaning is None or term is None
+            else f'<a class="term" href="{term.address}" {meaning}>{found[0]}</a>'
+        )
+
+    def mark(found: re.Match[str]) -> str:
+        if column := found["column"]:
+            meaning = take(html.unescape(column))
+            return found[0] if meaning is None else f"{found[0].removesuffix(f'>{column}')} {meaning}>{column}"
+        label = found["label"]
+        return f"{found[0].removesuffix(label)}{_terms_in_words().sub(link, label)}"
 
     return LABEL.sub(mark, page)

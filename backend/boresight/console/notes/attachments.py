@@ -25,7 +25,7 @@ LONGEST_NAME = 120
 
 @dataclass(frozen=True)
 class AttachedFile:
-    """A file that may be attached: its name and its bytes."""
+    """A file that may be attached: its name and its bytes, which are stored before the transaction that attaches it."""
 
     name: str
     content: bytes
@@ -43,18 +43,24 @@ def check_file(sent_name: str, content: bytes) -> AttachedFile:
     return AttachedFile(name, content)
 
 
-def attach(session: Session, actor: Actor, blobs: BlobStore, note_id: int, file: AttachedFile) -> NoteAttachment:
-    """Add a file to a note of one's own; nobody can change or remove it afterwards."""
+def require_attacher(actor: Actor) -> int:
+    """Return the number of a person who may attach files, and refuse everybody else before anything is stored."""
     user_id = require_person(actor, "attach a file")
     require_role(actor, *WRITERS)
+    return user_id
+
+
+def attach(session: Session, actor: Actor, blobs: BlobStore, note_id: int, file: AttachedFile) -> NoteAttachment:
+    """Add a stored file to a note of one's own; nobody can change or remove it afterwards."""
+    user_id = require_attacher(actor)
     note = session.get_known(Note, note_id)
     if note.user_id != user_id:
         raise ForbiddenError("Only who wrote a note may attach a file to it; write a note of your own.")
     if len(note.attachments) >= MOST_ATTACHMENTS:
         raise ConflictError(f"The note has {MOST_ATTACHMENTS} attachments; write another note.")
     size = len(file.content)
-    sha256 = hashlib.sha256(file.content).hexdigest() if is_dry_run(session) else blobs.put(file.content)
-    blob = register_blob(session, blobs, sha256, "application/octet-stream", size)
+    sha256 = hashlib.sha256(file.content).hexdigest()
+    blob = register_blob(session, blobs, sha256, "application/octet-stream", size if is_dry_run(session) else None)
     row = NoteAttachment(note_id=note_id, name=file.name, sha256=blob.sha256, size_bytes=size, made_utc=utc_now())
     session.put(row)
     session.expire(note, ["attachments"])

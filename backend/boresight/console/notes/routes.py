@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import AsyncIterator
 from typing import Annotated
 
 from fastapi import Depends
+from fastapi.concurrency import contextmanager_in_threadpool
 from pydantic import Field
 from starlette.datastructures import UploadFile
 from starlette.requests import Request
 
-from boresight.console.access.dependencies import Blobs, Reading, Who, Writing
+from boresight.console.access.dependencies import Blobs, Database, IsDryRun, Reading, Who, Writing
 from boresight.console.notes import attachments, schemas
 from boresight.console.notes import service as notes
 from boresight.console.notes.tables import Annotation, Note, NoteAttachment
 from boresight.console.operation import FORM_CONTENT, operations
 from boresight.console.schemas import Shape
 from boresight.errors import NotFoundError, RefusedInputError
+from boresight.platform.blobs import files
 from boresight.platform.web.media import StoredFile
 from boresight.platform.web.paging import Id, Listing, Page
 
@@ -130,6 +133,20 @@ async def read_file(request: Request) -> attachments.AttachedFile:
     return came
 
 
+async def stored_file(
+    actor: Who,
+    came: Annotated[attachments.AttachedFile, Depends(read_file)],
+    engine: Database,
+    blobs: Blobs,
+    is_dry_run: IsDryRun,
+) -> AsyncIterator[attachments.AttachedFile]:
+    """Store the file before the transaction begins."""
+    attachments.require_attacher(actor)
+    contents = () if is_dry_run else (came.content,)
+    async with contextmanager_in_threadpool(files.stored_ahead(engine, blobs, *contents)):
+        yield came
+
+
 @router.post(
     "/notes/{note_id}/attachments",
     summary="Attach a file to a note",
@@ -140,7 +157,7 @@ async def read_file(request: Request) -> attachments.AttachedFile:
 def attach(
     note_id: Id,
     actor: Who,
-    came: Annotated[attachments.AttachedFile, Depends(read_file)],
+    came: Annotated[attachments.AttachedFile, Depends(stored_file, scope="function")],
     session: Writing,
     blobs: Blobs,
 ) -> NoteAttachment:

@@ -65,14 +65,25 @@ def utc(context: Context, text: str | None) -> Markup | str:
 
 
 STORED_TIME = re.compile(r"\b\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?Z")
+AS_WRITTEN = ("<pre", "<textarea", "<script", "<code")  # what people copy, or send back
+TOLD = (" title", " aria-label")  # attributes that are read out
+
+
+def show_times(page: str, style: TimeStyle) -> str:
+    """Print every stored time in the texts of a page in a person's form; fields, quoted documents and attributes keep it."""
+
+    def show(found: re.Match[str]) -> str:
+        tag = page[max(page.rfind("<", 0, found.start()), 0) : found.start()]
+        is_text = ">" in tag and not tag.startswith(AS_WRITTEN)
+        return _show(found[0], style) if is_text or tag.rpartition('="')[0].endswith(TOLD) else found[0]
+
+    return STORED_TIME.sub(show, page)
 
 
 @pass_context
-def with_times(context: Context, text: str) -> str:
-    """Print a text with every stored time in it in the form that the reader chose, as a form's field takes it."""
-    style = _style(context)
-    found = STORED_TIME.sub(lambda one: _show(one[0], style), text)
-    return Markup(found) if isinstance(text, Markup) else found  # noqa: S704 - what was markup, with a time in it
+def as_typed(context: Context, text: str) -> str:
+    """Print a stored time as the reader would type it, for the field of a form."""
+    return STORED_TIME.sub(lambda one: _show(one[0], _style(context)), text)
 
 
 def _show(text: str, style: TimeStyle) -> str:
@@ -106,6 +117,11 @@ def short_hash(text: str | None) -> Markup | str:
     return Markup('<code class="hash" title="{0}" data-copy="{0}">{1}</code>').format(text, text[:8])
 
 
+def sensor_word(level: str) -> str:
+    """Print the level of a sensor as a word; `off` is a sensor that no telemetry has come of."""
+    return "NO TELEMETRY" if level == "off" else level.upper()
+
+
 def words(text: str) -> str:
     """Print an identifier as words: `rank_deficient` as `rank deficient`."""
     return str(escape(text)).replace("_", " ")
@@ -125,11 +141,12 @@ FILTERS = (
     sigmas,
     size,
     utc,
-    with_times,
+    as_typed,
     duration,
     seconds_since,
     age,
     short_hash,
+    sensor_word,
     words,
 )
 

@@ -29,7 +29,7 @@ from boresight.console.alarms import service as alarms
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet import status as fleet
 from boresight.console.jobs.maintenance import ChainStatus
-from boresight.console.pages.formats import LEVELS
+from boresight.console.pages.formats import LEVELS, sensor_word
 from boresight.errors import PasswordDueError, UnauthenticatedError
 from boresight.platform.actors import Actor
 from boresight.platform.db.data_version import DataVersion, DataVersionReader
@@ -39,8 +39,6 @@ from boresight.platform.web.response_cache import NAME_GAP, TOKEN_GAP, has_gaps,
 
 HELD_S = 30.0
 LARGE, REST = 200, 5.0
-
-WORD_OF_LEVEL = {level: level.upper() for level in LEVELS} | {"off": "NO DATA"}
 
 
 @dataclass(frozen=True)
@@ -59,7 +57,7 @@ def find_worst_status(standings: Sequence[fleet.SensorStatus]) -> FleetStatus:
     worst = max(standings, key=lambda one: LEVELS.index(one.status))
     alike = sum(one.status == worst.status for one in standings)
     more = f" {alike - 1} more like this." if alike > 1 else ""
-    return FleetStatus(worst.status, WORD_OF_LEVEL[worst.status], f"{worst.name}: {worst.sentence}{more}")
+    return FleetStatus(worst.status, sensor_word(worst.status), f"{worst.name}: {worst.sentence}{more}")
 
 
 def read_fleet_status(session: Session) -> tuple[FleetStatus, int, int]:

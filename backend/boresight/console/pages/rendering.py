@@ -32,7 +32,7 @@ from boresight.console.access.dependencies import check_own, get_server, open_wr
 from boresight.console.fleet.timeline import describe_source
 from boresight.console.help.glossary import mark_terms
 from boresight.console.pages import formats
-from boresight.console.pages.formats import LEVELS, get_level, worst
+from boresight.console.pages.formats import LEVELS, get_level, show_times, worst
 from boresight.console.pages.frame import FLASH_COOKIE, make_page_frame
 from boresight.errors import (
     BoresightError,
@@ -189,7 +189,7 @@ def render(
     follows_from: Hashable = None,
     **values: Any,
 ) -> HTMLResponse:
-    """Render a template inside the frame, its terms explained."""
+    """Render a template inside the frame, its times in the reader's form and its terms explained."""
     if refused is not None:
         status_code, headers = refused.status, refused.headers
     frame = make_page_frame(request, is_answer=status_code == HTTPStatus.OK)
@@ -198,7 +198,8 @@ def render(
     shared = follows_from is not None and request.scope["state"].get(GAPS)
     page = rendered.get(given) if shared else None
     if page is None:
-        page = mark_terms(TEMPLATES.get_template(template).render(frame=frame, request=request, **values))
+        written = TEMPLATES.get_template(template).render(frame=frame, request=request, **values)
+        page = mark_terms(show_times(written, frame.times))
         if shared:
             rendered[given] = page
             while len(rendered) > MOST_RENDERED:

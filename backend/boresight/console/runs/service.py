@@ -14,7 +14,7 @@ from boresight.console.runs import queries
 from boresight.console.runs.dry_runs import check_run_request, dry_run
 from boresight.console.runs.results import read_result, refuse_choice
 from boresight.console.runs.tables import RUN_STATES, TERMINAL_RUN_STATES, Run, RunEvent, parse_progress
-from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.telemetry.tables import TelemetrySet, find_quality
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
@@ -72,6 +72,17 @@ def get_run(session: Session, run_id: int) -> Run:
     if run is None:
         raise NotFoundError(f"There is no run {run_id}; choose one from the list.")
     return run
+
+
+def lacks_times(session: Session, run: Run) -> bool:
+    """Whether a run has no result because its telemetry has no times, which the directions of its stars need."""
+    if run.state != "FAILED":
+        return False
+    quality = find_quality(session.get_known(TelemetrySet, run.telemetry_set_id).quality)
+    if any(found.code == "TIME_MISSING" and found.severity == "SERIOUS" for found in quality.findings):
+        return True
+    sensor = parse_sensor(run.sensor_document)
+    return quality.time is None and (sensor.site is not None or sensor.declared.directions == "j2000")
 
 
 def list_runs(

@@ -6,6 +6,7 @@ Anything else is MISMATCH, and one that bytes showed is taken back by bytes only
 
 from __future__ import annotations
 
+import hashlib
 import io
 import re
 import zipfile
@@ -19,13 +20,19 @@ from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.transitions import require_seen
 from boresight.console.uplinks import packages
 from boresight.console.uplinks import queries as rows
-from boresight.console.uplinks.service import EntryBasis, add_entry, get_set_for_entry, refuse_shown_mismatch
+from boresight.console.uplinks.service import (
+    EntryBasis,
+    add_entry,
+    get_set_for_entry,
+    refuse_shown_mismatch,
+    require_entrant,
+)
 from boresight.console.uplinks.table_definitions import parse_stored
 from boresight.console.uplinks.tables import Package, TableDefinition, Uplink
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.actors import Actor
 from boresight.platform.blobs.store import BlobStore, register_blob
-from boresight.platform.db.sessions import Session, utc_now
+from boresight.platform.db.sessions import Session, is_dry_run, utc_now
 from boresight.uplink import table_definition as tables
 from boresight.uplink.cfe import table_image
 from boresight.uplink.comparison import compare
@@ -106,8 +113,8 @@ def read_back(
 ) -> Uplink:
     """Hold a dump, or the CRC that was told, against what was sent, and record what came of it.
 
-    `read`: The dump, bytes as they were read from the spacecraft, with or without cFE's file headers; or the CRC that
-    it told, text in hexadecimal.
+    `read`: The dump, bytes as they were read from the spacecraft, with or without cFE's file headers, which were stored before
+    this transaction; or the CRC that it told, text in hexadecimal.
     """
     row = get_set_for_entry(session, actor, parameter_set_id, source, seen_version)
     require_seen(session, row, seen_version)
@@ -121,6 +128,14 @@ def read_back(
     held = "ACTIVE" if row.onboard_state == "ACTIVE" else "VERIFIED"
     basis = EntryBasis(details, method="crc" if isinstance(read, str) else "bytes")
     return add_entry(session, actor, row, held if matches else "MISMATCH", source, basis)
+
+
+def list_to_store(actor: Actor, dump: bytes | None) -> tuple[bytes, ...]:
+    """Return what is stored before the transaction of a read-back; refuses who may not enter one, and stores no large file."""
+    if dump is None or len(dump) > MOST_DUMP_BYTES:
+        return ()
+    require_entrant(actor)
+    return (dump,)
 
 
 def choose_dump_or_crc(dump: bytes | None, crc: str) -> bytes | str:
@@ -166,11 +181,12 @@ def _compare_crc(reference: SentTable, told: str) -> tuple[bool, dict[str, Any]]
 def _compare_bytes(
     session: Session, blobs: BlobStore, row: ParameterSet, reference: SentTable, dump: bytes
 ) -> tuple[bool, dict[str, Any]]:
-    """Compare a dump with the bytes that were sent; stores the dump and returns the evidence."""
+    """Compare a dump with the bytes that were sent; names the stored dump and returns the evidence."""
     definition = reference.definition
     image = table_image(definition.cfe, definition.length_bytes, dump)
     comparison = compare(definition, reference.content, image)
-    sha256 = register_blob(session, blobs, blobs.put(dump), "application/octet-stream").sha256
+    size = len(dump) if is_dry_run(session) else None
+    sha256 = register_blob(session, blobs, hashlib.sha256(dump).hexdigest(), "application/octet-stream", size).sha256
     kept: Mapping[str, Any] = {"sha256": sha256, "bytes": len(dump), "header_bytes": len(dump) - len(image)}
     found = {**comparison.document(), "dump": kept}
     if not comparison.matches and (other := _find_identical_set(session, row, definition, image)) is not None:

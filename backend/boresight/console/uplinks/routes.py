@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from typing import Annotated
 
 from fastapi import Depends
+from fastapi.concurrency import contextmanager_in_threadpool
 from pydantic import Field, SecretStr
 from starlette.datastructures import UploadFile
 from starlette.requests import Request
@@ -15,6 +17,8 @@ from boresight.console import list_queries as lists
 from boresight.console import schemas as console_schemas
 from boresight.console.access.dependencies import (
     Blobs,
+    Database,
+    IsDryRun,
     Reading,
     SeenVersion,
     ServerPolicy,
@@ -35,6 +39,7 @@ from boresight.console.uplinks.stations import Workflow, make_workflow
 from boresight.console.uplinks.tables import Package, TableDefinition, Uplink
 from boresight.errors import RefusedInputError
 from boresight.platform.actors import Actor
+from boresight.platform.blobs import files
 from boresight.platform.db.sessions import Session
 from boresight.platform.web.media import StoredFile, ZipFile
 from boresight.platform.web.openapi import refuses
@@ -169,6 +174,19 @@ async def read_form(
     return came
 
 
+async def stored_read_back(
+    actor: Who,
+    came: Annotated[ReadBack, Depends(read_form)],
+    engine: Database,
+    blobs: Blobs,
+    is_dry_run: IsDryRun,
+) -> AsyncIterator[ReadBack]:
+    """Store the dump before the transaction begins."""
+    contents = read_backs.list_to_store(actor, None if is_dry_run else came.dump)
+    async with contextmanager_in_threadpool(files.stored_ahead(engine, blobs, *contents)):
+        yield came
+
+
 @onboard_router.get("/{parameter_set_id}/workflow", summary="Read where a set stands", response_model=schemas.Workflow)
 def get_workflow(session: Reading, actor: Who, policy: ServerPolicy, parameter_set_id: Id) -> Workflow:
     """Return the ten stations of a set, and who is to do what next."""
@@ -186,7 +204,7 @@ def read_back(
     parameter_set_id: Id,
     actor: Who,
     seen: SeenVersion,
-    came: Annotated[ReadBack, Depends(read_form)],
+    came: Annotated[ReadBack, Depends(stored_read_back, scope="function")],
     session: Writing,
     blobs: Blobs,
 ) -> Uplink:

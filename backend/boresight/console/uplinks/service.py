@@ -48,13 +48,18 @@ class EntryBasis:
 STATEMENT = EntryBasis()
 
 
+def require_entrant(actor: Actor) -> None:
+    """Refuse who may not enter what happened on board."""
+    require_role(actor, "operator")
+    require_scope(actor, "uplinks")
+    require_user(actor, "record an uplink")
+
+
 def get_set_for_entry(
     session: Session, actor: Actor, parameter_set_id: int, source: str, seen_version: int | None
 ) -> ParameterSet:
     """Return the set of an operator's entry, after checking role and version."""
-    require_role(actor, "operator")
-    require_scope(actor, "uplinks")
-    require_user(actor, "record an uplink")
+    require_entrant(actor)
     refuse_control_characters(source=source)
     row = session.get_known(ParameterSet, parameter_set_id)
     if seen_version is not None:

@@ -23,6 +23,7 @@ from boresight.console.fleet.timeline import describe_source
 from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets.service import USABLE_STATUSES
 from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs import service as runs
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
 from boresight.console.uplinks.tables import Package, Uplink
 from boresight.platform.actors import Actor, Policy
@@ -246,6 +247,12 @@ def _step_of_run(viewer: _Viewer, run: Run | None) -> NextStep:
     if run is None or run.state not in TERMINAL_RUN_STATES:
         return NextStep("This page updates by itself.")
     again = f"/runs/new?clone={run.id}"
+    if runs.lacks_times(viewer.session, run):
+        said, address = (
+            "Its telemetry has no times: upload it again with time_utc.",
+            f"/telemetry?sensor={run.sensor_id}",
+        )
+        return viewer.step_for(("analyst",), said, "Upload a set with times", f"{address}#upload-title")
     if run.state != "SUCCEEDED":
         return viewer.step_for(("analyst",), "Correct what failed, then run it again.", "Run it again", again)
     status = (run.summary or {}).get("status")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import sqlalchemy as sa
@@ -11,7 +12,7 @@ from boresight.errors import CorruptFileError, NotFoundError
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.blobs.tables import Blob
 from boresight.platform.db.declared import Base
-from boresight.platform.db.sessions import Session
+from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing
 
 AT_A_TIME = 500
 ALTERED, MISSING, RESIZED = "altered", "missing", "another size than its row says"
@@ -40,6 +41,24 @@ def list_sizes(session: Session, addresses: Sequence[str]) -> Sequence[tuple[str
     """Return addresses and sizes of those files that rows name."""
     query = sa.select(Blob.sha256, Blob.size_bytes).where(Blob.sha256.in_(addresses)).order_by(Blob.sha256)
     return [(sha256, size) for sha256, size in session.execute(query)]
+
+
+@contextmanager
+def stored_ahead(engine: Engine, blobs: BlobStore, *contents: bytes) -> Iterator[None]:
+    """Store bytes before the transaction whose rows name them; what no row names at the end is removed again.
+
+    It is removed under the lock of a writer, and whoever names it later looks for the file first, so nobody loses a file.
+    """
+    stored = [blobs.put(content) for content in contents]
+    try:
+        yield
+    finally:
+        with open_reading(engine) as session:
+            unnamed = set(stored) - dict(list_sizes(session, stored)).keys()
+        if unnamed:
+            with open_writing(engine) as session:
+                for sha256 in unnamed - dict(list_sizes(session, stored)).keys():
+                    blobs.discard(sha256)
 
 
 def count_bytes(session: Session) -> int:

@@ -147,7 +147,7 @@ def request_page(
     result = runs.find_calibration(session, get_server(request).blobs, row.run_id) if row.run_id is not None else None
     rows = set_rows(*read_set_and_incumbent(row, incumbent), sensor.document["typical_sigma"])
     policy = get_server(request).policy
-    points = review.list_points(session, approval, (actor.user_id,))
+    points = review.list_points(session, approval, actor.user_id)
     found = threads.list_threads(session, approval_id)
     changed = [one for one in rows if one.delta]
     panel = make_gates_panel(session, actor, row, report_sha256=approval.bound.get("gate_report_sha256"))
@@ -348,7 +348,10 @@ async def _signed(request: Request, actor: Actor, approval_id: int, kind: str) -
 
 
 def read_signing(kind: str, form: Mapping[str, str]) -> TypedText:
-    """Read what was typed into the form of a signature; a tick is `tick:KIND:NAME`, its reason `reason:KIND:NAME`."""
+    """Read what was typed into the form of a signature; a tick is `tick:KIND:NAME`, its reason `reason:KIND:NAME`.
+
+    `their:KIND:NAME` is what the person at the console opened and the second person did not; `their_reason` answers for all.
+    """
     reasons: dict[tuple[str, str], str] = {}
     ticked: set[tuple[str, str]] = set()
     for key, value in form.items():
@@ -359,6 +362,9 @@ def read_signing(kind: str, form: Mapping[str, str]) -> TypedText:
             reasons[about] = value
         if what == "tick":
             ticked.add(about)
+        if what == "their" and kind != "sign" and form.get("their_reason", "").strip():
+            ticked.add(about)
+            reasons[about] = form["their_reason"]
     decision, meaning, comment, name = (form.get(key, "") for key in ("decision", "meaning", "comment", "name"))
     return TypedText(kind, decision, meaning, comment, name, reasons=reasons, ticked=frozenset(ticked))
 

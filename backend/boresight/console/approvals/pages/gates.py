@@ -46,7 +46,7 @@ from boresight.platform.actors import Actor, Policy, require_role
 from boresight.platform.db.sessions import Session, open_reading, utc_after, utc_now
 from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.gates import GATES, Gate
-from boresight.verdicts.gates.judgement import GateRow, gate_rows
+from boresight.verdicts.gates.judgement import STATUSES, GateRow, gate_rows
 from boresight.verdicts.gates.profile import THRESHOLDS
 
 USUAL_DAYS = 7
@@ -89,6 +89,14 @@ class GatesPanel:
     def blocking(self) -> Sequence[GateRow]:
         """Gates that stop the set now."""
         return [row for row in self.rows if row.blocking]
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """What is against the set, the worst first: evidence that changed, then every gate that does not pass."""
+        outdated = [f"The {' and the '.join(self.moved)} changed since the gates were assessed: assess them again."]
+        against = [row for row in self.rows if row.status != "PASS"]
+        against.sort(key=lambda row: (not row.blocking, -STATUSES.index(row.status)))
+        return [*(outdated if self.moved else ()), *(f"{row.title}: {row.sentence}" for row in against)]
 
 
 def make_gates_panel(

@@ -30,6 +30,10 @@ SILENT_S = 30.0  # a worker reports four times a second, or at every frame of a 
 WHAT_TO_TRY = (
     "Read the telemetry's quality report, then clone this run and edit it: free fewer parameters, or use another set."
 )
+UPLOAD_WITH_TIMES = (
+    "The directions of its stars need times, which this set does not have, so it fails each time: "
+    "upload it again with time_utc."
+)
 NO_WORKERS = (
     "This server has no workers and no scheduler in its settings: the run starts when another server on "
     "this database takes it, or when this one is restarted with workers."
@@ -55,7 +59,7 @@ def list_notices(
         "QUEUED": lambda: [StateNotice("standby", _queue_sentence(session, run, workers)), *_of_attempts(log)],
         "RUNNING": lambda: [*_of_attempts(log), *_of_silence(run)],
         "CANCELLING": lambda: [StateNotice("caution", _stopping_sentence(run, log))],
-        "FAILED": lambda: _of_failure(run, log),
+        "FAILED": lambda: _of_failure(session, run, log),
         "LOST": lambda: [StateNotice("serious", _lost_sentence(run), links=_again(run)), *_of_partial(run)],
         "CANCELLED": lambda: [StateNotice("off", _reason(run) or "This run was cancelled."), *_of_partial(run)],
     }
@@ -76,13 +80,17 @@ def _again(run: Run) -> tuple[tuple[str, str], ...]:
     return ((f"/runs/new?clone={run.id}", "Run it again"), (f"/telemetry/{run.telemetry_set_id}", "Quality report"))
 
 
-def _of_failure(run: Run, log: Sequence[RunEvent]) -> list[StateNotice]:
+def _of_failure(session: Session, run: Run, log: Sequence[RunEvent]) -> list[StateNotice]:
     """Explain a failure: its cause, the end of the log, and what to try."""
     cause = _reason(run) or "The run failed and no cause was recorded; see the last lines of its log."
     lines = tuple(line for line in log if line.state != "FAILED")
+    told, links = WHAT_TO_TRY, _again(run)
+    if runs.lacks_times(session, run):
+        upload = (f"/telemetry?sensor={run.sensor_id}#upload-title", "Upload a set with times")
+        told, links = UPLOAD_WITH_TIMES, (upload, links[-1])
     return [
         StateNotice("serious", cause, lines=lines[-LAST_LINES:]),
-        StateNotice("off", WHAT_TO_TRY, links=_again(run)),
+        StateNotice("off", told, links=links),
         *_of_partial(run),
     ]
 
@@ -160,6 +168,7 @@ def make_live_part(request: Request, session: Session, run: Run) -> dict[str, An
     workers = get_server(request).workers
     return {
         "notices": list_notices(session, run, log, workers.state() if workers else None),
+        "lacks_times": runs.lacks_times(session, run),
         "fraction": progress.fraction or 0.0,
         "message": progress.message or "",
         "frames_to_come": runs.frames_to_come(session, run),

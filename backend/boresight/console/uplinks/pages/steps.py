@@ -10,16 +10,18 @@ import hashlib
 import io
 import zipfile
 from collections.abc import Awaitable, Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
 from fastapi import APIRouter, Depends, Request
+from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import UploadFile
 
 from boresight.console import list_queries as lists
-from boresight.console.access.dependencies import Blobs, Reading, ServerPolicy, Who, csrf, get_server
+from boresight.console.access.dependencies import Blobs, Database, Reading, ServerPolicy, Who, csrf, get_server
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.fleet import timeline
 from boresight.console.fleet.tables import Sensor
@@ -46,6 +48,7 @@ from boresight.console.uplinks.tables import Package, Uplink
 from boresight.errors import BoresightError
 from boresight.figures.tables import set_rows
 from boresight.platform.actors import Actor
+from boresight.platform.blobs import files
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session
 from boresight.platform.web.paging import parse_row_id
@@ -286,7 +289,7 @@ async def record(request: Request, actor: Who, blobs: Blobs, set_id: int) -> Res
 
 
 @router.post("/parameter-sets/{set_id:int}/uplink/read-back")
-async def read_back(request: Request, actor: Who, blobs: Blobs, set_id: int) -> Response:
+async def read_back(request: Request, actor: Who, blobs: Blobs, engine: Database, set_id: int) -> Response:
     """Hold a dump or a CRC against what was sent."""
     typed, dump = await _form(request)
 
@@ -295,8 +298,20 @@ async def read_back(request: Request, actor: Who, blobs: Blobs, set_id: int) -> 
         source, happened = typed.get("source", ""), typed.get("happened_utc")
         return read_backs.read_back(session, actor, blobs, set_id, read, source, seen_version(typed), happened)
 
+    async def keep() -> tuple[()]:
+        await run_in_threadpool(
+            kept.enter_context, files.stored_ahead(engine, blobs, *read_backs.list_to_store(actor, dump))
+        )
+        return ()
+
     by = "by CRC" if dump is None else "byte for byte"
-    return await _taken_step(request, actor, blobs, "read-back", typed, change, f"The read-back matches, {by}.")
+    kept = ExitStack()
+    try:
+        return await _taken_step(
+            request, actor, blobs, "read-back", typed, change, f"The read-back matches, {by}.", keep
+        )
+    finally:
+        await run_in_threadpool(kept.close)
 
 
 @router.post("/parameter-sets/{set_id:int}/uplink/activate")
