@@ -34,11 +34,12 @@ from boresight.calibration.joint.passes import JointTelemetry, passes_of
 from boresight.calibration.joint.prior import (
     PriorSource,
     TakenPrior,
+    refuse_vary,
     refuse_without_prior,
     take_prior,
     without_held,
 )
-from boresight.calibration.joint.variation import OPEN_SIGMAS, check_variation, fit_variation
+from boresight.calibration.joint.variation import OPEN_SIGMAS, check_variation, fit_variation, refuse_one_pass
 from boresight.calibration.matching.match_report import CyclesEnd, Estimation
 from boresight.calibration.matching.matched import Dataset, Matched
 from boresight.calibration.matching.verification import advise
@@ -323,8 +324,7 @@ def _begin(
         if settings.vary:
             return _fit_passes(telemetry, sensor, catalogue, parameters, settings, context)
         return _Begun(telemetry, sensor, parameters, telemetry)
-    if settings.vary:
-        raise RefusedInputError("A prior is of one camera and not of passes that vary: leave out --vary, or --prior.")
+    refuse_vary(settings)
     new, left_out = without_held(telemetry, prior, sha256s)
     taken = take_prior(prior, sensor, parameters, settings, new.begins)
     there = replace(sensor, initial=taken.prior.x)
@@ -342,9 +342,7 @@ def _fit_passes(
     """Match and fit all passes as one camera, and from there with what varies: the last pass, with the others as its prior."""
     names = [CAMERA_MODELS[sensor.camera_model].parameter_names[p] for p in parameters.free]
     if not isinstance(telemetry, JointTelemetry):
-        raise RefusedInputError(
-            "What varies from pass to pass needs several telemetry sets: name more, or leave --vary out."
-        )
+        refuse_one_pass()
     check_variation(names, settings)
     alike = replace(settings, method="batch", variant="no-q", vary=None)
     corrections = Corrections(sensor, catalogue, left_out=settings.leave_out_stars)

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NoReturn
 
 import numpy as np
 
@@ -174,6 +175,13 @@ def places_of(problem: Problem, passes: Sequence[InputPass]) -> list[tuple[int, 
     """Return the places of each pass's frames among those that take part."""
     frame = problem.arcs.frame
     return [tuple(np.searchsorted(frame, [one.first_frame, one.last_frame + 1]).tolist()) for one in passes]
+
+
+def refuse_one_pass() -> NoReturn:
+    """Refuse what varies from pass to pass of one set."""
+    raise RefusedInputError(
+        "What varies from pass to pass needs several telemetry sets: name more, or leave --vary out."
+    )
 
 
 def check_variation(names: Sequence[str], settings: CalibrationSettings) -> None:

@@ -12,6 +12,7 @@ from starlette.responses import Response
 
 from boresight.calibration.calibration import Calibration, parse_calibration
 from boresight.calibration.choice.result import Choice
+from boresight.calibration.joint.passes import MOST_PASSES
 from boresight.console import schemas as console_schemas
 from boresight.console.access.dependencies import (
     SAME_FOR_ALL,
@@ -65,6 +66,16 @@ class Launch(BaseModel):
     validation_set_id: Id | None = Field(
         None, description="A validation set: never fitted, only used to judge the result."
     )
+    joint_set_ids: list[Id] = Field(
+        default_factory=list,
+        max_length=MOST_PASSES - 1,
+        description="Further sets of the sensor: all are calibrated together with the first, as one.",
+    )
+    prior_set_id: Id | None = Field(
+        None,
+        description="A parameter set, approved or active, to start from with its covariance; sets that it holds count once.",
+    )
+    prior_run_id: Id | None = Field(None, description="The same by a run that has ended; give at most one of the two.")
     label: str = ""
     validate_only: bool = Field(default=False, description="Check everything, change nothing, and describe the result.")
 
@@ -116,6 +127,9 @@ def launch_run(
         launch.telemetry_set_id,
         launch.settings,
         validation_set_id=launch.validation_set_id,
+        joint_set_ids=launch.joint_set_ids,
+        prior_run_id=launch.prior_run_id,
+        prior_set_id=launch.prior_set_id,
         label=launch.label,
         validate_only=asked or launch.validate_only,
         forecast_sources=forecast_sources,
