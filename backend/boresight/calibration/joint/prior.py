@@ -27,7 +27,7 @@ from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.joint.passes import JointTelemetry, NamedTelemetry, join_sets
 from boresight.calibration.options import OPTIONS, CalibrationSettings
 from boresight.calibration.problem import Problem
-from boresight.calibration.result import ON_A_PRIOR, trend_entry
+from boresight.calibration.result import OF_SEVERAL, ON_A_PRIOR, trend_entry
 from boresight.calibration.telemetry_pieces import TelemetryInput, is_large
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
@@ -225,7 +225,7 @@ def _age_days(source: PriorSource, settings: CalibrationSettings, begins: np.dat
 def _remarks(source: PriorSource) -> list[str]:
     entry = trend_entry(source.calibration)
     said = []
-    if entry is not None and entry.left_out not in {None, ON_A_PRIOR}:
+    if entry is not None and entry.left_out not in {None, ON_A_PRIOR, OF_SEVERAL}:
         said.append(f"The prior is to be read with care, for {entry.left_out}: compare with a run without --prior.")
     if not source.held_sets:
         said.append(
