@@ -64,9 +64,7 @@ def test_a_joint_calibration_is_that_of_the_stacked_set_to_the_last_bit(sensor, 
     assert sum(one.stars for one in found.inputs.passes) == found.stars
     if not settings:
         dof = found.pairs - len(found.free)
-        assert sum(one.chi2 for one in found.inputs.passes) / dof == pytest.approx(
-            found.chi2_per_dof, rel=1e-6
-        )
+        assert sum(one.chi2 for one in found.inputs.passes) / dof == pytest.approx(found.chi2_per_dof, rel=1e-6)
 
 
 def test_the_fit_is_the_dense_least_squares_of_all_rows_within_1e_9_sigma(sensor, catalogue):

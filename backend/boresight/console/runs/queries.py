@@ -248,6 +248,17 @@ def list_held_sets(session: Session, run: Run) -> set[int]:
     return held
 
 
+def list_further_sets(session: Session, run: Run) -> list[TelemetrySet]:
+    """Return the sets that a run takes with its first, in their order."""
+    query = (
+        sa.select(TelemetrySet)
+        .join(JointSet, JointSet.telemetry_set_id == TelemetrySet.id)
+        .where(JointSet.run_id == run.id)
+        .order_by(JointSet.id)
+    )
+    return list(session.scalars(query))
+
+
 HOLDING_STATES = ("RUNNING", "CANCELLING")
 HeldRun = tuple[int, int]  # (run id, attempt)
 
