@@ -31,6 +31,7 @@ import psutil
 from benchmarks import ROOT, Report, held
 from benchmarks.servers import Service, certified, free_port, variables
 from benchmarks.stars import write_synthetic
+from boresight.console.runs.queries import ClaimedSet
 from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.settings import read_settings
 from boresight.simulation.sensors import st16_sensor
@@ -141,8 +142,9 @@ class Site:
         inputs = Inputs(
             blob_address=str(self.folder / "blobs"),
             catalogue_folder=str(self.folder / "catalogue"),
-            table_sha256=table,
-            validation_sha256=None,
+            sets=[ClaimedSet(name="stars", original_sha256=table, table_sha256=table)],
+            validation=None,
+            prior=None,
             sensor_document=sensor_document(st16_sensor(1)),
             settings={"method": self._method, "match": "given"},
             chooses=False,

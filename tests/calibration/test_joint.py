@@ -60,6 +60,11 @@ def test_a_joint_calibration_is_that_of_the_stacked_set_to_the_last_bit(sensor, 
     assert [one.frames for one in found.inputs.passes] == [40, 25, 30]
     assert [one.frame_offset for one in found.inputs.passes] == [0, 40, 65]
     assert [one.first_frame for one in found.inputs.passes] == [0, 40, 65]
+    assert sum(one.pairs for one in found.inputs.passes) == found.pairs
+    assert sum(one.stars for one in found.inputs.passes) == found.stars
+    if not settings:
+        dof = found.pairs - len(found.free)
+        assert sum(one.chi2 for one in found.inputs.passes) / dof == pytest.approx(found.chi2_per_dof, rel=1e-6)
 
 
 def test_the_fit_is_the_dense_least_squares_of_all_rows_within_1e_9_sigma(sensor, catalogue):

@@ -12,7 +12,6 @@ from boresight.calibration.options import (
     FORM,
     GROUPS,
     METHODS,
-    OF_COMMAND_ONLY,
     OPTIONS,
     CalibrationSettings,
     schema,
@@ -239,7 +238,10 @@ def test_every_choice_stands_once_on_the_form_of_a_launch():
         "match",
     ]  # buttons with a sentence each, the sensor's own parameters, and the panel of its own
     shown = [
-        option.name for part in ("usual", "more") for fieldset in FORM[part] for row in fieldset.rows for option in row
+        option.name
+        for part in ("usual", "more", "of_one_run")
+        for fieldset in FORM[part]
+        for row in fieldset.rows
+        for option in row
     ]
-    of_files = [option.name for option in OPTIONS.values() if option.group in OF_COMMAND_ONLY]
-    assert sorted(shown + beside + of_files) == sorted(OPTIONS)
+    assert sorted(shown + beside) == sorted(OPTIONS)

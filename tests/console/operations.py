@@ -304,6 +304,8 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "choose_camera": lambda house: ("ada", {"run_id": house.finished()}),
     "get_run_choice": lambda house: ("victor", {"run_id": house.chosen()}),
     "get_run_choice_figure": lambda house: ("victor", {"run_id": house.chosen()}),
+    "get_run_passes_figure": lambda house: ("victor", {"run_id": house.finished()}),
+    "get_run_passes_data": lambda house: ("victor", {"run_id": house.finished()}),
     "get_run_removed_data": lambda house: ("victor", {"run_id": house.finished()}),
     "get_run_choice_data": lambda house: ("victor", {"run_id": house.chosen()}),
     "get_run_log": lambda house: ("victor", {"run_id": house.finished()}),

@@ -192,7 +192,7 @@ CHANGED = {
 
 
 def words(settings):
-    return calibrate_command("a b.csv", "s.json", settings, None, "r.json")
+    return calibrate_command(["a b.csv"], "s.json", settings, None, "r.json")
 
 
 def test_the_command_says_defaults_in_two_words_quotes_blanks_and_forgets_no_setting(batch_result):
@@ -202,7 +202,7 @@ def test_the_command_says_defaults_in_two_words_quotes_blanks_and_forgets_no_set
     found = replace(batch_result, inputs=replace(batch_result.inputs, passes=several))
     found = replace(found, prior=PriorUse(name="a.json", covariance="noise", inflation=1.0))
     assert command(found).startswith("boresight calibrate TELEMETRY_1 TELEMETRY_2 --sensor")
-    assert command(found).endswith("--prior PRIOR.json")
+    assert "--prior PRIOR.json" in command(found)
     assert set(CHANGED) == set(asdict(CalibrationSettings())) - {"replay_frames_per_s"}
     assert ["--linearisations" in command(batch_result), "--method batch" in command(batch_result)] == [False, True]
 

@@ -20,7 +20,9 @@ VALIDATION = Evaluation(
 )
 
 
-def calculate(telemetry, sensor, catalogue, settings, *, validation=None, report=None, cancelled=None, cache_folder):
+def calculate(
+    telemetry, sensor, catalogue, settings, *, validation=None, report=None, cancelled=None, cache_folder, **_told
+):
     assert len(telemetry) > 0
     assert len(catalogue.hip) > 0
     assert cache_folder.is_dir()

@@ -17,6 +17,7 @@ from boresight.calibration.assumptions import list_assumptions
 from boresight.calibration.calibration import (
     Assumption,
     Calibration,
+    InputPass,
     JudgedOn,
     Noise,
     PassVariation,
@@ -34,11 +35,18 @@ from boresight.calibration.joint.passes import JointTelemetry, passes_of
 from boresight.calibration.joint.prior import (
     PriorSource,
     TakenPrior,
+    refuse_vary,
     refuse_without_prior,
     take_prior,
     without_held,
 )
-from boresight.calibration.joint.variation import OPEN_SIGMAS, check_variation, fit_variation
+from boresight.calibration.joint.variation import (
+    OPEN_SIGMAS,
+    check_variation,
+    fit_variation,
+    judge_passes,
+    refuse_one_pass,
+)
 from boresight.calibration.matching.match_report import CyclesEnd, Estimation
 from boresight.calibration.matching.matched import Dataset, Matched
 from boresight.calibration.matching.verification import advise
@@ -261,6 +269,7 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and eight choices of the c
                     found, ended, corrections = _calibrated(
                         sets, parameters, sets.settings, sha256s or {}, context, clock, used
                     )
+                    begun = begun.with_passes_judged(None if corrections else ended)
         except OffDetectorError as error:
             from boresight.calibration.diagnosis.explain import explain_refusal  # noqa: PLC0415 - only refused sets
 
@@ -296,10 +305,19 @@ class _Begun:
     taken: TakenPrior | None = None
     variation: PassVariation | None = None
     advice: Sequence[str] = ()
+    judged: Sequence[InputPass] = ()
+
+    def with_passes_judged(self, ended: CyclesEnd | None) -> _Begun:
+        """Say of each of several passes what of it was in the fit that ended, while its arcs are there."""
+        passes = passes_of(self.passes)
+        if self.judged or len(passes) < 2 or ended is None or ended.estimate.status == "diverged":
+            return self
+        problem, x = ended.matched.problem, ended.estimate.x
+        return replace(self, judged=judge_passes(problem, passes, self.parameters, x))
 
     def describe(self, found: Calibration, ended: CyclesEnd | None, settings: CalibrationSettings) -> Calibration:
         """Say in a calibration which passes it had, what varied, and what came from a prior."""
-        inputs = replace(found.inputs, passes=passes_of(self.passes))
+        inputs = replace(found.inputs, passes=list(self.judged) or passes_of(self.passes))
         found = replace(found, inputs=inputs, variation=self.variation)
         if self.taken is None or ended is None or ended.estimate.status == "diverged":
             return found
@@ -323,8 +341,7 @@ def _begin(
         if settings.vary:
             return _fit_passes(telemetry, sensor, catalogue, parameters, settings, context)
         return _Begun(telemetry, sensor, parameters, telemetry)
-    if settings.vary:
-        raise RefusedInputError("A prior is of one camera and not of passes that vary: leave out --vary, or --prior.")
+    refuse_vary(settings)
     new, left_out = without_held(telemetry, prior, sha256s)
     taken = take_prior(prior, sensor, parameters, settings, new.begins)
     there = replace(sensor, initial=taken.prior.x)
@@ -342,9 +359,7 @@ def _fit_passes(
     """Match and fit all passes as one camera, and from there with what varies: the last pass, with the others as its prior."""
     names = [CAMERA_MODELS[sensor.camera_model].parameter_names[p] for p in parameters.free]
     if not isinstance(telemetry, JointTelemetry):
-        raise RefusedInputError(
-            "What varies from pass to pass needs several telemetry sets: name more, or leave --vary out."
-        )
+        refuse_one_pass()
     check_variation(names, settings)
     alike = replace(settings, method="batch", variant="no-q", vary=None)
     corrections = Corrections(sensor, catalogue, left_out=settings.leave_out_stars)
@@ -356,12 +371,13 @@ def _fit_passes(
         fitted, variation = fit_variation(
             ended.matched.problem, passes_of(telemetry), parameters, ended.estimate.x, settings, context.cancelled
         )
+        judged = fitted.judge(passes_of(telemetry))
     open_sigmas = settings.initial_sigma_scale if settings.sequential else OPEN_SIGMAS
     origin = PriorUse(name="the other passes", covariance="noise", inflation=1.0)
     remedy = "let more parameters vary, and look at each pass by itself"
     taken = TakenPrior(fitted.prior_of_last(parameters, open_sigmas), origin, (variation.sentence,), remedy)
     last = telemetry.in_order[-1].telemetry
-    return _Begun(last, sensor, replace(parameters, prior=taken.prior), telemetry, taken, variation)
+    return _Begun(last, sensor, replace(parameters, prior=taken.prior), telemetry, taken, variation, judged=judged)
 
 
 def hardly_matches(found: Calibration) -> bool:

@@ -134,7 +134,8 @@ class InputPass:
     """One telemetry set of a joint calibration.
 
     `first_frame`, `last_frame`: as the calibration numbers frames; its own numbers are those less `frame_offset`, and its own
-    rows those of the calibration less `row_offset`. `temperature_c`: mean over its detections.
+    rows those of the calibration less `row_offset`. `temperature_c`: mean over its detections. `stars`, `pairs`, `chi2`: those in
+    the fit, and the chi-square of this pass in it.
     """
 
     name: str
@@ -148,6 +149,9 @@ class InputPass:
     start_utc: str | None = None
     end_utc: str | None = None
     temperature_c: float | None = None
+    stars: int | None = None
+    pairs: int | None = None
+    chi2: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -80,8 +80,8 @@ GROUPS = {
     "Of the filters": FILTERS,
     "Of svd and angular": EITHER_FORM,
 }
-#: Headings of choices that no form has: a run on a server takes one set, and starts from its sensor.
-OF_COMMAND_ONLY = ("Of a joint calibration", "Of a prior")
+#: Headings of choices that the form of one run has by themselves; the runs of a campaign take one set each, without a prior.
+OF_ONE_RUN = ("Of a joint calibration", "Of a prior")
 #: Headings of a form's sets of fields, by the methods that have them and whether they are usual.
 LEGENDS = {
     (FILTERS, True): "Filter",
@@ -178,7 +178,7 @@ class Option:
         highest, most = (LAST_STAR, MOST_STARS_LEFT_OUT) if self.kind == "stars" else (3, 3)
         return all(type(k) is int and 1 <= k <= highest for k in value) and len(set(value)) == len(value) <= most
 
-    def read(self, text: str) -> Any:
+    def read(self, text: str) -> Any:  # noqa: PLR0911 - one a kind
         """Read what was typed into a form; a comma stands for a point, as many keyboards have it."""
         text = text.strip()
         if self.kind == "yes or no":
@@ -187,6 +187,8 @@ class Option:
             return [self._whole(part) for part in text.split(",") if part.strip()]
         if self.kind == "wholes":
             return [self._whole(part) for part in text.split(",")]
+        if self.kind == "names":
+            return [part.strip() for part in text.split(",") if part.strip()] or None
         if self.kind == "whole":
             return self._whole(text)
         if self.kind == "number":
@@ -321,10 +323,12 @@ class CalibrationSettings:
     )  # fmt: skip
     vary: tuple[str, ...] | None = option(
         "Of a joint calibration", "Parameters of a pass", "Parameters that each telemetry set has by itself, as f_m,m0_px.",
-        default=None, kind="names", flag="--vary",
+        cell=(0, 0), default=None, kind="names", flag="--vary",
+        hint="Empty: the same in every set. Names with commas between them, such as f_m.",
     )  # fmt: skip
     vary_as: str = option(
-        "Of a joint calibration", "How they vary", "How parameters of a pass hang together.", default="pass", flag="--vary-as",
+        "Of a joint calibration", "How they vary", "How parameters of a pass hang together.", cell=(1, 0), default="pass",
+        flag="--vary-as",
         words={
             "pass": "Each pass by itself",
             "walk": "A random walk from pass to pass",
@@ -334,11 +338,11 @@ class CalibrationSettings:
     walk_sigma: float | None = option(
         "Of a joint calibration", "Step of the walk",
         "Of walk: drift, in typical sigmas a square root of a day; estimated from the passes if left out.",
-        default=None, kind="number", lowest=1e-4, highest=100.0, unit="typical σ/√d", flag="--walk-sigma",
+        cell=(1, 1), default=None, kind="number", lowest=1e-4, highest=100.0, unit="typical σ/√d", flag="--walk-sigma",
         hint="Empty: the most likely drift of each parameter.",
     )  # fmt: skip
     prior_covariance: str = option(
-        "Of a prior", "Covariance of the prior", "Covariance that a prior enters with.", default="with-misfit",
+        "Of a prior", "Covariance of the prior", "Covariance that a prior enters with.", cell=(0, 0), default="with-misfit",
         flag="--prior-covariance",
         words={
             "with-misfit": "With misfit, by which decisions go",
@@ -346,16 +350,16 @@ class CalibrationSettings:
         },
     )  # fmt: skip
     prior_inflation: float = option(
-        "Of a prior", "Inflation of the prior", "Factor on the sigmas of a prior.", default=1.0, lowest=1.0, highest=1e3,
-        flag="--prior-inflation",
+        "Of a prior", "Inflation of the prior", "Factor on the sigmas of a prior.", cell=(1, 0), default=1.0, lowest=1.0,
+        highest=1e3, flag="--prior-inflation",
     )  # fmt: skip
     prior_drift_sigma: float = option(
         "Of a prior", "Drift since the prior", "Drift since a prior, in typical sigmas a square root of a day.",
-        default=0.0, lowest=0.0, highest=10.0, unit="typical σ/√d", flag="--prior-drift-sigma",
+        cell=(1, 1), default=0.0, lowest=0.0, highest=10.0, unit="typical σ/√d", flag="--prior-drift-sigma",
     )  # fmt: skip
     prior_age_days: float | None = option(
         "Of a prior", "Age of the prior", "Days from a prior's last star to the first of the run; by their times if left out.",
-        default=None, kind="number", lowest=0.0, highest=36_525.0, unit="d", flag="--prior-age-days",
+        cell=(1, 2), default=None, kind="number", lowest=0.0, highest=36_525.0, unit="d", flag="--prior-age-days",
     )  # fmt: skip
     max_iterations: int = option(
         "Of the batch", "Most iterations", "Most iterations of a fit.",
@@ -551,17 +555,30 @@ def make_fieldsets(*, usual: bool) -> list[Fieldset]:
     made = []
     for (methods, at_once), legend in LEGENDS.items():
         held = [
-            one for one in OPTIONS.values() if one.cell and one.methods == methods and one.usual == at_once == usual
+            one
+            for one in OPTIONS.values()
+            if one.cell and one.methods == methods and one.usual == at_once == usual and one.group not in OF_ONE_RUN
         ]
-        held.sort(key=lambda one: one.cell or (0, 0))
-        rows = [list(row) for _, row in itertools.groupby(held, key=lambda one: (one.cell or (0, 0))[0])]
-        if rows:
-            made.append(Fieldset(legend, methods, rows))
+        if held:
+            made.append(Fieldset(legend, methods, _lay_rows(held)))
     return made
 
 
+def _lay_rows(held: Sequence[Option]) -> list[list[Option]]:
+    """Lay options out by their cells."""
+    ordered = sorted(held, key=lambda one: one.cell or (0, 0))
+    return [list(row) for _, row in itertools.groupby(ordered, key=lambda one: (one.cell or (0, 0))[0])]
+
+
 #: What a form of a calibration shows.
-FORM = {"usual": make_fieldsets(usual=True), "more": make_fieldsets(usual=False), "match": OPTIONS["match"]}
+FORM = {
+    "usual": make_fieldsets(usual=True),
+    "more": make_fieldsets(usual=False),
+    "of_one_run": [
+        Fieldset(group, ALL, _lay_rows([one for one in OPTIONS.values() if one.group == group])) for group in OF_ONE_RUN
+    ],
+    "match": OPTIONS["match"],
+}
 
 
 def format_value(value: Any) -> str:

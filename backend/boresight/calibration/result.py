@@ -423,6 +423,7 @@ LEFT_OUT_VARIANTS = {
 }
 
 
+OF_SEVERAL = "it is of several telemetry sets at once, whose stars other entries have too"
 ON_A_PRIOR = "it stands on a prior, and so on telemetry of earlier entries too"
 
 
@@ -493,4 +494,5 @@ def _left_out(result: Calibration) -> str | None:
         return "one linearisation per frame makes it over-confident"
     if (settings.get("forgetting_factor") or 1.0) < 1.0:
         return "it forgets: it is an estimate from its last frames"
-    return None if result.prior is None else ON_A_PRIOR
+    several = OF_SEVERAL if len(result.inputs.passes) > 1 else None
+    return several if result.prior is None else ON_A_PRIOR

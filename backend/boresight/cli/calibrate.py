@@ -100,7 +100,11 @@ FAILED = ("diverged", "too_few_stars")
 @site_option
 @calibration_options
 @click.option("--validate", type=INPUT_FILE, help="Telemetry that is not fitted, to check the result with.")
-@click.option("--prior", type=INPUT_FILE, help="Calibration JSON of this sensor to start from, with its covariance.")
+@click.option(
+    "--prior",
+    metavar="FILE",
+    help="Calibration JSON of this sensor to start from, with its covariance; on a server a set's name or a run's number.",
+)
 @extraction_options
 @profile_option
 @server_option
@@ -110,7 +114,7 @@ def calibrate(
     sensor_file: Path,
     site: str | None,
     validate: Path | None,
-    prior: Path | None,
+    prior: str | None,
     profile: str | None,
     server_url: str | None,
     json_file: str | None,
@@ -133,22 +137,19 @@ def calibrate(
     parse_settings(settings)
     if profile is not None and server_url is not None:
         raise RefusedInputError("--server does not read mapping profiles: import the file first.")
-    if prior is not None and server_url is not None:
-        raise RefusedInputError("--server does not start from a prior: leave out --server, or --prior.")
+    former = None if prior is None or server_url is not None else INPUT_FILE.convert(prior, None, None)
     with (
         progress(first_message(server_url)) as report,
         passes_of(telemetry, profile, sensor_file, extraction, report) as sources,
     ):
         if server_url is None:
             sensor = place_sensor(sensor_file, site)
-            found = estimate(sources, sensor, validate=validate, prior=prior, progress=report, **settings)
-        elif len(sources) > 1:
-            raise RefusedInputError(
-                f"{len(sources)} sets are calibrated as one here and not on a server: leave out --server, or name one set."
-            )
+            found = estimate(sources, sensor, validate=validate, prior=former, progress=report, **settings)
         else:
             with open_client(server_url) as server:
-                found = server.calibrate(sources[0], str(sensor_file), validate=validate, progress=report, **settings)
+                found = server.calibrate(
+                    sources, str(sensor_file), validate=validate, prior=prior, progress=report, **settings
+                )
     write_json(found.to_dict(), json_file)
     if json_file != "-" and found.status != "too_few_stars":
         click.echo("\n".join(summary_lines(found)))

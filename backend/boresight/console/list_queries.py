@@ -28,7 +28,7 @@ from boresight.console.campaigns.tables import Campaign, CampaignRun
 from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets.tables import ParameterSet
-from boresight.console.runs.tables import CALIBRATIONS, ArchivedRun, Preset, Run
+from boresight.console.runs.tables import CALIBRATIONS, ArchivedRun, JointSet, Preset, Run
 from boresight.console.telemetry.tables import ImportProfile, TelemetrySet
 from boresight.console.uplinks.queries import BOARD_WORDS, find_board_place
 from boresight.console.uplinks.tables import Package, Uplink
@@ -75,6 +75,12 @@ def _holds(*columns: Any) -> Condition:
 def _of_sensor_named(column: Any) -> Condition:
     holds = _holds(Sensor.name)
     return lambda text: column.in_(sa.select(Sensor.id).where(holds(text)))
+
+
+def _takes_set(value: Any) -> Any:
+    """Hold where a run calibrates a telemetry set, by itself or with others."""
+    with_others = sa.select(JointSet.run_id).where(equals(JointSet.telemetry_set_id)(value))
+    return sa.or_(equals(Run.telemetry_set_id)(value), Run.id.in_(with_others))
 
 
 def _baseline(column: Any) -> Any:
@@ -161,7 +167,7 @@ LISTS = {
             "sensor_name": _of_sensor_named(Run.sensor_id),
             "state": equals(Run.state),
             "method": equals(Run.method),
-            "data": equals(Run.telemetry_set_id),
+            "data": _takes_set,
             "among": equals(Run.id),
             "in_use": lambda _: ~sa.exists().where(ArchivedRun.run_id == Run.id),
             "q": _holds(Run.label),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from shlex import quote
 from typing import Any
 
@@ -160,12 +160,10 @@ def command(result: Calibration) -> str:
     """Write the command that makes this result again from the same files."""
     settings = {**result.inputs.settings, "method": result.method}
     validation = "VALIDATION" if result.validation else None
-    first, *words = calibrate_command("TELEMETRY", "SENSOR.json", settings, validation, "RESULT.json")
-    if len(result.inputs.passes) > 1:
-        first = f"{first}_1 " + " ".join(f"TELEMETRY_{number}" for number in range(2, len(result.inputs.passes) + 1))
-    if result.prior is not None and result.variation is None:
-        words.append("--prior PRIOR.json")
-    return " ".join([first, *words])
+    several = len(result.inputs.passes)
+    sets = [f"TELEMETRY_{number}" for number in range(1, several + 1)] if several > 1 else ["TELEMETRY"]
+    prior = "PRIOR.json" if result.prior is not None and result.variation is None else None
+    return " ".join(calibrate_command(sets, "SENSOR.json", settings, validation, "RESULT.json", prior))
 
 
 #: Said even where it is the default, because it names the calibration.
@@ -173,14 +171,21 @@ ALWAYS = ("method", "match")
 
 
 def calibrate_command(
-    telemetry: str, sensor: str, settings: Mapping[str, Any], validation: str | None, json_file: str
+    telemetry: Sequence[str],
+    sensor: str,
+    settings: Mapping[str, Any],
+    validation: str | None,
+    json_file: str,
+    prior: str | None = None,
 ) -> list[str]:
     """Return the words of the command that makes a result again, an option with its value as one."""
-    words = [f"boresight calibrate {quote(telemetry)}", f"--sensor {quote(sensor)}"]
+    words = [f"boresight calibrate {' '.join(map(quote, telemetry))}", f"--sensor {quote(sensor)}"]
     for name, default in CalibrationSettings().document().items():
         flag, value = OPTIONS[name].flag, settings.get(name, default)
         if flag and value is not None and (value != default or name in ALWAYS):
             words.append(flag if value is True else f"{flag} {quote(format_value(value))}")
     if validation:
         words.append(f"--validate {quote(validation)}")
+    if prior:
+        words.append(f"--prior {quote(prior)}")
     return [*words, f"--json {quote(json_file)}"]

@@ -11,6 +11,7 @@ import asyncio
 import random
 import ssl
 import time
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
@@ -33,6 +34,8 @@ from boresight.library.remote import (
     Run,
     ServerAnswer,
     ServerSensor,
+    StoredPrior,
+    StoredTelemetry,
     T,
     TelemetrySet,
     raise_problem,
@@ -45,6 +48,7 @@ if TYPE_CHECKING:
     from boresight.library.choice import Choice
     from boresight.library.diagnosis import Diagnosis
     from boresight.library.inputs import SensorSource, TelemetrySource
+    from boresight.library.remote import ServerTelemetry
     from boresight.library.results import Calibration
 
 Purpose = Literal["calibration", "validation"]
@@ -191,14 +195,18 @@ class Client(_Connection):
 
     def launch(
         self,
-        telemetry: TelemetrySet | int,
+        telemetry: StoredTelemetry | Sequence[StoredTelemetry],
         *,
-        validate: TelemetrySet | int | None = None,
+        validate: StoredTelemetry | None = None,
+        prior: StoredPrior | None = None,
         label: str = "",
         **settings: Unpack[Choices],
     ) -> Run:
-        """Queue a calibration; settings as `boresight.calibrate` has them."""
-        return self._run(remote.launch(telemetry, validate, label, settings))
+        """Queue a calibration of one set, or of several as one; settings as `boresight.calibrate` has them.
+
+        It starts from `prior` with its covariance: a parameter set or its name, or a run or its number.
+        """
+        return self._run(remote.launch(telemetry, validate, label, settings, prior))
 
     def run(self, run: Run | int) -> Run:
         """Read the progress of a run."""
@@ -276,20 +284,22 @@ class Client(_Connection):
 
     def calibrate(
         self,
-        telemetry: TelemetrySource | TelemetrySet | int,
+        telemetry: ServerTelemetry | Sequence[ServerTelemetry],
         sensor: SensorSource | ServerSensor | int | None = None,
         *,
-        validate: TelemetrySource | TelemetrySet | int | None = None,
+        validate: ServerTelemetry | None = None,
+        prior: StoredPrior | None = None,
         label: str = "",
         progress: Wanted = None,
         **settings: Unpack[Choices],
     ) -> Calibration:
         """Calibrate on the server: upload what is not there, launch, wait, fetch. Arguments as `boresight.calibrate`.
 
-        `telemetry` and `validate` may be sets of the server too, and `sensor` the name or number of one of its sensors.
+        `telemetry` and `validate` may be sets of the server too, `sensor` the name or number of one of its sensors, and `prior`
+        is one of its parameter sets or runs.
         """
         with reporting(progress, "asking the server") as report:
-            return self._run(remote.calibrate(telemetry, sensor, validate, label, report, settings))
+            return self._run(remote.calibrate(telemetry, sensor, validate, label, report, settings, prior))
 
     def choose(
         self,
@@ -399,14 +409,18 @@ class AsyncClient(_Connection):
 
     async def launch(
         self,
-        telemetry: TelemetrySet | int,
+        telemetry: StoredTelemetry | Sequence[StoredTelemetry],
         *,
-        validate: TelemetrySet | int | None = None,
+        validate: StoredTelemetry | None = None,
+        prior: StoredPrior | None = None,
         label: str = "",
         **settings: Unpack[Choices],
     ) -> Run:
-        """Queue a calibration; settings as `boresight.calibrate` has them."""
-        return await self._run(remote.launch(telemetry, validate, label, settings))
+        """Queue a calibration of one set, or of several as one; settings as `boresight.calibrate` has them.
+
+        It starts from `prior` with its covariance: a parameter set or its name, or a run or its number.
+        """
+        return await self._run(remote.launch(telemetry, validate, label, settings, prior))
 
     async def run(self, run: Run | int) -> Run:
         """Read the progress of a run."""
@@ -484,20 +498,22 @@ class AsyncClient(_Connection):
 
     async def calibrate(
         self,
-        telemetry: TelemetrySource | TelemetrySet | int,
+        telemetry: ServerTelemetry | Sequence[ServerTelemetry],
         sensor: SensorSource | ServerSensor | int | None = None,
         *,
-        validate: TelemetrySource | TelemetrySet | int | None = None,
+        validate: ServerTelemetry | None = None,
+        prior: StoredPrior | None = None,
         label: str = "",
         progress: Wanted = None,
         **settings: Unpack[Choices],
     ) -> Calibration:
         """Calibrate on the server: upload what is not there, launch, wait, fetch. Arguments as `boresight.calibrate`.
 
-        `telemetry` and `validate` may be sets of the server too, and `sensor` the name or number of one of its sensors.
+        `telemetry` and `validate` may be sets of the server too, `sensor` the name or number of one of its sensors, and `prior`
+        is one of its parameter sets or runs.
         """
         with reporting(progress, "asking the server") as report:
-            return await self._run(remote.calibrate(telemetry, sensor, validate, label, report, settings))
+            return await self._run(remote.calibrate(telemetry, sensor, validate, label, report, settings, prior))
 
     async def choose(
         self,

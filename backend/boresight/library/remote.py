@@ -10,7 +10,7 @@ import hashlib
 import io
 import os
 import uuid
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
@@ -163,6 +163,9 @@ class Run:
     reason: str | None
     attempt: int
     progress: RunProgress | None
+    joint_set_ids: list[int]
+    prior_run_id: int | None
+    prior_set_id: int | None
     settings: dict[str, Any] = field(repr=False)
 
     @property
@@ -184,6 +187,15 @@ class ParameterSet:
     onboard_state: str
     version: int
     document: dict[str, Any] = field(repr=False)
+
+
+#: A telemetry set of a server, or its number.
+StoredTelemetry = TelemetrySet | int
+if TYPE_CHECKING:
+    #: A telemetry set of a server, or telemetry that is uploaded first.
+    ServerTelemetry = TelemetrySource | TelemetrySet | int
+#: What a run on a server starts from: a parameter set or its name, or a run or its number.
+StoredPrior = ParameterSet | Run | int | str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -235,6 +247,7 @@ def parse_record(kind: type[T], document: Mapping[str, Any]) -> T:
 
 def parse_run(document: Mapping[str, Any]) -> Run:
     """Read a run."""
+    document = {"joint_set_ids": [], "prior_run_id": None, "prior_set_id": None, **document}  # older servers lack them
     if document.get("progress") is None:
         return parse_record(Run, {**document, "progress": None})
     progress = member(document, "progress", dict)
@@ -384,22 +397,39 @@ def _file_of(telemetry: TelemetrySource) -> tuple[str, Path | bytes]:
 
 
 def launch(
-    telemetry: TelemetrySet | int,
-    validate: TelemetrySet | int | None,
+    telemetry: StoredTelemetry | Sequence[StoredTelemetry],
+    validate: StoredTelemetry | None,
     label: str,
     settings: Mapping[str, Any],
+    prior: StoredPrior | None = None,
 ) -> Operation[Run]:
-    """Queue a calibration."""
-    if isinstance(telemetry, int):
-        answer = yield _get(f"/telemetry-sets/{telemetry}")
-        telemetry = parse_record(TelemetrySet, answer.document())
+    """Queue a calibration of one set, or of several as one."""
+    first, *further = _list_several(telemetry)
+    if isinstance(first, int):
+        answer = yield _get(f"/telemetry-sets/{first}")
+        first = parse_record(TelemetrySet, answer.document())
     document = parse_choices(settings).document()
     chosen = {name: document[name] for name, value in settings.items() if value is not None}
-    order = {"sensor_id": telemetry.sensor_id, "telemetry_set_id": telemetry.id, "settings": chosen, "label": label}
+    order = {"sensor_id": first.sensor_id, "telemetry_set_id": first.id, "settings": chosen, "label": label}
+    if further:
+        order["joint_set_ids"] = [_id(one) for one in further]
     if validate is not None:
         order["validation_set_id"] = _id(validate)
+    if isinstance(prior, str) and not prior.isdecimal():
+        prior = yield from read_parameter_set(prior)
+    if prior is not None:
+        named = isinstance(prior, ParameterSet)
+        order["prior_set_id" if named else "prior_run_id"] = int(prior) if isinstance(prior, str) else _id(prior)
     answer = yield _post("/runs", order)
     return parse_run(answer.document())
+
+
+def _list_several(given: Any) -> list[Any]:
+    """Return the sets that are meant, one or several."""
+    several = list(given) if isinstance(given, list | tuple) else [given]
+    if not several:
+        raise RefusedInputError("No telemetry was given: name at least one set.")
+    return several
 
 
 def _id(thing: Any) -> int:
@@ -505,37 +535,43 @@ def diagnose(
 
 
 def calibrate(
-    telemetry: TelemetrySource | TelemetrySet | int,
+    telemetry: ServerTelemetry | Sequence[ServerTelemetry],
     sensor: SensorSource | ServerSensor | int | None,
-    validate: TelemetrySource | TelemetrySet | int | None,
+    validate: ServerTelemetry | None,
     label: str,
     report: Report,
     settings: Mapping[str, Any],
+    prior: StoredPrior | None = None,
 ) -> Operation[Calibration]:
     """Upload, launch, wait and fetch."""
-    run = yield from launch_files(telemetry, sensor, validate, label, report, settings)
+    run = yield from launch_files(telemetry, sensor, validate, label, report, settings, prior)
     run = yield from wait(run, report, None)
     return (yield from fetch(run))
 
 
 def launch_files(
-    telemetry: TelemetrySource | TelemetrySet | int,
+    telemetry: ServerTelemetry | Sequence[ServerTelemetry],
     sensor: SensorSource | ServerSensor | int | None,
-    validate: TelemetrySource | TelemetrySet | int | None,
+    validate: ServerTelemetry | None,
     label: str,
     report: Report,
     settings: Mapping[str, Any],
+    prior: StoredPrior | None = None,
 ) -> Operation[Run]:
     """Upload what is not there, and launch."""
-    if not isinstance(telemetry, TelemetrySet | int):
-        telemetry = yield from _uploaded(telemetry, sensor, report)
+    stored: list[StoredTelemetry] = []
+    for one in _list_several(telemetry):
+        if isinstance(one, TelemetrySet | int):
+            stored.append(one)
+        else:
+            stored.append((yield from _uploaded(one, sensor, report)))
     if validate is not None and not isinstance(validate, TelemetrySet | int):
         report("uploading the validation set", None)
-        owner = telemetry.sensor_id if isinstance(telemetry, TelemetrySet) else sensor
+        owner = stored[0].sensor_id if isinstance(stored[0], TelemetrySet) else sensor
         if owner is None:
             raise RefusedInputError("A validation set is uploaded for a sensor: name it, or give its file.")
         validate = yield from upload(validate, owner, "validation")
-    return (yield from launch(telemetry, validate, label, settings))
+    return (yield from launch(stored, validate, label, settings, prior))
 
 
 def _uploaded(

@@ -31,12 +31,14 @@ import orjson
 from distributed.diagnostics.plugin import WorkerPlugin
 
 from boresight.calibration.calibrate import Progress, calibrate
-from boresight.calibration.calibration import Calibration, to_plain
+from boresight.calibration.calibration import Calibration, parse_calibration, to_plain
 from boresight.calibration.choice.result import Choice
+from boresight.calibration.joint.passes import NamedTelemetry, join_sets
+from boresight.calibration.joint.prior import PriorSource
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.telemetry_pieces import StoredTable
+from boresight.calibration.telemetry_pieces import StoredTable, TelemetryInput, is_large, read_whole
 from boresight.cameras import CAMERA_MODELS, DEFAULT_CAMERA, CameraModel
-from boresight.console.runs.queries import ClaimedRun, Line, RunEnd
+from boresight.console.runs.queries import ClaimedPrior, ClaimedRun, ClaimedSet, Line, RunEnd
 from boresight.disks import storage_error
 from boresight.errors import BoresightError, CancelledError, CorruptFileError
 from boresight.kernels.workshop import make_all
@@ -134,8 +136,9 @@ class Inputs(TypedDict):
 
     blob_address: str
     catalogue_folder: str
-    table_sha256: str
-    validation_sha256: str | None
+    sets: list[ClaimedSet]  # one, or those of a joint calibration
+    validation: ClaimedSet | None
+    prior: ClaimedPrior | None
     sensor_document: dict[str, Any]
     settings: dict[str, Any]
     chooses: bool  # a camera, instead of calibrating
@@ -150,8 +153,9 @@ def gather_inputs(settings: Settings, run: ClaimedRun) -> Inputs:
     return Inputs(
         blob_address=settings.blob_place.address,
         catalogue_folder=str(settings.catalogue_folder),
-        table_sha256=run.table_sha256,
-        validation_sha256=run.validation_sha256,
+        sets=list(run.sets),
+        validation=run.validation,
+        prior=run.prior,
         sensor_document=dict(run.sensor_document),
         settings=dict(run.settings),
         chooses=run.choice_of is not None,
@@ -227,13 +231,13 @@ Computed = tuple[dict[str, Any], dict[str, Any], str]
 
 def _chosen(blobs: BlobStore, inputs: Inputs, link: Link) -> Computed:
     """Read the inputs and choose a camera."""
-    source, validation = _table(blobs, inputs["table_sha256"]), inputs["validation_sha256"]
+    source, validation = _telemetry_of(blobs, inputs), inputs["validation"]
     choice: Choice = _function(CHOICE)(
-        _read_small(source),
+        source if is_large(source) else read_whole(source),
         parse_sensor(inputs["sensor_document"]),
         _catalogue(inputs["catalogue_folder"]),
         CalibrationSettings.parse(inputs["settings"]),
-        validation=None if validation is None else _read_small(_table(blobs, validation)),
+        validation=None if validation is None else _read_small(_table(blobs, validation.table_sha256)),
         report=lambda message, fraction: link.report(Progress(fraction, message, None)),
         cancelled=link.cancelled,
         cache_folder=Path(inputs["catalogue_folder"]),
@@ -243,6 +247,36 @@ def _chosen(blobs: BlobStore, inputs: Inputs, link: Link) -> Computed:
     return summary | {"sentence": choice.sentence}, choice.to_dict(), f"{chosen.camera_model} was chosen"
 
 
+def _telemetry_of(blobs: BlobStore, inputs: Inputs) -> TelemetryInput:
+    """Return what is calibrated: one set, or several as one; a large one is left in its files."""
+    first, *further = inputs["sets"]
+    if not further:
+        return _read_small(_table(blobs, first.table_sha256))
+    return join_sets(
+        [NamedTelemetry(_table(blobs, one.table_sha256), one.name, one.original_sha256) for one in inputs["sets"]]
+    )
+
+
+def _prior_of(blobs: BlobStore, prior: ClaimedPrior, sensor: Sensor) -> PriorSource:
+    """Read the calibration that a run starts from, of the sensor under whatever name it had then."""
+    name, sha256 = prior.name, prior.result_sha256
+    found = replace(parse_calibration(orjson.loads(blobs.read(sha256)), name), sensor=sensor.name)
+    return PriorSource(found, name, sha256, frozenset(prior.held_sha256s), prior.ended_utc)
+
+
+def _sha256s(inputs: Inputs) -> dict[str, str]:
+    """Return the content addresses of what a run is made of, by the roles that the library gives them."""
+    sets, validation, prior = inputs["sets"], inputs["validation"], inputs["prior"]
+    found = {f"telemetry_{number}": one.original_sha256 for number, one in enumerate(sets, 1)}
+    if len(sets) == 1:
+        found = {"telemetry": sets[0].original_sha256}
+    if validation is not None:
+        found["validation"] = validation.original_sha256
+    if prior is not None:
+        found["prior"] = prior.result_sha256
+    return found
+
+
 def _read_small(table: StoredTable) -> Telemetry | StoredTable:
     """Read a table, or leave a large one in its file."""
     return table if table.large() else _telemetry(table)
@@ -250,22 +284,23 @@ def _read_small(table: StoredTable) -> Telemetry | StoredTable:
 
 def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) -> Computed:
     """Read the inputs and call the calculation; a large set is left in its file, and computed by whoever is idle."""
-    validation = inputs["validation_sha256"]
-    source = _table(blobs, inputs["table_sha256"])
-    large = source.large()
+    validation, prior = inputs["validation"], inputs["prior"]
+    source, sensor = _telemetry_of(blobs, inputs), parse_sensor(inputs["sensor_document"])
     with ExitStack() as stack:
         folders: dict[str, Any] = {}
-        if large:
+        if is_large(source):
             scratch = Path(inputs["catalogue_folder"]).parent / "scratch"
             folder = stack.enter_context(make_scratch_folder(scratch, link.run_id, link.attempt))
             executor = ClusterExecutor(f"{link.run_id}-{link.attempt}", folder, link.cancelled)
             folders = {"scratch_folder": folder, "executor": executor}
         calibration: Calibration = _function(calculation)(
-            _read_small(source),
-            parse_sensor(inputs["sensor_document"]),
+            source,
+            sensor,
             _catalogue(inputs["catalogue_folder"]),
             CalibrationSettings.parse(inputs["settings"]),
-            validation=None if validation is None else _read_small(_table(blobs, validation)),
+            validation=None if validation is None else _read_small(_table(blobs, validation.table_sha256)),
+            prior=None if prior is None else _prior_of(blobs, prior, sensor),
+            sha256s=_sha256s(inputs),
             report=link.report,
             cancelled=link.cancelled,
             cache_folder=Path(inputs["catalogue_folder"]),

@@ -90,6 +90,11 @@ class LaunchForm {
       if (select.selectedOptions[0]?.disabled) select.selectedIndex = -1;
       if (!select.value && (select.required || this.sensor !== this.lastSensor)) chooseSet(select);
     }
+    const first = find("#telemetry_set_id", HTMLSelectElement, this.form)?.value;
+    for (const label of findAll("[data-further] label", HTMLLabelElement, this.form)) {
+      const box = need("input", HTMLInputElement, label);
+      label.hidden = box.disabled = label.dataset.sensor !== this.sensor || box.value === first;
+    }
   }
 
   /** What every control says, by its name; disabled ones too, never hidden ones such as the csrf token. */
@@ -135,7 +140,7 @@ class LaunchForm {
   #openSensor() {
     const url = this.#address();
     for (const name of [...url.searchParams.keys()]) {
-      if (["set", "validation_set_id"].includes(name) || name.startsWith("free-")) url.searchParams.delete(name);
+      if (["set", "validation_set_id", "joint_set_ids", "prior"].includes(name) || name.startsWith("free-")) url.searchParams.delete(name);
     }
     if (this.sensorChoice) this.sensorChoice.value = this.#shown ?? "";
     location.assign(url);

@@ -26,7 +26,7 @@ from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.notes import service as notes
 from boresight.console.notes.attachments import attach, check_file
 from boresight.console.parameter_sets.tables import ParameterSet
-from boresight.console.runs.tables import Preset, Run
+from boresight.console.runs.tables import JointSet, Preset, Run
 from boresight.console.telemetry.tables import ImportProfile
 from boresight.console.uplinks import service as uplinks
 from boresight.console.uplinks.tables import Package, TableDefinition
@@ -99,6 +99,7 @@ def _fill_the_rest(session: Session) -> None:
         CampaignRun,
         ChangeProposal,
         ImportProfile,
+        JointSet,
     ):
         if session.scalar(sa.select(sa.func.count()).select_from(model)) == 0:
             row = _plain(model)

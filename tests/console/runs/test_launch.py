@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from boresight.calibration.evaluation.forecast import Forecast
-from boresight.calibration.options import OF_COMMAND_ONLY, OPTIONS, CalibrationSettings
+from boresight.calibration.options import OPTIONS, CalibrationSettings
 from boresight.console.fleet.tables import Sensor
 from boresight.console.runs import presets
 from boresight.console.runs import service as runs
@@ -191,7 +191,7 @@ def test_one_linearisation_is_marked_over_confident(site, read):
 def test_every_choice_of_the_settings_and_every_preset_has_words_on_the_page(site, read):
     page = site.visitor("ada").get("/runs/new")
     for name, option in OPTIONS.items():
-        if name == "free" or option.group in OF_COMMAND_ONLY:
+        if name == "free":
             continue
         assert f'name="{name}"' in page, name
         for word in option.words:

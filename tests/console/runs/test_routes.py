@@ -17,6 +17,23 @@ def test_a_launch_answers_202_with_the_address_of_the_run(house):
     assert {name: followed.json()[name] for name in expected} == expected
 
 
+def test_a_joint_run_shows_its_sets_and_its_dry_run_counts_them(house):
+    sensor_id, set_id = house.ready_sensor()
+    client = house.person("ada")
+    further = house.upload(client, sensor_id, house.telemetry_csv + b"\n", file_name="again.csv").json()["id"]
+    order = {"sensor_id": sensor_id, "telemetry_set_id": set_id, "joint_set_ids": [further]}
+    said = client.post("/api/v1/runs?validate_only=true", json=order).json()
+    assert (said["frames"], said["joint_sets"], said["prior"], said["left_out"]) == (60, ["again.csv"], None, [])
+    made = client.post("/api/v1/runs", json=order).json()
+    expected = {"joint_set_ids": [further], "prior_run_id": None, "prior_set_id": None}
+    assert {name: made[name] for name in expected} == expected
+    assert client.get(f"/api/v1/runs/{made['id']}").json() == made
+    assert client.get("/api/v1/runs", params={"telemetry_set_id": further}).json()["items"] == [made]
+    assert client.post("/api/v1/runs", json=order | {"joint_set_ids": [set_id]}).status_code == 422
+    assert client.post("/api/v1/runs", json=order | {"prior_run_id": made["id"]}).status_code == 409
+    assert client.post("/api/v1/runs", json=order | {"prior_set_id": 10**9}).status_code == 404
+
+
 @pytest.mark.parametrize(
     "given",
     [

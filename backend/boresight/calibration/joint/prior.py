@@ -27,7 +27,7 @@ from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.joint.passes import JointTelemetry, NamedTelemetry, join_sets
 from boresight.calibration.options import OPTIONS, CalibrationSettings
 from boresight.calibration.problem import Problem
-from boresight.calibration.result import ON_A_PRIOR, trend_entry
+from boresight.calibration.result import OF_SEVERAL, ON_A_PRIOR, trend_entry
 from boresight.calibration.telemetry_pieces import TelemetryInput, is_large
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
@@ -43,11 +43,16 @@ DISAGREE = 1e-3
 
 @dataclass(frozen=True)
 class PriorSource:
-    """A calibration to start from, what refusals call it, and the SHA-256 of its file, where it has one."""
+    """A calibration to start from, what refusals call it, and the SHA-256 of its file, where it has one.
+
+    `held`, `ended_utc`: what is known besides of the telemetry that it was made from, by SHA-256, and of its last star.
+    """
 
     calibration: Calibration
     name: str = "the prior"
     sha256: str | None = None
+    held: frozenset[str] = frozenset()
+    ended_utc: str | None = None
 
     @property
     def held_sets(self) -> set[str]:
@@ -55,13 +60,13 @@ class PriorSource:
         found = self.calibration
         own = {sha256 for role, sha256 in found.inputs.sha256s.items() if role.startswith(TELEMETRY)}
         own |= {one.sha256 for one in found.inputs.passes if one.sha256 is not None}
-        return own | set(found.prior.telemetry_sha256s if found.prior else ())
+        return own | self.held | set(found.prior.telemetry_sha256s if found.prior else ())
 
     @property
     def ended(self) -> np.datetime64 | None:
         """When its last star was taken, as far as it says."""
         found = self.calibration
-        times = [one.end_utc for one in found.inputs.passes]
+        times = [self.ended_utc, *(one.end_utc for one in found.inputs.passes)]
         if found.history is not None and found.history.time_utc:
             times.append(found.history.time_utc[-1])
         try:
@@ -141,10 +146,7 @@ def take_prior(
         raise RefusedInputError(
             f"{source.name} ended {found.status.replace('_', ' ')}, and knows nothing for sure: give a calibration that converged."
         )
-    if settings.error == "cosine":
-        raise RefusedInputError(
-            "The cosine error has no weights that a prior could stand beside: choose error 'arclength'."
-        )
+    refuse_cosine(settings)
     names = CAMERA_MODELS[sensor.camera_model].parameter_names
     wanted = [names[p] for p in parameters.free]
     if sorted(wanted) != sorted(found.covariance.names):
@@ -223,7 +225,7 @@ def _age_days(source: PriorSource, settings: CalibrationSettings, begins: np.dat
 def _remarks(source: PriorSource) -> list[str]:
     entry = trend_entry(source.calibration)
     said = []
-    if entry is not None and entry.left_out not in {None, ON_A_PRIOR}:
+    if entry is not None and entry.left_out not in {None, ON_A_PRIOR, OF_SEVERAL}:
         said.append(f"The prior is to be read with care, for {entry.left_out}: compare with a run without --prior.")
     if not source.held_sets:
         said.append(
@@ -266,3 +268,17 @@ def refuse_without_prior(settings: CalibrationSettings) -> None:
             raise RefusedInputError(
                 f"{option.title} is of a prior, and none was given: give --prior, or leave {option.flag} out."
             )
+
+
+def refuse_vary(settings: CalibrationSettings) -> None:
+    """Refuse parameters of a pass beside a prior."""
+    if settings.vary:
+        raise RefusedInputError("A prior is of one camera and not of passes that vary: leave out --vary, or --prior.")
+
+
+def refuse_cosine(settings: CalibrationSettings) -> None:
+    """Refuse an error that no prior can stand beside."""
+    if settings.error == "cosine":
+        raise RefusedInputError(
+            "The cosine error has no weights that a prior could stand beside: choose error 'arclength'."
+        )

@@ -18,8 +18,9 @@ a prior; they are of that pass. A direction of which the others know nothing is 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 
@@ -36,10 +37,11 @@ from boresight.estimation.block_bordered import Linked, OfTemperature, Solution,
 from boresight.estimation.blocks import FRAMES
 from boresight.estimation.prior import Prior
 from boresight.estimation.statistics.special import chdtrc
-from boresight.estimation.stored_arcs import BLOCKS_A_RANGE, Arcs, over_range
+from boresight.estimation.stored_arcs import BLOCKS_A_RANGE, over_range
 from boresight.estimation.walk import Walk, find_walk, link_by_walk
 
 Ends = Sequence[tuple[int, int]]
+T = TypeVar("T")
 #: Distance from the optimum, in sigmas, at which a fit of passes rests, and below which it has converged.
 REST, CONVERGED = 1e-10, 1e-4
 #: Share of the cost that rounding hides.
@@ -79,23 +81,57 @@ class WhitenedPasses:
                 NormalEquations.added([], len(free)) if part is None else batch.normal_equations(part, x, free, scale)
                 for part, x in zip(self.held, states, strict=True)
             ]
-        return self._in_files(self._arcs, states, parameters)
+        return self._in_files(states, parameters)
 
-    def _in_files(self, arcs: Arcs, states: FloatArray, parameters: Parameters) -> list[NormalEquations]:
+    def counts(self) -> list[tuple[int, int]]:
+        """Return the stars and the arcs of each pass."""
+        if self.held:
+            return [(0, 0) if part is None else count_block(part) for part in self.held]
+        found = self._over_files(count_block, [()] * len(self._ends))
+        return [(sum(stars for stars, _ in blocks), sum(arcs for _, arcs in blocks)) for blocks in found]
+
+    def _in_files(self, states: FloatArray, parameters: Parameters) -> list[NormalEquations]:
         """The same of a set in files, ranges of all passes together wherever the executor computes them."""
+        arguments = [(x, parameters.free, parameters.scale, np.inf) for x in states]
+        found = self._over_files(batch.equations_of_block, arguments)
+        return [NormalEquations.added(blocks, len(parameters.free)) for blocks in found]
+
+    def _over_files(self, function: Callable[..., T], arguments: Sequence[tuple[Any, ...]]) -> list[list[T]]:
+        """Return what a function says of every block of each pass, with the pass's arguments."""
+        arcs = self._arcs
         assert not isinstance(arcs, ArcSet)  # noqa: S101 - what is in memory is held
         work, of = [], []
-        for number, ((first, last), at, x) in enumerate(zip(self._ends, self._at, states, strict=True)):
+        for number, ((first, last), at, given) in enumerate(zip(self._ends, self._at, arguments, strict=True)):
             steps = (*arcs.steps, (whiten_part, (self._camera, at)))
             for begin in range(first, last, FRAMES * BLOCKS_A_RANGE):
                 part = arcs.part(begin, min(begin + FRAMES * BLOCKS_A_RANGE, last))
-                arguments = (x, parameters.free, parameters.scale, np.inf)
-                work.append((*part, steps, batch.equations_of_block, arguments))
+                work.append((*part, steps, function, given))
                 of.append(number)
-        found: list[list[NormalEquations]] = [[] for _ in self._ends]
+        found: list[list[T]] = [[] for _ in self._ends]
         for number, blocks in zip(of, arcs.executor.map(over_range, work), strict=True):
             found[number] += blocks
-        return [NormalEquations.added(blocks, len(parameters.free)) for blocks in found]
+        return found
+
+
+def count_block(block: ArcSet) -> tuple[int, int]:
+    """Return the stars and the arcs of a block."""
+    return block.n_stars, block.n_arcs
+
+
+def judge_passes(
+    problem: Problem, passes: Sequence[InputPass], parameters: Parameters, x: FloatArray
+) -> list[InputPass]:
+    """Say of each pass what of it is in a fit that ended at one x (n_parameters,) for all, and its chi-square there."""
+    states = np.tile(x, (len(passes), 1))
+    arcs = WhitenedPasses(problem, places_of(problem, passes), states)
+    return _judged(passes, arcs, arcs.sums(states, parameters))
+
+
+def _judged(passes: Sequence[InputPass], arcs: WhitenedPasses, sums: Sequence[NormalEquations]) -> list[InputPass]:
+    return [
+        replace(one, stars=stars, pairs=pairs, chi2=of.chi2)
+        for one, (stars, pairs), of in zip(passes, arcs.counts(), sums, strict=True)
+    ]
 
 
 @dataclass(frozen=True)
@@ -112,6 +148,10 @@ class PassesFit:
     solution: Solution
     chi2_alike: float
     converged: bool
+
+    def judge(self, passes: Sequence[InputPass]) -> list[InputPass]:
+        """Say of each pass what of it is in the fit, and its chi-square there."""
+        return _judged(passes, self.arcs, self.sums)
 
     @property
     def chi2(self) -> float:
@@ -174,6 +214,13 @@ def places_of(problem: Problem, passes: Sequence[InputPass]) -> list[tuple[int, 
     """Return the places of each pass's frames among those that take part."""
     frame = problem.arcs.frame
     return [tuple(np.searchsorted(frame, [one.first_frame, one.last_frame + 1]).tolist()) for one in passes]
+
+
+def refuse_one_pass() -> NoReturn:
+    """Refuse what varies from pass to pass of one set."""
+    raise RefusedInputError(
+        "What varies from pass to pass needs several telemetry sets: name more, or leave --vary out."
+    )
 
 
 def check_variation(names: Sequence[str], settings: CalibrationSettings) -> None:

@@ -30,6 +30,7 @@ from boresight.console.approvals.tables import GateReport, Waiver
 from boresight.console.fleet.tables import Sensor as SensorRow
 from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs import queries as run_rows
 from boresight.console.runs.results import read_result
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
@@ -125,7 +126,7 @@ def _choose_validation_frames(
     session: Session, row: ParameterSet, run: Run | None, incumbent: ParameterSet | None
 ) -> TelemetrySet | None:
     behind = [run, None if incumbent is None or incumbent.run_id is None else session.get_one(Run, incumbent.run_id)]
-    fitted = {known.telemetry_set_id for known in behind if known is not None}
+    fitted = {number for known in behind if known is not None for number in run_rows.list_held_sets(session, known)}
     own = None if run is None or run.validation_set_id is None else session.get(TelemetrySet, run.validation_set_id)
     others = lists.list_newest(  # among so many sets at least one took no part in the fit
         session, TelemetrySet, sensor=row.sensor_id, purpose="validation", in_use=True, limit=len(fitted) + 1

@@ -63,3 +63,12 @@ def find_baseline_at(session: Session, sensor_id: int, time_utc: str) -> Paramet
     query = sa.select(ParameterSet).join(Promotion, Promotion.parameter_set_id == ParameterSet.id)
     query = query.where(Promotion.sensor_id == sensor_id, Promotion.at_utc <= time_utc)
     return session.scalar(query.order_by(Promotion.at_utc.desc(), Promotion.id.desc()).limit(1))
+
+
+def list_sets_in(session: Session, sensor_ids: Collection[int], ground_states: Collection[str]) -> list[ParameterSet]:
+    """Return the sets of sensors that were made from runs and are in one of these states or active on board, newest first."""
+    trusted = sa.or_(ParameterSet.ground_state.in_(ground_states), ParameterSet.onboard_state == "ACTIVE")
+    query = sa.select(ParameterSet).where(
+        ParameterSet.sensor_id.in_(sensor_ids), ParameterSet.run_id.is_not(None), trusted
+    )
+    return list(session.scalars(query.order_by(ParameterSet.id.desc())))

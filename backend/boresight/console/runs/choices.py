@@ -39,6 +39,7 @@ def request_choice(session: Session, actor: Actor, blobs: BlobStore, run_id: int
         session,
         sensor_id=run.sensor_id,
         telemetry_set_id=run.telemetry_set_id,
+        joint_set_ids=run.joint_set_ids,
         validation_set_id=run.validation_set_id,
         method=CHOICE,
         settings=settings.document(),
@@ -62,7 +63,7 @@ def find_obstacle(session: Session, run: Run) -> str | None:
         return f"Run {run.id} is itself the choice of a camera for run {run.choice_of}; choose a calibration run."
     if run.state not in TERMINAL_RUN_STATES:
         return f"Run {run.id} is {run.state}; choose its camera when it has ended."
-    for set_id in (run.telemetry_set_id, run.validation_set_id):
+    for set_id in (run.telemetry_set_id, *run.joint_set_ids, run.validation_set_id):
         used = None if set_id is None else session.get_known(TelemetrySet, set_id)
         if used is not None and used.archived_utc is not None:
             return f"{used.name} was archived on {used.archived_utc[:10]}; upload it again to use it, then choose."

@@ -11,10 +11,12 @@ from dataclasses import dataclass, replace
 from statistics import median, quantiles
 from typing import Any
 
+from boresight.calibration.joint.passes import MOST_PASSES
 from boresight.calibration.options import CalibrationSettings
 from boresight.cameras import CAMERA_MODELS
 from boresight.console.fleet.tables import Sensor
 from boresight.console.runs.queries import list_recent_runs
+from boresight.console.runs.starts import Start, check_start, find_start
 from boresight.console.telemetry.tables import TelemetrySet, find_diagnosis, find_quality
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.db.sessions import Session
@@ -34,6 +36,19 @@ class RunRequest:
     validation: TelemetrySet | None
     settings: CalibrationSettings
     label: str
+    further: Sequence[TelemetrySet] = ()
+    start: Start | None = None
+
+    @property
+    def fitted(self) -> list[TelemetrySet]:
+        """The sets whose stars count: all but those that the prior holds."""
+        held = self.start.held if self.start else frozenset()
+        return [one for one in (self.telemetry, *self.further) if one.id not in held]
+
+    @property
+    def left_out(self) -> list[TelemetrySet]:
+        """The sets that the prior holds already."""
+        return [one for one in (self.telemetry, *self.further) if one not in self.fitted]
 
     def columns(self) -> dict[str, Any]:
         """Return the columns of a run's row that are fixed at its launch."""
@@ -45,39 +60,71 @@ class RunRequest:
             "settings": self.settings.document(),
             "sensor_document": self.sensor.document,
             "label": self.label,
+            "joint_set_ids": [one.id for one in self.further],
+            "prior_run_id": None if self.start is None else self.start.run.id,
+            "prior_set_id": None if self.start is None or self.start.named is None else self.start.named.id,
         }
 
     def on_record(self) -> dict[str, Any]:
         """Return the audit record's document of a launch."""
+        more: dict[str, Any] = {}
+        if self.further:
+            more["joint_sets"] = [one.name for one in self.further]
+        if self.start is not None:
+            more["prior"] = self.start.name
+            more["prior_result_sha256"] = self.start.run.result_sha256
         return {
             "sensor": self.sensor.name,
             "telemetry_set": self.telemetry.name,
             "settings": self.settings.document(),
+            **more,
         }
 
 
-def check_run_request(
+def check_run_request(  # noqa: PLR0913 - the choices of a run
     session: Session,
     sensor_id: int,
     telemetry_set_id: int,
     settings: Mapping[str, Any],
     validation_set_id: int | None = None,
     label: str = "",
+    *,
+    joint_set_ids: Sequence[int] = (),
+    prior_run_id: int | None = None,
+    prior_set_id: int | None = None,
 ) -> RunRequest:
     """Check the choices of a run for consistency."""
     sensor = session.get_known(Sensor, sensor_id)
     telemetry = _get_set(session, sensor, telemetry_set_id)
+    further = _get_further(session, sensor, telemetry, joint_set_ids)
     validation = None if validation_set_id is None else _get_set(session, sensor, validation_set_id)
-    if validation is not None and validation.id == telemetry.id:
+    if validation is not None and validation in (telemetry, *further):
         raise RefusedInputError(
-            f"{telemetry.name} cannot validate a calibration that was made from it; choose another set."
+            f"{validation.name} cannot validate a calibration that was made from it; choose another set."
         )
     refuse_label(label)
     parsed = CalibrationSettings.parse(settings)
     known = CAMERA_MODELS[sensor.document["camera_model"]].parameter_names
     if strange := [name for name in parsed.free or () if name not in known]:
         raise RefusedInputError(f"{sensor.name} has no parameter {', '.join(strange)}; choose from {', '.join(known)}.")
-    return RunRequest(sensor, telemetry, validation, parsed, label.strip())
+    start = find_start(session, sensor, prior_run_id, prior_set_id)
+    check_start(sensor, (telemetry, *further), validation, parsed, start)
+    return RunRequest(sensor, telemetry, validation, parsed, label.strip(), further, start)
+
+
+def _get_further(
+    session: Session, sensor: Sensor, telemetry: TelemetrySet, set_ids: Sequence[int]
+) -> list[TelemetrySet]:
+    """Return the sets that a run takes with its first."""
+    if len(set_ids) >= MOST_PASSES:
+        raise RefusedInputError(
+            f"{len(set_ids) + 1:,} sets were named; name at most {MOST_PASSES:,}, or put those of a day together."
+        )
+    further = [_get_set(session, sensor, number) for number in set_ids]
+    for place, one in enumerate(further):
+        if one in (telemetry, *further[:place]):
+            raise RefusedInputError(f"{one.name} is named twice; name each set once, or its stars count twice.")
+    return further
 
 
 def refuse_label(label: str) -> None:
@@ -180,34 +227,46 @@ def count_pairs(stars: int, exposures: int) -> int:
 
 def dry_run(session: Session, request: RunRequest, forecast_sources: ForecastSources | None = None) -> dict[str, Any]:
     """Return the summary of a dry run."""
-    telemetry, settings = request.telemetry, request.settings
+    telemetry, settings, fitted = request.telemetry, request.settings, request.fitted
     free = list(settings.free or parse_sensor(request.sensor.document).free)
-    quality = find_quality(telemetry.quality)
-    exposures = telemetry.frames if quality.usable_exposures is None else quality.usable_exposures
-    pairs = count_pairs(telemetry.stars if quality.usable is None else quality.usable, exposures)
+    qualities = [(one, find_quality(one.quality)) for one in fitted]
+    frames, stars = sum(one.frames for one in fitted), sum(one.stars for one in fitted)
+    exposures = sum(
+        one.frames if quality.usable_exposures is None else quality.usable_exposures for one, quality in qualities
+    )
+    pairs = count_pairs(
+        sum(one.stars if quality.usable is None else quality.usable for one, quality in qualities), exposures
+    )
     pace = estimate_run_speed(session, settings.method)
     seconds = [
-        round(predict_duration_s(settings.document(), telemetry.frames, telemetry.stars, one), 3)
+        round(predict_duration_s(settings.document(), frames, stars, one), 3)
         for one in (pace.s_per_star, pace.low, pace.high)
     ]
     forecast = None
-    if forecast_sources is not None:
+    if forecast_sources is not None and not request.further and request.start is None:  # it is of one set by itself
         forecast = forecast_sources.forecast(telemetry.table_sha256, request.sensor.document, settings)
+    named = all(not recognised(one) for one in fitted)
     return {
         "sensor": request.sensor.name,
         "telemetry_set": telemetry.name,
+        "joint_sets": [one.name for one in request.further],
         "validation_set": None if request.validation is None else request.validation.name,
+        "prior": None if request.start is None else request.start.name,
+        "left_out": [one.name for one in request.left_out],
         "settings": settings.document(),
-        "frames": telemetry.frames,
+        "frames": frames,
         "exposures": exposures,
-        "stars": telemetry.stars,
+        "stars": stars,
         "pairs": pairs,
         "free": free,
         "predicted_s": seconds[0],
         "predicted_range_s": seconds[1:],
         "paced_by": pace.runs,
         "forecast": forecast,
-        "warnings": [*quality.warnings, *_warnings(request, free, None if recognised(telemetry) else pairs)],
+        "warnings": [
+            *dict.fromkeys(one for _, quality in qualities for one in quality.warnings),
+            *_warnings(request, free, pairs if named else None),
+        ],
     }
 
 
@@ -235,7 +294,9 @@ def recognised(telemetry: TelemetrySet) -> bool:
 def _warnings(request: RunRequest, free: Sequence[str], pairs: int | None) -> list[str]:
     """What to know before a run; `pairs` is None where names do not tell how many arcs there are."""
     warnings = []
-    if pairs is not None and pairs < 10 * len(free):
+    if (held := [one.name for one in request.left_out]) and request.start is not None:
+        warnings.append(f"Left out, because {request.start.name} holds it already: {', '.join(held)}.")
+    if pairs is not None and request.start is None and pairs < 10 * len(free):
         warnings.append(f"About {pairs} arcs are few for {len(free)} parameters; free fewer or use a longer set.")
     if request.validation is None:
         warnings.append("Without a validation set nothing independent can show whether the result is better.")

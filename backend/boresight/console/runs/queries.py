@@ -20,10 +20,20 @@ from dataclasses import asdict, dataclass
 from typing import Any, cast
 
 import sqlalchemy as sa
-from sqlalchemy.orm import aliased
+from sqlalchemy.orm.attributes import set_committed_value
 
-from boresight.console.runs.tables import CALIBRATIONS, CHOICE, TERMINAL_RUN_STATES, ArchivedRun, Preset, Run, RunEvent
-from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.tables import (
+    CALIBRATIONS,
+    CHOICE,
+    TERMINAL_RUN_STATES,
+    ArchivedRun,
+    JointSet,
+    Preset,
+    Run,
+    RunEvent,
+)
+from boresight.console.telemetry.tables import TelemetrySet, find_quality
 from boresight.platform.audit import chain, seals
 from boresight.platform.audit import seals as journals
 from boresight.platform.blobs.tables import Blob
@@ -121,6 +131,25 @@ class WaitingRun:
 
 
 @dataclass(frozen=True)
+class ClaimedSet:
+    """A telemetry set of a claimed run: its name, its file as it was uploaded, and its stored table."""
+
+    name: str
+    original_sha256: str
+    table_sha256: str
+
+
+@dataclass(frozen=True)
+class ClaimedPrior:
+    """The calibration that a claimed run starts from: its name, its result, the files that it holds, and its last star's time."""
+
+    name: str
+    result_sha256: str
+    held_sha256s: Sequence[str]
+    ended_utc: str | None
+
+
+@dataclass(frozen=True)
 class ClaimedRun:
     """A run that this server has claimed, with everything that its computation needs."""
 
@@ -128,16 +157,37 @@ class ClaimedRun:
     attempt: int
     settings: Mapping[str, Any]
     sensor_document: Mapping[str, Any]
-    table_sha256: str
-    validation_sha256: str | None
-    choice_of: int | None = None
+    sets: Sequence[ClaimedSet]
+    validation: ClaimedSet | None
+    choice_of: int | None
+    prior: ClaimedPrior | None
 
 
 def list_waiting_runs(session: Session, limit: int) -> list[WaitingRun]:
     """Return the QUEUED runs, oldest first."""
+    more = (
+        sa.select(
+            JointSet.run_id,
+            sa.func.sum(TelemetrySet.frames).label("frames"),
+            sa.func.sum(TelemetrySet.stars).label("stars"),
+        )
+        .join(TelemetrySet, TelemetrySet.id == JointSet.telemetry_set_id)
+        .join(Run, Run.id == JointSet.run_id)
+        .where(Run.state == "QUEUED")
+        .group_by(JointSet.run_id)
+        .subquery()
+    )
     query = (
-        sa.select(Run.id, Run.attempt, Run.method, Run.settings, TelemetrySet.frames, TelemetrySet.stars)
+        sa.select(
+            Run.id,
+            Run.attempt,
+            Run.method,
+            Run.settings,
+            TelemetrySet.frames + sa.func.coalesce(more.c.frames, 0),
+            TelemetrySet.stars + sa.func.coalesce(more.c.stars, 0),
+        )
         .join(TelemetrySet, TelemetrySet.id == Run.telemetry_set_id)
+        .outerjoin(more, more.c.run_id == Run.id)
         .where(Run.state == "QUEUED")
         .order_by(Run.id)
         .limit(limit)
@@ -147,33 +197,80 @@ def list_waiting_runs(session: Session, limit: int) -> list[WaitingRun]:
 
 def list_claimed_runs(session: Session, run_ids: Sequence[int]) -> list[ClaimedRun]:
     """Read what the computation of claimed runs needs, in the order of their ids."""
-    validation = aliased(TelemetrySet)
-    query = (
-        sa.select(
-            Run.id,
-            Run.attempt,
-            Run.settings,
-            Run.sensor_document,
-            TelemetrySet.table_sha256,
-            validation.table_sha256,
-            Run.choice_of,
+    of = sa.select(Run).where(Run.id.in_(run_ids)).order_by(Run.id).execution_options(populate_existing=True)
+    runs = session.scalars(of).all()
+    wanted = {
+        number for run in runs for number in (run.telemetry_set_id, *run.joint_set_ids, run.validation_set_id) if number
+    }
+    query = sa.select(
+        TelemetrySet.id, TelemetrySet.name, TelemetrySet.original_sha256, TelemetrySet.table_sha256
+    ).where(TelemetrySet.id.in_(wanted))
+    sets = {number: ClaimedSet(*rest) for number, *rest in session.execute(query)}
+    return [
+        ClaimedRun(
+            run_id=run.id,
+            attempt=run.attempt,
+            settings=run.settings,
+            sensor_document=run.sensor_document,
+            sets=[sets[number] for number in (run.telemetry_set_id, *run.joint_set_ids)],
+            validation=None if run.validation_set_id is None else sets[run.validation_set_id],
+            choice_of=run.choice_of,
+            prior=_claim_prior(session, run),
         )
-        .join(TelemetrySet, TelemetrySet.id == Run.telemetry_set_id)
-        .outerjoin(validation, validation.id == Run.validation_set_id)
-        .where(Run.id.in_(run_ids))
-        .order_by(Run.id)
+        for run in runs
+    ]
+
+
+def _claim_prior(session: Session, run: Run) -> ClaimedPrior | None:
+    """Read the calibration that a run starts from."""
+    if run.prior_run_id is None:
+        return None
+    before = session.get_one(Run, run.prior_run_id)
+    held = [session.get_one(TelemetrySet, number) for number in sorted(list_held_sets(session, before))]
+    own = {before.telemetry_set_id, *before.joint_set_ids}
+    times = [time.end_utc for one in held if one.id in own and (time := find_quality(one.quality).time) is not None]
+    named = None if run.prior_set_id is None else session.get_one(ParameterSet, run.prior_set_id)
+    return ClaimedPrior(
+        name=f"run {before.id}" if named is None else named.name,
+        result_sha256=str(before.result_sha256),
+        held_sha256s=[one.original_sha256 for one in held],
+        ended_utc=max(times) if len(times) == len(own) else None,
     )
-    return [ClaimedRun(*row) for row in session.execute(query)]
+
+
+def list_held_sets(session: Session, run: Run) -> set[int]:
+    """Return every telemetry set that a run's estimate rests on: its own, and those of what it started from."""
+    held: set[int] = set()
+    of: Run | None = run
+    while of is not None:
+        held |= {of.telemetry_set_id, *of.joint_set_ids}
+        of = None if of.prior_run_id is None else session.get_one(Run, of.prior_run_id)
+    return held
+
+
+def list_further_sets(session: Session, run: Run) -> list[TelemetrySet]:
+    """Return the sets that a run takes with its first, in their order."""
+    query = (
+        sa.select(TelemetrySet)
+        .join(JointSet, JointSet.telemetry_set_id == TelemetrySet.id)
+        .where(JointSet.run_id == run.id)
+        .order_by(JointSet.id)
+    )
+    return list(session.scalars(query))
 
 
 HOLDING_STATES = ("RUNNING", "CANCELLING")
 HeldRun = tuple[int, int]  # (run id, attempt)
 
 
-def add_run(session: Session, **values: Any) -> Run:
-    """Insert a run as QUEUED and return its row."""
+def add_run(session: Session, *, joint_set_ids: Sequence[int] = (), **values: Any) -> Run:
+    """Insert a run as QUEUED, with the sets that it takes with its first, and return its row."""
     run = Run(state="QUEUED", attempt=0, cancel_requested=0, launched_utc=utc_now(), **values)
     session.put(run)
+    further = [JointSet(run_id=run.id, telemetry_set_id=number) for number in joint_set_ids]
+    session.add_all(further)
+    set_committed_value(run, "further", further)
+    session.flush()
     write_event(session, run.id, 0, Line.moved("QUEUED"))
     return run
 
@@ -416,7 +513,10 @@ def _has_matched(session: Session, statement: sa.Update) -> bool:
 
 def list_runs_of_set(session: Session, telemetry_set_id: int, limit: int) -> tuple[list[Run], int]:
     """Return the newest runs that fitted or validated with a telemetry set, and how many there are."""
-    uses = sa.or_(Run.telemetry_set_id == telemetry_set_id, Run.validation_set_id == telemetry_set_id)
+    with_others = sa.select(JointSet.run_id).where(JointSet.telemetry_set_id == telemetry_set_id)
+    uses = sa.or_(
+        Run.telemetry_set_id == telemetry_set_id, Run.validation_set_id == telemetry_set_id, Run.id.in_(with_others)
+    )
     uses = sa.and_(uses, CALIBRATIONS)
     newest = list(session.scalars(sa.select(Run).where(uses).order_by(Run.id.desc()).limit(limit)))
     return newest, session.scalar(sa.select(sa.func.count()).select_from(Run).where(uses)) or 0

@@ -12,6 +12,7 @@ from starlette.responses import Response
 
 from boresight.calibration.calibration import Calibration, parse_calibration
 from boresight.calibration.choice.result import Choice
+from boresight.calibration.joint.passes import MOST_PASSES
 from boresight.console import schemas as console_schemas
 from boresight.console.access.dependencies import (
     SAME_FOR_ALL,
@@ -33,7 +34,7 @@ from boresight.console.runs.frames import FrameLine
 from boresight.console.runs.presets import BUILT_IN, OfferedPreset
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Preset, Run, RunEvent
 from boresight.console.schemas import Shape
-from boresight.figures import figure_json, held_out_error
+from boresight.figures import figure_json, held_out_error, passes
 from boresight.figures.report import render_report
 from boresight.figures.tables import removed_table
 from boresight.platform.blobs.store import BlobStore
@@ -65,6 +66,16 @@ class Launch(BaseModel):
     validation_set_id: Id | None = Field(
         None, description="A validation set: never fitted, only used to judge the result."
     )
+    joint_set_ids: list[Id] = Field(
+        default_factory=list,
+        max_length=MOST_PASSES - 1,
+        description="Further sets of the sensor: all are calibrated together with the first, as one.",
+    )
+    prior_set_id: Id | None = Field(
+        None,
+        description="A parameter set, approved or active, to start from with its covariance; sets that it holds count once.",
+    )
+    prior_run_id: Id | None = Field(None, description="The same by a run that has ended; give at most one of the two.")
     label: str = ""
     validate_only: bool = Field(default=False, description="Check everything, change nothing, and describe the result.")
 
@@ -116,6 +127,9 @@ def launch_run(
         launch.telemetry_set_id,
         launch.settings,
         validation_set_id=launch.validation_set_id,
+        joint_set_ids=launch.joint_set_ids,
+        prior_run_id=launch.prior_run_id,
+        prior_set_id=launch.prior_set_id,
         label=launch.label,
         validate_only=asked or launch.validate_only,
         forecast_sources=forecast_sources,
@@ -184,6 +198,25 @@ def get_run_choice_figure(run_id: Id, session: Reading, blobs: Blobs) -> Respons
 def get_run_choice_data(run_id: Id, session: Reading, blobs: Blobs) -> Response:
     """Read the numbers behind the figure as CSV."""
     return csv_response(held_out_error.table(choices.get_choice(session, blobs, run_id)), f"run-{run_id}-held-out.csv")
+
+
+@router.get("/{run_id}/passes/figure", summary="Read the figure of its passes", response_model=schemas.PlotlyFigure)
+def get_run_passes_figure(run_id: Id, session: Reading, blobs: Blobs) -> Response:
+    """Read what varies from pass to pass of a joint run that has ended as Plotly JSON."""
+    figure = passes.draw(parse_calibration(runs.get_final_result(session, blobs, run_id)))
+    return Response(figure_json(figure), media_type="application/json")
+
+
+@router.get(
+    "/{run_id}/passes/data",
+    summary="Read its passes",
+    response_class=CsvFile,
+    responses={200: {"description": "One row per pass, numbers in SI; none where the run is of one set."}},
+)
+def get_run_passes_data(run_id: Id, session: Reading, blobs: Blobs) -> Response:
+    """Read the passes of a joint run that has ended as CSV: size, chi-square, and what varies with its sigma."""
+    found = parse_calibration(runs.get_final_result(session, blobs, run_id))
+    return csv_response(passes.table(found), f"run-{run_id}-passes.csv")
 
 
 @router.get(

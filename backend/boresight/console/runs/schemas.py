@@ -47,6 +47,9 @@ class Run(Row):
     progress: Annotated[RunProgress | None, BeforeValidator(_read_progress)]
     summary: Document | None = Field(description="The numbers of a finished run that lists show.")
     result_sha256: str | None
+    joint_set_ids: list[int] = Field(description="Further sets, calibrated with the first as one.")
+    prior_run_id: int | None = Field(description="The calibration that it starts from with its covariance.")
+    prior_set_id: int | None = Field(description="The parameter set that this was named by.")
     choice_of: int | None = Field(description="The run for whose data it chooses a camera; null of a calibration.")
     launched_utc: str
     launched_by: int | None
@@ -74,6 +77,9 @@ class DryRun(BaseModel):
     model_config = ConfigDict(extra="allow")
     sensor: str
     telemetry_set: str
+    joint_sets: list[str]
+    prior: str | None = Field(description="What it would start from; null: the sensor's own parameters.")
+    left_out: list[str] = Field(description="Sets that the prior holds already, so that their stars count once.")
     frames: int
     stars: int
     pairs: int

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from boresight.calibration.calibration import Calibration, parse_calibration
@@ -25,7 +25,7 @@ from boresight.platform.web.text_validation import refuse_control_characters
 from boresight.telemetry.sensors import parse_sensor
 
 
-def launch(  # noqa: PLR0913 - who launches what, and four choices by name
+def launch(  # noqa: PLR0913 - who launches what, and seven choices by name
     session: Session,
     actor: Actor,
     sensor_id: int,
@@ -33,14 +33,30 @@ def launch(  # noqa: PLR0913 - who launches what, and four choices by name
     settings: Mapping[str, Any],
     *,
     validation_set_id: int | None = None,
+    joint_set_ids: Sequence[int] = (),
+    prior_run_id: int | None = None,
+    prior_set_id: int | None = None,
     label: str = "",
     validate_only: bool = False,
     forecast_sources: ForecastSources | None = None,
 ) -> Run | dict[str, Any]:
-    """Queue a calibration, or only say what it would be."""
+    """Queue a calibration of one set or of several as one, or only say what it would be.
+
+    It starts from the sensor's parameters, or from a run or a parameter set with its covariance.
+    """
     require_role(actor, "analyst")
     require_scope(actor, "runs")
-    run_request = check_run_request(session, sensor_id, telemetry_set_id, settings, validation_set_id, label)
+    run_request = check_run_request(
+        session,
+        sensor_id,
+        telemetry_set_id,
+        settings,
+        validation_set_id,
+        label,
+        joint_set_ids=joint_set_ids,
+        prior_run_id=prior_run_id,
+        prior_set_id=prior_set_id,
+    )
     if validate_only:
         return dry_run(session, run_request, forecast_sources)
     run = queries.add_run(session, **run_request.columns(), launched_by=actor.user_id)

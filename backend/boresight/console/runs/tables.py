@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import sqlalchemy as sa
-from sqlalchemy.orm import Mapped, mapped_column
+from sqlalchemy.orm import Mapped, mapped_column, relationship
 
 from boresight.calibration.calibration import parse_part
 from boresight.errors import RefusedInputError
@@ -18,6 +18,16 @@ RUN_STATES = ("QUEUED", "RUNNING", "CANCELLING", "SUCCEEDED", "FAILED", "CANCELL
 TERMINAL_RUN_STATES = ("SUCCEEDED", "FAILED", "CANCELLED", "LOST")
 #: The method of a run that chooses a camera.
 CHOICE = "choice"
+
+
+class JointSet(Base):
+    """A further telemetry set of a run, calibrated with its first as one; never edited."""
+
+    __tablename__ = "joint_sets"
+    __table_args__ = (sa.UniqueConstraint("run_id", "telemetry_set_id"), STRICT)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    run_id: Mapped[int] = mapped_column(sa.ForeignKey("runs.id"))
+    telemetry_set_id: Mapped[int] = mapped_column(sa.ForeignKey("telemetry_sets.id"), index=True)
 
 
 class Run(Base):
@@ -73,6 +83,14 @@ class Run(Base):
     result_sha256: Mapped[str | None] = mapped_column(sa.ForeignKey("blobs.sha256"))
     summary: Mapped[dict[str, Any] | None] = mapped_column(JsonText)  # the figures a list shows
     choice_of: Mapped[int | None] = mapped_column(index=True)  # the run for whose data it chooses a camera
+    prior_run_id: Mapped[int | None]  # the calibration that it starts from
+    prior_set_id: Mapped[int | None]  # the parameter set that this was named by
+    further: Mapped[list[JointSet]] = relationship(lazy="selectin", order_by=JointSet.id, viewonly=True)
+
+    @property
+    def joint_set_ids(self) -> list[int]:
+        """The telemetry sets that it takes with its first."""
+        return [one.telemetry_set_id for one in self.further]
 
 
 class ArchivedRun(Base):

@@ -21,6 +21,7 @@ from boresight.console.approvals.tables import Approval, Signature
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs import queries as run_rows
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet, parse_quality
 from boresight.console.transitions import describe_last_change
@@ -83,7 +84,25 @@ def _describe_run(session: Session, row: ParameterSet) -> dict[str, Any] | None:
         "launched_by": _name_person(session, run.launched_by),
         "started_from": run.sensor_document["initial"],
         "telemetry": _describe_telemetry(session, run.telemetry_set_id),
+        "joint_telemetry": [_describe_telemetry(session, number) for number in run.joint_set_ids],
+        "prior": _describe_prior(session, run),
         "validation": _describe_telemetry(session, run.validation_set_id),
+    }
+
+
+def _describe_prior(session: Session, run: Run) -> dict[str, Any] | None:
+    """Return the calibration that a run started from with its covariance, and the telemetry sets that it holds; None where none."""
+    if run.prior_run_id is None:
+        return None
+    before = session.get_one(Run, run.prior_run_id)
+    named = None if run.prior_set_id is None else session.get_one(ParameterSet, run.prior_set_id)
+    return {
+        "run": before.id,
+        "parameter_set": None if named is None else named.name,
+        "result_sha256": before.result_sha256,
+        "telemetry": [
+            _describe_telemetry(session, number) for number in sorted(run_rows.list_held_sets(session, before))
+        ],
     }
 
 

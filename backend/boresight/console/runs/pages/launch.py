@@ -22,7 +22,7 @@ from boresight.calibration.evaluation.forecast import Forecast
 from boresight.calibration.options import (
     FORM,
     METHODS,
-    OF_COMMAND_ONLY,
+    OF_ONE_RUN,
     OPTIONS,
     CalibrationSettings,
     format_value,
@@ -36,9 +36,12 @@ from boresight.console.fleet import service as sensors
 from boresight.console.fleet.service import SensorChoices
 from boresight.console.fleet.tables import Sensor
 from boresight.console.pages.rendering import AttemptResult, RefusalContext, ask, attempt, get_texts, redirect, render
+from boresight.console.parameter_sets import queries as set_queries
+from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs import presets
 from boresight.console.runs import service as runs
 from boresight.console.runs.presets import OfferedPreset
+from boresight.console.runs.starts import TRUSTED
 from boresight.console.telemetry import queries as telemetry_rows
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.telemetry.tables import TelemetrySet
@@ -50,7 +53,7 @@ from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.numbers import count, duration
 
 #: The settings with one form field each; free parameters have one per sensor.
-FIELDS = tuple(name for name, option in OPTIONS.items() if name != "free" and option.group not in OF_COMMAND_ONLY)
+FIELDS = tuple(name for name in OPTIONS if name != "free")
 
 
 def typed_settings(document: Mapping[str, Any]) -> dict[str, str]:
@@ -68,6 +71,8 @@ class TypedForm:
     sensor_id: str = ""
     telemetry_set_id: str = ""
     validation_set_id: str = ""
+    joint_set_ids: Sequence[str] = ()
+    prior: str = ""  # `set-3` or `run-7`
     label: str = ""
     chosen: Mapping[str, str] = field(default_factory=lambda: DEFAULTS)
     free: Mapping[int, Sequence[str]] = field(default_factory=dict)
@@ -93,7 +98,11 @@ class TypedForm:
         An address with a validation set was written by this form and names all its data; otherwise its set is only a
         starting point.
         """
-        said: dict[str, Any] = {name: address[name] for name in ("validation_set_id", "label") if name in address}
+        said: dict[str, Any] = {
+            name: address[name] for name in ("validation_set_id", "prior", "label") if name in address
+        }
+        if "joint_set_ids" in address:
+            said["joint_set_ids"] = [number for number in address.getlist("joint_set_ids") if number]
         if "validation_set_id" in address:
             named = {"sensor_id": address.get("sensor", ""), "telemetry_set_id": address.get("set", "")}
             said |= {name: value for name, value in named.items() if value.isdecimal()}
@@ -109,7 +118,8 @@ class TypedForm:
     @property
     def query(self) -> str:
         """The fields as a query string, from which the page finds what was changed since."""
-        texts = [("validation_set_id", self.validation_set_id), ("label", self.label)]
+        texts = [("validation_set_id", self.validation_set_id), ("prior", self.prior), ("label", self.label)]
+        texts += [("joint_set_ids", number) for number in self.joint_set_ids]
         texts += [(name, self[name]) for name in FIELDS if name != "method"]
         ticks = [(f"free-{sensor}", name) for sensor, names in self.free.items() for name in names]
         return urlencode([*texts, *ticks])
@@ -117,7 +127,26 @@ class TypedForm:
     @property
     def advanced(self) -> bool:
         """Whether a choice behind "More options" differs from the usual."""
-        return any(self[name] != DEFAULTS[name] for name in FIELDS if not OPTIONS[name].usual)
+        return any(
+            self[name] != DEFAULTS[name]
+            for name in FIELDS
+            if not OPTIONS[name].usual and OPTIONS[name].group not in OF_ONE_RUN
+        )
+
+    @property
+    def of_one_run(self) -> bool:
+        """Whether a choice about several sets or a prior differs from the usual."""
+        return any(self[name] != DEFAULTS[name] for name in FIELDS if OPTIONS[name].group in OF_ONE_RUN)
+
+    @property
+    def start(self) -> dict[str, int]:
+        """The calibration that the run starts from, as the service names it."""
+        kind, _, number = self.prior.partition("-")
+        if not self.prior:
+            return {}
+        if kind not in {"set", "run"}:
+            raise RefusedInputError(f"{self.prior[:20]!r} is nothing to start from; choose from the list.")
+        return {f"prior_{kind}_id": whole(number, "prior")}
 
     def settings(self) -> dict[str, Any]:
         """Return the settings document of the calibration."""
@@ -150,13 +179,19 @@ def typed_form(form: FormData) -> TypedForm:
     numbered = {name: parse_row_id(number) for name, number in ticked.items()}
     free = {number: list(map(str, form.getlist(name))) for name, number in numbered.items() if number is not None}
     about: dict[str, Any] = {item.name: text[item.name] for item in fields(TypedForm) if text.get(item.name)}
+    about["joint_set_ids"] = [str(number) for number in form.getlist("joint_set_ids")]
     chosen = {**DEFAULTS, **{name: text[name] for name in FIELDS if text.get(name)}}
     return TypedForm(**{**about, "chosen": chosen, "free": free})
 
 
 MOST_SETS = 100
 LONGEST_NUMBER = 9  # digits of a row's number
-OF_A_SENSOR = ("set", "validation_set_id")  # parameters of the address about data, besides the sensor
+OF_A_SENSOR = (
+    "set",
+    "validation_set_id",
+    "joint_set_ids",
+    "prior",
+)  # parameters of the address about data, besides the sensor
 
 
 @dataclass(frozen=True)
@@ -189,6 +224,16 @@ class LaunchOrigin:
 
 
 @dataclass(frozen=True)
+class OfferedStart:
+    """A calibration that a run may start from: its value in the form, its sensor, and what it is."""
+
+    value: str
+    sensor_id: int
+    name: str
+    said: str
+
+
+@dataclass(frozen=True)
 class OfferedData:
     """The choices that the form offers."""
 
@@ -196,6 +241,7 @@ class OfferedData:
     fleet: Sequence[Sensor]
     sets: Sequence[TelemetrySet]
     is_whole: bool
+    starts: Sequence[OfferedStart] = ()
 
     @property
     def shown(self) -> int | None:
@@ -250,7 +296,31 @@ def sets_of_clone(session: Session, origin: LaunchOrigin) -> list[str]:
     if origin.clone is None:
         return []
     run = runs.get_run(session, origin.clone)
-    return [str(number) for number in (run.telemetry_set_id, run.validation_set_id) if number is not None]
+    named = (run.telemetry_set_id, run.validation_set_id, *run.joint_set_ids)
+    return [str(number) for number in named if number is not None]
+
+
+def list_starts(session: Session, fleet: Sequence[Sensor], chosen: str) -> list[OfferedStart]:
+    """Return what runs of these sensors may start from: sets that were approved or are active, and the run that is chosen."""
+    sets = set_queries.list_sets_in(session, [sensor.id for sensor in fleet], TRUSTED)
+    found = [
+        OfferedStart(f"set-{row.id}", row.sensor_id, row.name, ", ".join(dict.fromkeys(_states(row)))) for row in sets
+    ]
+    kind, _, number = chosen.partition("-")
+    if kind == "run" and (run_id := parse_row_id(number)) is not None:
+        try:
+            run = runs.get_run(session, run_id)
+        except NotFoundError:
+            return found
+        found.append(OfferedStart(chosen, run.sensor_id, f"run #{run.id}", run.label or run.state))
+    return found
+
+
+def _states(row: ParameterSet) -> Iterator[str]:
+    """Say how a set stands, first what is on board."""
+    if row.onboard_state == "ACTIVE":
+        yield "active on board"
+    yield row.ground_state.lower()
 
 
 def found_alone(offered: OfferedData, address: QueryParams) -> str | None:
@@ -283,6 +353,12 @@ def first_choice(
         "sensor_id": str(run.sensor_id),
         "telemetry_set_id": str(run.telemetry_set_id),
         "validation_set_id": str(run.validation_set_id or ""),
+        "joint_set_ids": [str(number) for number in run.joint_set_ids],
+        "prior": f"set-{run.prior_set_id}"
+        if run.prior_set_id
+        else f"run-{run.prior_run_id}"
+        if run.prior_run_id
+        else "",
     }
     if sensor_id not in {None, run.sensor_id}:
         data = newest_sets(session, sensor_id)
@@ -293,7 +369,7 @@ def about_its_sensor(session: Session, typed: TypedForm) -> TypedForm:
     """Return the form with the newest sets and the own free parameters of the sensor that it names."""
     fleet = sensor_queries.list_sensors(session, _number(typed.sensor_id))
     free = {sensor.id: list_free_parameters(sensor) for sensor in fleet}
-    return replace(typed, **newest_sets(session, next(iter(free), None)), free=free)
+    return replace(typed, **newest_sets(session, next(iter(free), None)), free=free, joint_set_ids=(), prior="")
 
 
 def newest_sets(session: Session, sensor_id: int | None) -> dict[str, Any]:
@@ -361,7 +437,8 @@ def make_dry_run_view(summary: Mapping[str, Any]) -> DryRunView:
     free, forecast = summary["free"], summary["forecast"]
     facts = [
         ("Sensor", summary["sensor"]),
-        ("Calibration set", summary["telemetry_set"]),
+        ("Calibration set", ", ".join([summary["telemetry_set"], *summary["joint_sets"]])),
+        ("Starts from", summary["prior"] or "the sensor's parameters"),
         ("Validation set", summary["validation_set"] or "none"),
         ("Method", get_method_title(summary["settings"]["method"])),
         ("Matches", said("match", summary["settings"]["match"])),
@@ -427,6 +504,8 @@ def _launch(session: Session, actor: Actor, typed: TypedForm, forecast_sources: 
         whole(typed.telemetry_set_id, "calibration set"),
         typed.settings(),
         validation_set_id=whole(typed.validation_set_id, "validation set") if typed.validation_set_id else None,
+        joint_set_ids=[whole(number, "further set") for number in typed.joint_set_ids],
+        **typed.start,
         label=typed.label.strip(),
         validate_only=forecast_sources is not None,
         forecast_sources=forecast_sources,
@@ -468,7 +547,7 @@ def _begun(session: Session, offered: OfferedData, origin: LaunchOrigin) -> Type
 def launch_page(request: Request, session: Reading, actor: Who) -> Response:
     """Show the form, empty or filled from a run, a telemetry set or a preset."""
     origin, address = read_origin(request, session), request.query_params
-    named = [*(address.get(name, "") for name in OF_A_SENSOR), *sets_of_clone(session, origin)]
+    named = [*(number for name in OF_A_SENSOR for number in address.getlist(name)), *sets_of_clone(session, origin)]
     offered = offer(session, origin.find, sensor_meant(session, origin, address), named)
     if query := found_alone(offered, address):
         return redirect(f"/runs/new?{query}")
@@ -515,8 +594,9 @@ def _page(
     form: FormData | None = None,
 ) -> HTMLResponse:
     if offered is None:
-        named = [typed.telemetry_set_id, typed.validation_set_id]
+        named = [typed.telemetry_set_id, typed.validation_set_id, *typed.joint_set_ids]
         offered = offer(session, origin.find, parse_row_id(typed.sensor_id), named)
+    offered = replace(offered, starts=list_starts(session, offered.fleet, typed.prior))
     refusal: RefusalContext | None = outcome.refusal if outcome else None
     words = get_texts(form) if form is not None else request.query_params
     moved = form is not None and form.get("intent") in {"queue", "save"}

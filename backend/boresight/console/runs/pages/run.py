@@ -42,6 +42,7 @@ from boresight.console.runs.pages.choice import make_choice_part
 from boresight.console.runs.pages.frames import make_frames_part
 from boresight.console.runs.pages.list import compute_run_seconds, read_names
 from boresight.console.runs.pages.live import StateNotice, make_live_part, make_log_part
+from boresight.console.runs.pages.origin import make_origin
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.console.uplinks.stations import make_workflow
@@ -115,10 +116,22 @@ def _hash(value: Any) -> Markup | str:
     return short_hash(str(value)) if value else MISSING
 
 
-def write_command(run: Run, data: TelemetrySet, validation: TelemetrySet | None) -> str:
+def write_command(review: RunReview) -> str:
     """Write the command line that computes this run again from the files that the page offers."""
-    files = data.name, f"run-{run.id}.sensor.json"
-    words = calibrate_command(*files, run.settings, validation.name if validation else None, f"run-{run.id}.json")
+    run, settings, prior = review.run, dict(review.run.settings), None
+    if run.prior_run_id is not None:
+        prior = f"run-{run.prior_run_id}.json"
+        use = review.result.prior if review.result else None
+        if use is not None and use.drift_sigma and settings.get("prior_age_days") is None:
+            settings["prior_age_days"] = use.age_days  # which the rows of its sets told where its result does not
+    words = calibrate_command(
+        [one.name for one in (review.data, *review.further)],
+        f"run-{run.id}.sensor.json",
+        settings,
+        review.validation.name if review.validation else None,
+        f"run-{run.id}.json",
+        prior,
+    )
     return " \\\n  ".join(words)
 
 
@@ -265,6 +278,7 @@ class RunReview:
     run: Run
     sensor: Sensor
     data: TelemetrySet
+    further: Sequence[TelemetrySet]
     validation: TelemetrySet | None
     result: Calibration | None
 
@@ -289,6 +303,7 @@ def make_result_part(review: RunReview) -> dict[str, Any]:
         "views": () if review.is_void else make_four_views(review.result),
         "rows": parameter_rows(found) if found else [],
         "uncertainty": make_uncertainty(review.result),
+        **make_origin(review.run, (review.data, *review.further), None if review.is_void else review.result),
         "remedies": [
             (remedy.label, make_remedy_address(review.run, remedy)) for remedy in list_remedies(review.result)
         ],
@@ -346,7 +361,7 @@ def make_record_part(review: RunReview) -> dict[str, Any]:
     """Gather who ran what, where the numbers come from, the log and the notes."""
     by = read_names(review.session).person(review.run.launched_by)
     return {
-        "header": make_run_header(review.run, by, review.data, review.validation, get_times(review.request)),
+        "header": make_run_header(review, by, get_times(review.request)),
         "notes": notes.list_notes(review.session, "runs", review.run.id),
         **make_provenance_part(review),
         **make_log_part(review.request, review.session, review.run),
@@ -359,7 +374,8 @@ def make_provenance_part(review: RunReview) -> dict[str, Any]:
         "provenance": list_provenance(review.run, review.result),
         "validation": review.validation,
         "data": review.data,
-        "command": write_command(review.run, review.data, review.validation),
+        "further": review.further,
+        "command": write_command(review),
         "settings_json": json.dumps(review.run.settings, indent=2, sort_keys=True),
     }
 
@@ -533,12 +549,18 @@ def _why_no_set(run: Run) -> str | None:
     return f"No parameter set can be made from a result that ended as {words(status)}."
 
 
-def make_run_header(
-    run: Run, by: str, data: TelemetrySet, validation: TelemetrySet | None, times: TimeStyle
-) -> list[tuple[str, Any]]:
+def make_run_header(review: RunReview, by: str, times: TimeStyle) -> list[tuple[str, Any]]:
     """Lay out who ran what on which data, and when."""
+    run, validation = review.run, review.validation
+    unnamed = len(review.further) - MOST_SETS_NAMED
+    more = f" and {unnamed} more" if unnamed > 0 else ""
+    start = Markup('<a href="/runs/{0}">run #{0}</a>').format(run.prior_run_id) if run.prior_run_id else None
+    if run.prior_set_id is not None:
+        name = review.session.get_known(ParameterSet, run.prior_set_id).name
+        start = Markup('<a href="/parameter-sets/{}">{}</a>').format(run.prior_set_id, name)
     return [
-        ("Data", _set_link(data)),
+        ("Data", Markup(", ").join(map(_set_link, (review.data, *review.further[:MOST_SETS_NAMED]))) + more),
+        *([("Starts from", start)] if start else []),
         ("Validation", _set_link(validation) if validation else "none"),
         ("Launched by", by),
         ("Launched", time_element(run.launched_utc, times)),
@@ -547,6 +569,10 @@ def make_run_header(
         ("Duration", duration(compute_run_seconds(run))),
         ("Attempt", count(run.attempt) if run.attempt else MISSING),
     ]
+
+
+#: Further sets that the head of a record names; the passes have them all.
+MOST_SETS_NAMED = 4
 
 
 def _set_link(data: TelemetrySet) -> Markup:
@@ -603,6 +629,7 @@ def get_run_review(request: Request, session: Session, actor: Actor, run_id: int
         run=run,
         sensor=session.get_known(Sensor, run.sensor_id),
         data=session.get_known(TelemetrySet, run.telemetry_set_id),
+        further=run_queries.list_further_sets(session, run),
         validation=None if validation is None else session.get_known(TelemetrySet, validation),
         result=found,
     )

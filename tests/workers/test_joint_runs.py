@@ -1,0 +1,162 @@
+"""Joint runs and runs with a prior on a real server with a worker: what the library finds here, to the last bit."""
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+import boresight as bs
+from boresight.calibration.calibrate import calibrate
+from boresight.calibration.joint.passes import NamedTelemetry, join_sets
+from boresight.calibration.options import CalibrationSettings
+from boresight.calibration.telemetry_pieces import StoredTable
+from boresight.cli import main
+from boresight.cli.remote import API_KEY
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.platform.blobs.working_tables import working_table
+from boresight.platform.db.sessions import open_reading
+from boresight.sky.catalogue import load_catalogue
+from boresight.telemetry.read.readers import write_csv
+from boresight.telemetry.sensors import sensor_document
+from tests.calibration.sets import differences, st16_sensor
+from tests.calibration.test_joint import a_pass
+from tests.served import House, add_people, serving, settings_in
+
+CHOSEN = {"match": "given"}
+PATIENCE_S = 240.0
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("files")
+    for number in range(4):
+        write_csv(a_pass(50 + number, day=10.0 * number, frames=40), folder / f"pass-{number}.csv")
+    (folder / "sensor.json").write_text(json.dumps(sensor_document(st16_sensor(1))))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def house(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("joint")
+    settings = settings_in(folder, workers="1", login_attempts="1000")
+    add_people(settings)
+    with serving(settings, load_catalogue(folder / "catalogue")) as (address, app):
+        made = House(address, app, b"", {})
+        yield made
+        for client in made.opened:
+            client.close()
+
+
+@pytest.fixture(scope="module")
+def server(house):
+    answer = house.person("ada").post(
+        "/api/v1/api-keys", json={"label": "joint", "scopes": ["sensors", "telemetry-sets", "runs"]}
+    )
+    with bs.Client(house.address, answer.json()["secret"]) as client:
+        client.api_key = answer.json()["secret"]
+        yield client
+
+
+@pytest.fixture(scope="module")
+def sets(server, files):
+    return [server.upload(files / f"pass-{number}.csv", files / "sensor.json") for number in range(4)]
+
+
+def found(server, *given, **chosen):
+    run = server.wait(server.launch(*given, **CHOSEN, **chosen), timeout_s=PATIENCE_S)
+    return run, server.fetch(run)
+
+
+def unlike(one, other):
+    """Where two calibrations differ, but for what they call files that only one of them had."""
+    documents = [each.to_dict() for each in (one, other)]
+    for document in documents:
+        document["inputs"]["sha256s"].pop("sensor", None)
+        document["inputs"]["sha256s"].pop("prior", None)
+        (document.get("prior") or {}).pop("sha256", None)
+    return differences(*documents)
+
+
+@pytest.fixture(scope="module")
+def joint(server, sets):
+    return found(server, sets[:2])
+
+
+@pytest.mark.parametrize("vary", [{}, {"vary": ["f_m"], "vary_as": "walk"}], ids=["alike", "walk"])
+def test_several_sets_are_calibrated_on_a_worker_as_they_are_here(server, sets, files, vary):
+    run, there = found(server, sets[:3], **vary)
+    here = bs.calibrate(
+        [files / f"pass-{number}.csv" for number in range(3)], files / "sensor.json", progress=False, **CHOSEN, **vary
+    )
+    assert unlike(there, here) == []
+    assert [one.sha256 for one in there.inputs.passes] == [one.original_sha256 for one in sets[:3]]
+    assert (run.telemetry_set_id, run.joint_set_ids) == (sets[0].id, [sets[1].id, sets[2].id])
+
+
+@pytest.mark.parametrize("method", ["batch", "sqrf"])
+def test_a_run_starts_from_another_with_its_covariance_and_its_age(server, sets, joint, files, tmp_path, method):
+    before, known = joint
+    drift = {"prior_drift_sigma": 0.02}
+    run, there = found(server, sets[3], prior=before, method=method, **drift)
+    known.save(tmp_path / f"run {before.id}")
+    here = bs.calibrate(
+        files / "pass-3.csv", files / "sensor.json", prior=tmp_path / f"run {before.id}", method=method, progress=False,
+        **CHOSEN, **drift,
+    )  # fmt: skip
+    assert unlike(there, here) == []
+    assert (run.prior_run_id, run.prior_set_id) == (before.id, None)
+    assert there.prior.age_days == pytest.approx(20.0, abs=0.001)
+    assert there.prior.telemetry_sha256s == sorted(one.original_sha256 for one in sets[:2])
+    assert set(there.prior.share) == set(there.free)
+    assert there.prior.agreement.p_value > 0.001
+
+
+def test_what_a_prior_holds_counts_once_however_many_runs_ago_it_was_taken_in(server, house, sets, joint):
+    second, _ = found(server, sets[2], prior=joint[0])
+    _, third = found(server, [sets[0], sets[2], sets[3]], prior=second)
+    assert [one.sha256 for one in third.inputs.passes] == [sets[3].original_sha256]
+    assert third.prior.telemetry_sha256s == sorted(one.original_sha256 for one in sets[:3])
+    with pytest.raises(bs.RefusedInputError, match="stars count once"):
+        server.launch(sets[0], prior=second)
+    order = {"sensor_id": sets[0].sensor_id, "telemetry_set_id": sets[0].id, "joint_set_ids": [sets[3].id]}
+    said = (
+        house.person("ada").post("/api/v1/runs", json=order | {"prior_run_id": second.id, "validate_only": True}).json()
+    )
+    assert (said["left_out"], said["joint_sets"], said["prior"]) == (["pass-0.csv"], ["pass-3.csv"], f"run {second.id}")
+    assert said["frames"] == 40
+
+
+def test_stored_tables_in_pieces_give_the_bits_of_those_in_memory(house, sets, catalogue):
+    with open_reading(house.app.state.engine) as session:
+        rows = [session.get_one(TelemetrySet, one.id) for one in sets[:2]]
+    tables = [
+        NamedTelemetry(
+            StoredTable(*working_table(house.app.state.blobs, row.table_sha256)), row.name, row.original_sha256
+        )
+        for row in rows
+    ]
+    settings = CalibrationSettings(**CHOSEN)
+    whole, pieces = (
+        calibrate(join_sets(tables, large_rows), st16_sensor(1), catalogue, settings) for large_rows in (10**9, 0)
+    )
+    assert differences(whole.to_dict(), pieces.to_dict()) == []
+
+
+def test_the_command_sends_several_sets_and_a_prior(house, server, sets, files, joint, monkeypatch, tmp_path):  # noqa: ARG001
+    monkeypatch.setenv(API_KEY, server.api_key)
+    words = ["calibrate", *(str(files / f"pass-{n}.csv") for n in (2, 3)), "--sensor", str(files / "sensor.json")]
+    words += [
+        "--match",
+        "given",
+        "--prior",
+        str(joint[0].id),
+        "--server",
+        house.address,
+        "--json",
+        str(tmp_path / "out.json"),
+    ]
+    done = CliRunner().invoke(main, words, catch_exceptions=False)
+    assert done.exit_code == 0, done.stderr
+    document = json.loads((tmp_path / "out.json").read_text())
+    assert document["prior"]["name"] == f"run {joint[0].id}"
+    assert len(document["inputs"]["passes"]) == 2
