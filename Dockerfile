@@ -1,5 +1,19 @@
 # Server, scheduler and worker are one image; the command says which. Nothing is compiled but the kernels, at the first start,
 # for the processor they run on, into the data folder.
+
+# The documentation, built with tools that the server does without.
+FROM python:3.11-slim AS documentation
+WORKDIR /opt/boresight
+COPY requirements-docs.lock ./
+RUN pip install --require-hashes --only-binary :all: --no-deps --requirement requirements-docs.lock
+COPY frontend frontend
+RUN npm ci --prefix frontend --ignore-scripts
+COPY pyproject.toml hatch_build.py README.md CHANGELOG.md LICENSE ./
+COPY backend backend
+COPY migrations migrations
+COPY docs docs
+RUN pip install --no-deps . && python -m sphinx --quiet --fail-on-warning docs build/documentation
+
 FROM python:3.11-slim
 
 ENV PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_CACHE_DIR=1 PYTHONUNBUFFERED=1
@@ -11,11 +25,12 @@ RUN awk '/^[a-z0-9-]+==/ {wanted = /^(psycopg|psycopg-binary|obstore)==/} wanted
  && pip install --require-hashes --only-binary :all: --no-deps --requirement requirements.lock \
  && pip install --require-hashes --only-binary :all: --no-deps --requirement requirements-site.lock
 
-COPY pyproject.toml README.md LICENSE ./
+COPY pyproject.toml hatch_build.py README.md LICENSE ./
 COPY backend backend
 COPY frontend frontend
 COPY migrations migrations
 COPY docs/glossary.md docs/glossary.md
+COPY --from=documentation /opt/boresight/build/documentation build/documentation
 RUN pip install --no-deps .
 
 # A user of its own, who owns nothing but the data folder.

@@ -22,7 +22,7 @@ export PYTHONUNBUFFERED := 1
 # As the command sets it: with more, three test processes wait for each other, and sums differ in their last bit under load.
 export OPENBLAS_NUM_THREADS := 1
 
-# What checks the types of the pages' modules; node comes with the virtual environment and is needed for nothing else.
+# What checks the types of the pages' modules, and sets the formulas of the documentation; node comes with the virtual environment.
 NODE_MODULES := frontend/node_modules/.package-lock.json
 TSC := $(BIN)/node frontend/node_modules/typescript/bin/tsc --project frontend
 
@@ -33,12 +33,13 @@ PYTEST := PATH="$(CURDIR)/$(BIN):$$PATH:$$(echo /usr/lib/postgresql/*/bin | tr '
 REQUESTS ?= 100000
 SEED ?= 1
 
-.PHONY: help demo test lint pytest full bench postgresql search fuzz clean lock machine
+.PHONY: help demo test lint docs pytest full bench postgresql search fuzz clean lock machine
 
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  \1\t/' | expand -t 14
 
 demo: $(COMPILED)  ## install, make a simulated fleet and serve it on http://127.0.0.1:8000
+	@mkdir -p build && (nice $(MAKE) --no-print-directory docs >build/docs.log 2>&1 &)  # is there under /docs a minute later
 	@$(BIN)/boresight demo
 
 test: $(MADE)/dev lint machine pytest  ## install everything and run every check: lint, types, import contracts, tests
@@ -49,6 +50,9 @@ lint: $(MADE)/dev $(NODE_MODULES)  ## style, format, types (of the pages' module
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(TSC)
+
+docs: $(MADE)/docs $(NODE_MODULES)  ## build the documentation, strictly, into build/documentation, which the server shows under /docs
+	$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going -d build/doctrees docs build/documentation
 
 pytest: $(MADE)/dev $(PANDAS)/made $(COMPILED)
 	@mkdir -p artefacts
@@ -78,7 +82,8 @@ clean:  ## remove what was built, cached and demonstrated; the virtual environme
 
 lock: $(MADE)/dev  ## resolve the newest versions that pyproject.toml allows into the lock files
 	$(LOCK) --extra lost-in-space --output-file requirements.lock pyproject.toml
-	$(LOCK) --extra bench --extra dev --extra lost-in-space --extra object-store --extra postgresql --constraint requirements.lock --output-file requirements-dev.lock pyproject.toml
+	$(LOCK) --extra bench --extra dev --extra docs --extra lost-in-space --extra object-store --extra postgresql --constraint requirements.lock --output-file requirements-dev.lock pyproject.toml
+	$(LOCK) --extra docs --constraint requirements-dev.lock --output-file requirements-docs.lock pyproject.toml
 	$(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["dependency-groups"]["pandas"], sep="\n")' | \
 	    $(LOCK) --constraint requirements-dev.lock --output-file requirements-pandas.lock -
 
@@ -102,7 +107,12 @@ $(MADE)/runtime: requirements.lock pyproject.toml | $(BIN)/python
 	@$(BIN)/python -m compileall -q backend/boresight  # as pip does for wheels: a command starts 0.15 s sooner
 	@mkdir -p $(MADE) && touch $@
 
-$(NODE_MODULES): frontend/package-lock.json | $(MADE)/dev
+# Nothing to install where the tests' packages are, which include these.
+$(MADE)/docs: requirements-docs.lock | $(MADE)/runtime
+	$(INSTALL) --require-hashes --only-binary :all: --requirement requirements-docs.lock
+	@touch $@
+
+$(NODE_MODULES): frontend/package-lock.json | $(MADE)/docs
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/npm ci --prefix frontend --ignore-scripts --no-audit --no-fund --prefer-offline
 
 $(COMPILED): $(MADE)/runtime $(wildcard backend/boresight/kernels/*.py backend/boresight/cameras/*.py)

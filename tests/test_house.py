@@ -160,7 +160,7 @@ def test_every_dependency_is_locked_and_both_files_agree():
     runs, tests = _locked("requirements.lock"), _locked("requirements-dev.lock")
     assert {_package(name) for name in PROJECT["dependencies"]} <= set(runs)
     assert _packages() <= set(tests)
-    assert runs.items() <= tests.items()
+    assert runs.items() <= _locked("requirements-docs.lock").items() <= tests.items()
 
 
 def test_what_tests_keep_beside_the_packages_is_locked_at_the_same_versions():
@@ -170,7 +170,7 @@ def test_what_tests_keep_beside_the_packages_is_locked_at_the_same_versions():
     assert {name: beside[name] for name in beside if name != "pandas"}.items() <= tests.items()
 
 
-@pytest.mark.parametrize("name", ["requirements.lock", "requirements-dev.lock", "requirements-pandas.lock"])
+@pytest.mark.parametrize("name", ["requirements.lock", "requirements-dev.lock", "requirements-docs.lock", "requirements-pandas.lock"])
 def test_every_locked_package_has_a_hash(name):
     entries = re.findall(r"^[a-z0-9-]+==\S+ (?:; [^\\\n]+ )?(.*)\n +(\S+)", (ROOT / name).read_text(), re.MULTILINE)
     assert len(entries) == len(_locked(name))

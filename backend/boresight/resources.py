@@ -8,8 +8,9 @@ _PACKAGE = Path(__file__).resolve().parent
 
 
 def folder(name: str) -> Path:
-    """Return the folder `frontend`, `migrations` or `docs`, from the installed wheel or from the checkout."""
-    for candidate in (_PACKAGE / name, _PACKAGE.parents[1] / name):
+    """Return the folder `frontend`, `migrations`, `docs` or the built `documentation`, from the installed wheel or the checkout."""
+    top = _PACKAGE.parents[1]
+    for candidate in (_PACKAGE / name, top / name, top / "build" / name):
         if candidate.is_dir():
             return candidate
-    raise FileNotFoundError(f"Expected the folder {name!r} inside the package or at the top of the checkout")
+    raise FileNotFoundError(f"Expected the folder {name!r} inside the package, or at the top or in build of the checkout")

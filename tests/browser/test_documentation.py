@@ -11,7 +11,7 @@ def documentation(request, people):
     asked = []
     with people.seat(request.param) as window:
         window.page.on("request", lambda request: asked.append(request.url))
-        window.open("/docs")
+        window.open("/api/v1/docs")
         expect(window.page.locator(".opblock-tag")).to_have_count(len(window.read("/api/v1/openapi.json")["tags"]))
         yield window
     assert [url for url in asked if not url.startswith(people.address)] == []

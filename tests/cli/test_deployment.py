@@ -153,8 +153,14 @@ def test_the_image_holds_everything_that_the_wheel_is_made_of():
     project = (ROOT / "pyproject.toml").read_text()
     included = re.findall(r'^"(\w+)" = "boresight/', project, re.MULTILINE)
     let_in = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
-    copied = {name for line in re.findall(r"^COPY (.*) \S+$", IMAGE, re.MULTILINE) for name in line.split()}
-    assert {*included, "backend"} <= copied == let_in
+    last = IMAGE.rpartition("\nFROM ")[2]
+    taken, of_server = (
+        {name for line in re.findall(r"^COPY (?!--from)(.*) \S+$", text, re.MULTILINE) for name in line.split()}
+        for text in (IMAGE, last)
+    )
+    assert {*included, "backend", "docs/glossary.md"} <= of_server
+    assert taken - {"docs/glossary.md"} == let_in  # of the folder `docs`
+    assert "COPY --from=documentation" in last
 
 
 def test_docker_itself_accepts_the_compose_file():

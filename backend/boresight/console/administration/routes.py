@@ -17,7 +17,7 @@ from anyio.to_thread import run_sync
 from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, RedirectResponse, Response
+from starlette.responses import HTMLResponse, Response
 
 from boresight.console.access.credentials import current_actor
 from boresight.console.access.dependencies import Database, ServerSettings, WorkerControl, Workers, depend_on_server
@@ -175,13 +175,7 @@ documentation_router = APIRouter(
 )  # Swagger UI, as a Python package ships it, over our own OpenAPI document
 
 
-@documentation_router.get("/docs")
-def documentation() -> HTMLResponse:
+@documentation_router.get("/api/v1/docs")
+def api_documentation() -> HTMLResponse:
     """Show every operation, and let who is logged in or has a key try it."""
     return HTMLResponse((folder("frontend") / "templates" / "shared/documentation.html").read_text())
-
-
-@documentation_router.get("/api/v1/docs")
-def documentation_of_version() -> RedirectResponse:
-    """Redirect to the documentation."""
-    return RedirectResponse("/docs")

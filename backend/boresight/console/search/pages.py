@@ -38,7 +38,8 @@ SHORTEST_WORD = 2  # of what is no row: one letter would find them all
 HELP = {
     "Glossary": "/help/glossary",
     "Settings": "/help/settings",
-    "REST API": "/docs",
+    "Documentation": "/docs/",
+    "REST API": "/api/v1/docs",
     "Gallery of figures": "/gallery",
 }
 

@@ -1,4 +1,7 @@
-"""The files of the pages: style, modules, and Plotly and Swagger UI as their Python packages ship them."""
+"""The files of the pages: style, modules, Plotly and Swagger UI as their Python packages ship them; and the documentation.
+
+Both are for everybody: they tell nothing of the installation, and who cannot log in reads there why.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ import fastapi_swagger
 import plotly
 from fastapi import APIRouter
 from starlette.requests import Request
-from starlette.responses import Response
+from starlette.responses import RedirectResponse, Response
 
 from boresight.errors import NotFoundError
 from boresight.platform.web.middleware import takes_gzip
@@ -25,6 +28,7 @@ SHIPPED = {
     "swagger-ui-bundle.js": SWAGGER / "swagger-ui-bundle.js",
     "swagger-ui.css": SWAGGER / "swagger-ui.css",
 }
+NO_DOCUMENTATION = "The documentation was not built here, or not yet: run make docs in the checkout; its sources are in the folder docs."
 COMPRESS_FROM_BYTES = 1024
 CACHED = "public, no-cache"  # the browser caches it, but revalidates
 TYPES = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".woff2": "font/woff2"}
@@ -57,21 +61,51 @@ def _place(name: str) -> Path:
     """Return the file of a name inside the static folder; refuse names outside it."""
     if name in SHIPPED:
         return SHIPPED[name]
-    top = (folder("frontend") / "static").resolve()
+    return _inside(folder("frontend") / "static", name, "There is no such file here; reload the page that needs it.")
+
+
+def _page(name: str) -> Path:
+    """Return the file of a page of the documentation, or of what belongs to it."""
+    try:
+        top = folder("documentation")
+    except FileNotFoundError:
+        raise NotFoundError(NO_DOCUMENTATION) from None
+    name = f"{name}index.html" if name.endswith("/") or not name else name
+    return _inside(top, name, "The documentation has no such page; search in it, or start at /docs/.")
+
+
+def _inside(top: Path, name: str, otherwise: str) -> Path:
+    """Return the file of a name inside a folder; refuse names outside it."""
+    top = top.resolve()
     try:
         place = (top / name).resolve()
         is_ours = place.is_relative_to(top) and place.is_file()
     except (OSError, ValueError):  # an impossible file name
         is_ours = False
     if not is_ours:
-        raise NotFoundError("There is no such file here; reload the page that needs it.")
+        raise NotFoundError(otherwise)
     return place
 
 
 @router.get("/static/{name:path}", name="static")
 def static_file(name: str, request: Request) -> Response:
     """Send a static file, or 304 if the browser's copy is current."""
-    place = _place(name)
+    return _send(_place(name), request)
+
+
+@router.get("/docs", name="documentation")
+def documentation() -> RedirectResponse:
+    """Lead to the first page of the documentation."""
+    return RedirectResponse("/docs/")
+
+
+@router.get("/docs/{name:path}", name="documentation page")
+def documentation_page(name: str, request: Request) -> Response:
+    """Send a page of the documentation, or what belongs to it."""
+    return _send(_page(name), request)
+
+
+def _send(place: Path, request: Request) -> Response:
     content = _content(place, place.stat().st_mtime_ns)
     zipped = content.compressed is not None and takes_gzip(request.headers.get("accept-encoding", "").encode())
     tag = f'"{content.sha256}{"-gz" if zipped else ""}"'

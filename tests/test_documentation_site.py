@@ -1,0 +1,166 @@
+"""The documentation as its readers get it: built without a warning, every link leads somewhere, and nothing comes from elsewhere."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import pytest
+
+from boresight.console.alarms.tables import ALARM_KINDS
+from boresight.platform.web import static_files
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+ADDRESSES = {"a": "href", "link": "href", "script": "src", "img": "src", "object": "data"}
+#: What stands on the pages for those who write them, and in no formula: a code block, or a figure's JSON.
+CODE = re.compile(r"<(pre|code|script)\b.*?</\1>", re.DOTALL)
+
+
+class Page(HTMLParser):
+    """What a page has: names of places, addresses by tag, and scripts and styles that stand in the page itself."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.names: set[str] = set()
+        self.addresses: list[tuple[str, str]] = []
+        self.inline: list[str] = []
+        self.images_without_text: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        has = dict(attrs)
+        self.names |= {has[name] for name in ("id", "name") if has.get(name)}
+        if has.get(ADDRESSES.get(tag, "")):
+            self.addresses.append((tag, has[ADDRESSES[tag]]))
+        if tag == "style" or (tag == "script" and "src" not in has and has.get("type") != "application/json"):
+            self.inline.append(str(attrs))
+        if tag == "img" and not has.get("alt"):
+            self.images_without_text.append(str(has.get("src")))
+
+
+def build(place: Path, *options: str) -> Path:
+    words = [sys.executable, "-m", "sphinx", "--quiet", "--fail-on-warning", "--keep-going", *options]
+    done = subprocess.run(
+        [*words, "-d", str(place / "doctrees"), str(DOCS), str(place / "site")],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return place / "site"
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Path:
+    """The site; its notebooks are executed under --full, and by `tests/library/test_documentation.py` always."""
+    options = () if request.config.getoption("--full") else ("-D", "execute_notebooks=0")
+    return build(tmp_path_factory.mktemp("documentation"), *options)
+
+
+@pytest.fixture(scope="module")
+def pages(site: Path) -> dict[Path, Page]:
+    return {path: Page(path.read_text(encoding="utf-8")) for path in site.rglob("*.html")}
+
+
+def _local(pages: dict[Path, Page]) -> Iterator[tuple[Path, str, Path, str]]:
+    for path, page in pages.items():
+        for _, address in page.addresses:
+            parts = urlsplit(address)
+            if not parts.scheme:
+                target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
+                yield path, address, target, unquote(parts.fragment)
+
+
+def test_every_link_leads_to_a_file_of_the_site_and_every_place_in_it_stands_there(pages):
+    by_path = {path.resolve(): page for path, page in pages.items()}
+    found = list(_local(pages))
+    lost = [(path.name, address) for path, address, target, _ in found if not target.is_file()]
+    nowhere = [
+        (path.name, address)
+        for path, address, target, place in found
+        if place and target in by_path and place not in by_path[target].names
+    ]
+    assert len(found) > 2000
+    assert lost == []
+    assert nowhere == []
+
+
+def test_a_page_loads_nothing_from_elsewhere_and_holds_no_script_or_style_of_its_own(pages, site):
+    loaded = [(path.name, one) for path, page in pages.items() for tag, one in page.addresses if tag != "a" and "//" in one]
+    sheets = "".join(path.read_text(encoding="utf-8") for path in site.rglob("*.css"))
+    assert loaded == []
+    assert {path.name: page.inline for path, page in pages.items() if page.inline} == {}
+    assert re.findall(r"url\(['\"]?(?:https?:)?//", sheets) == []
+
+
+def test_every_picture_says_what_it_shows(pages):
+    assert {path.name: page.images_without_text for path, page in pages.items() if page.images_without_text} == {}
+
+
+def test_no_formula_is_left_as_it_was_typed(site):
+    left = [
+        (path.name, found)
+        for path in site.rglob("*.html")
+        for found in re.findall(r"\$[^$\n<>]*\\[^$\n<>]*\$", CODE.sub("", path.read_text(encoding="utf-8")))
+    ]
+    assert left == []
+    assert any('class="katex"' in path.read_text(encoding="utf-8") for path in site.rglob("*.html"))
+
+
+def test_every_document_of_the_folder_is_a_page(site):
+    sources = [path.relative_to(DOCS).with_suffix(".html") for path in DOCS.rglob("*") if path.suffix in {".md", ".ipynb"}]
+    assert [str(name) for name in sources if not (site / name).is_file()] == []
+
+
+def test_every_alarm_has_its_place_in_the_guide(pages, site):
+    guide = pages[site / "how-to" / "respond-to-an-alarm.html"]
+    assert {kind.lower() for kind in ALARM_KINDS} <= guide.names
+
+
+def test_the_words_are_spelled_as_they_are():
+    words = [sys.executable, "-m", "codespell_lib", "--ignore-words-list", "ans,nd,ue,te,vis,fo,crate"]
+    sources = [str(path) for path in (*DOCS.rglob("*.md"), *DOCS.rglob("*.ipynb"), ROOT / "README.md")]
+    done = subprocess.run([*words, *sources], capture_output=True, text=True, check=False)
+    assert done.stdout == ""
+
+
+@pytest.fixture
+def shelf(tmp_path, monkeypatch):
+    """A folder in place of the built site."""
+    (tmp_path / "documentation" / "how-to").mkdir(parents=True)
+    (tmp_path / "secret.html").write_text("secret")
+    for name in ("index.html", "how-to/index.html"):
+        (tmp_path / "documentation" / name).write_text(f"<title>{name}</title>")
+    monkeypatch.setattr(static_files, "folder", lambda name: tmp_path / name)
+    return tmp_path
+
+
+@pytest.mark.usefixtures("shelf")
+@pytest.mark.parametrize(
+    ("address", "title"),
+    [("/docs", "index.html"), ("/docs/", "index.html"), ("/docs/how-to/", "how-to/index.html")],
+)
+def test_the_console_shows_it_to_everybody(house, address, title):
+    answer = house.anybody().get(address, follow_redirects=True)
+    assert (answer.status_code, answer.text) == (200, f"<title>{title}</title>")
+    assert answer.headers["content-type"] == "text/html; charset=utf-8"
+
+
+@pytest.mark.usefixtures("shelf")
+@pytest.mark.parametrize("name", ["nothing.html", "..%2fsecret.html", "how-to", "%00"])
+def test_what_is_no_page_of_it_is_not_found(house, name):
+    assert house.anybody().get(f"/docs/{name}").status_code == 404
+
+
+def test_where_it_was_not_built_a_sentence_says_how_to_get_it(house, monkeypatch):
+    def refuse(name):
+        raise FileNotFoundError(name)
+
+    monkeypatch.setattr(static_files, "folder", refuse)
+    answer = house.anybody().get("/docs/")
+    assert answer.status_code == 404
+    assert "make docs" in answer.text
