@@ -10,7 +10,6 @@ from boresight.figures.style.theme import TOKENS
 from boresight.verdicts import numbers as server
 from tests.browser.test_every_page import ADDRESSES, GLANCE, REFUSED, VISITORS
 from tests.browser.test_gallery import INKS, WRITTEN, format_rgb
-from tests.browser.test_run_page import LABELS, OVERLAPS
 from tests.browser.work import choose_filter, ends_as, queue
 from tests.effort import few_of
 
@@ -138,7 +137,7 @@ def test_figures_fit_a4_black_on_white_with_no_label_over_another(people, number
         page.emulate_media(media="print")
         page.wait_for_function(WRITTEN, arg=ink)
         window.settle()
-        assert page.evaluate(OVERLAPS, LABELS) == []
+        assert window.overlaps() == []
         assert all(width <= place + 1 for width, place in page.evaluate(WIDTHS))
         assert page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth") <= 1
         page.emulate_media(media="screen")

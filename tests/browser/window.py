@@ -60,6 +60,16 @@ FORGET_THEME = """() => {
     document.cookie = "boresight-theme=; path=/; max-age=0";
 }"""
 FITS = "() => document.documentElement.scrollWidth <= document.documentElement.clientWidth"
+OVERLAPS = """() => [...document.querySelectorAll("plot-figure .js-plotly-plot")].flatMap(figure => {
+    const boxes = [...figure.querySelectorAll("svg text")].filter(one => one.checkVisibility() && one.textContent.trim())
+        .map(one => [one.textContent, one.getBoundingClientRect()]).filter(([, box]) => box.width);
+    const place = figure.getBoundingClientRect(), name = figure.closest("[id]").id;
+    const over = ([, a], [, b]) => Math.min(a.right, b.right) - Math.max(a.left, b.left) > 2
+        && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 2;
+    const isCut = ([, a]) => a.left < place.left - 2 || a.right > place.right + 2 || a.bottom > place.bottom + 2;
+    return [...boxes.filter(isCut).map(([text]) => [name, text, "is cut"]), ...boxes.flatMap((one, k) =>
+        boxes.slice(k + 1).filter(other => over(one, other)).map(other => [name, one[0], other[0]]))];
+})"""
 CUT = """() => [...document.querySelectorAll("table.data")].map(table => table.parentElement)
     .filter(place => place.scrollWidth > place.clientWidth && !place.closest("details:not([open])"))
     .map(place => place.ariaLabel)"""
@@ -223,6 +233,11 @@ class Window:
         self.page.set_viewport_size(GLANCE)
         top = self.page.evaluate(FIRST)
         assert top <= HIGHEST_PX, f"the first figure of {address} begins at {top} px"
+
+    def overlaps(self) -> list[list[str]]:
+        """Texts of the drawn figures that lie over each other or are cut: the figure, the one, and the other."""
+        found: list[list[str]] = self.page.evaluate(OVERLAPS)
+        return found
 
     def fits(self) -> None:
         self.page.wait_for_function(FITS)
