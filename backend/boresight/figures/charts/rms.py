@@ -297,8 +297,8 @@ def draw_rms_axes(drawn: Sequence[Part[AxisResiduals]], beside: int = 2) -> go.F
         figure.add_trace(_points(found, style), **points)
         for axis in RUNNING if len(drawn) == 1 else (ALONG_RADIUS,):
             _rms_axes_draw_run(figure, found, axis, style, banded=len(drawn) <= 3, **over_frames)
-    height, layout = stacked_px(400, rows, beside), {"hovermode": "closest", "scattermode": "group"}
-    theme.dress(figure, title=_rms_axes_headline(drawn[0][2]), height_px=height, **layout)
+    layout: dict[str, Any] = {"hovermode": "closest", "scattermode": "group"}
+    theme.dress(figure, title=_rms_axes_headline(drawn[0][2]), height_px=stacked_px(400, rows, beside), **layout)
     figure.update_yaxes(rangemode="tozero")
     figure.update_yaxes(title_text="RMS residual (px), bars ±3σ", **points)
     figure.update_yaxes(title_text="RMS of a bin of frames (px)", **over_frames)
