@@ -6,10 +6,12 @@ import re
 import pytest
 from playwright.sync_api import expect
 
+from boresight.console.runs.pages.run import PARTS
 from boresight.figures.style.theme import TOKENS
 from boresight.verdicts import numbers as server
-from tests.browser.test_every_page import ADDRESSES, GLANCE, REFUSED, VISITORS
+from tests.browser.test_every_page import ADDRESSES, REFUSED, VISITORS
 from tests.browser.test_gallery import INKS, WRITTEN, format_rgb
+from tests.browser.window import GLANCE
 from tests.browser.work import choose_filter, ends_as, queue
 from tests.effort import few_of
 
@@ -102,7 +104,11 @@ def test_a_live_chart_says_its_frame_and_is_renewed_when_it_or_its_page_comes_in
         bands = [trace["y"] for trace in window.drawn("rms") if trace["fill"] == "toself"]
         assert bands
         assert all(None not in band for band in bands)
-        window.page.evaluate("scrollTo(0, 0)")
+        for part in PARTS:
+            window.begins_high(f"/runs/{run_id}?part={part}")
+            expect(window.page.locator("#run-head")).to_contain_text("RUNNING")
+        window.open(f"/runs/{run_id}?part=convergence")
+        window.figures_drawn()
         window.page.evaluate(HIDE, True)
         with window.page.expect_response(f"**/runs/{run_id}/figures/convergence*"):
             window.page.evaluate(HIDE, False)

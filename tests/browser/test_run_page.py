@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import expect
 
+from boresight.console.runs.pages.run import PARTS
 from boresight.figures import CHAPTERS
 from tests.browser.window import GLANCE, PHONE
 from tests.browser.work import choose_filter, ends_as, queue
@@ -294,6 +295,9 @@ def test_trust_appears_by_itself_when_the_run_that_is_watched_ends(people, batch
             clone(window, batch_run, pace, label)
             for pace, label in ((ONE_A_SECOND, "Has the only worker"), (FIFTY_A_SECOND, "Watched for its trust"))
         )
+        for part in PARTS:
+            window.begins_high(f"/runs/{run_id}?part={part}")
+            expect(window.page.locator("#run-head")).to_contain_text("QUEUED")
         open_part(window, run_id, "Evidence")
         examination = window.page.locator("#examination")
         expect(examination).to_contain_text("No examination")
