@@ -58,9 +58,6 @@ OUTSIDE_ITS_ROW = """() => [...document.querySelectorAll("tr > *")].filter(cell 
     return own.width && (own.top < row.top - 1 || (cell.rowSpan === 1 && own.bottom > row.bottom + 1)
         || own.left < row.left - 1 || own.right > row.right + 1);
 }).map(cell => cell.textContent.trim())"""
-LAST_VIEW = (
-    "() => Math.max(...[...document.querySelectorAll('.small-view')].map(one => one.getBoundingClientRect().bottom))"
-)
 LONG_NAME = "Wolfeschlegelsteinhausenbergerdorffwelchevoralternwarengewis"
 
 
@@ -81,9 +78,8 @@ def stands_under_the_verdict(window, part):
     )
     offered = {f"figure-{one.name}" for chapter in PARTS[part].chapters for one in CHAPTERS[chapter]}
     assert set(drawn) | {"figure-shadow"} == offered | {"figure-shadow"}  # asked for by few runs
+    assert window.page.locator(".small-view").count() == (4 if part == "result" else 0)
     window.begins_high(window.page.url)
-    if part == "result":
-        assert window.page.evaluate(LAST_VIEW) <= GLANCE["height"], "the four views are not in one look"
 
 
 @pytest.mark.parametrize("name", ADDRESSES)

@@ -6,11 +6,12 @@ import re
 import pytest
 from playwright.sync_api import expect
 
+from boresight.console.runs.pages.run import PARTS
 from boresight.figures.style.theme import TOKENS
 from boresight.verdicts import numbers as server
-from tests.browser.test_every_page import ADDRESSES, GLANCE, REFUSED, VISITORS
+from tests.browser.test_every_page import ADDRESSES, REFUSED, VISITORS
 from tests.browser.test_gallery import INKS, WRITTEN, format_rgb
-from tests.browser.test_run_page import LABELS, OVERLAPS
+from tests.browser.window import GLANCE
 from tests.browser.work import choose_filter, ends_as, queue
 from tests.effort import few_of
 
@@ -103,7 +104,11 @@ def test_a_live_chart_says_its_frame_and_is_renewed_when_it_or_its_page_comes_in
         bands = [trace["y"] for trace in window.drawn("rms") if trace["fill"] == "toself"]
         assert bands
         assert all(None not in band for band in bands)
-        window.page.evaluate("scrollTo(0, 0)")
+        for part in PARTS:
+            window.begins_high(f"/runs/{run_id}?part={part}")
+            expect(window.page.locator("#run-head")).to_contain_text("RUNNING")
+        window.open(f"/runs/{run_id}?part=convergence")
+        window.figures_drawn()
         window.page.evaluate(HIDE, True)
         with window.page.expect_response(f"**/runs/{run_id}/figures/convergence*"):
             window.page.evaluate(HIDE, False)
@@ -138,7 +143,7 @@ def test_figures_fit_a4_black_on_white_with_no_label_over_another(people, number
         page.emulate_media(media="print")
         page.wait_for_function(WRITTEN, arg=ink)
         window.settle()
-        assert page.evaluate(OVERLAPS, LABELS) == []
+        assert window.overlaps() == []
         assert all(width <= place + 1 for width, place in page.evaluate(WIDTHS))
         assert page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth") <= 1
         page.emulate_media(media="screen")

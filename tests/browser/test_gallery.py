@@ -13,7 +13,8 @@ from playwright.sync_api import expect
 from boresight.figures import FIGURES
 from boresight.figures.style.theme import TOKENS
 from tests.browser.thumbnails import colour, ink, looks, read_looks, write_looks
-from tests.effort import effort
+from tests.browser.window import GLANCE, NARROW, PHONE
+from tests.effort import effort, few_of
 
 pytestmark = pytest.mark.browser
 
@@ -146,6 +147,16 @@ def test_another_font_passes_and_what_is_lost_does_not(seat):
         seat.page.evaluate(DRESS, css)
         found = differences(looked_at(seat, "light"), whole, "elements")
         assert hurt <= {line.partition(":")[0] for line in found}, damage
+
+
+@pytest.mark.parametrize("of", few_of(["one", "two", "partial"], 1))
+def test_no_text_of_a_figure_lies_over_another_or_is_cut_on_a_phone_or_a_desk(seat, of):
+    for size in (PHONE, GLANCE):
+        seat.page.set_viewport_size(size)
+        seat.open(f"/gallery?of={of}")
+        seat.figures_drawn()
+        assert seat.overlaps() == [], f"at {size['width']} px"
+    seat.page.set_viewport_size(NARROW)
 
 
 def test_who_asks_the_system_for_more_contrast_gets_it_until_a_theme_is_chosen(people):

@@ -55,11 +55,23 @@ TRACES = """figure => figure._fullData.map(t => Object.fromEntries(
 SETTLED = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 50))))"
 GLANCE, HIGHEST_PX = {"width": 1280, "height": 720}, 420
 FIRST = "() => document.querySelector('plot-figure, .answer, main .empty, main .log').getBoundingClientRect().top"
+LAST_VIEW = """() => Math.max(0, ...[...document.querySelectorAll(".small-view")]
+    .map(one => one.getBoundingClientRect().bottom))"""
 FORGET_THEME = """() => {
     localStorage.removeItem("boresight-theme");
     document.cookie = "boresight-theme=; path=/; max-age=0";
 }"""
 FITS = "() => document.documentElement.scrollWidth <= document.documentElement.clientWidth"
+OVERLAPS = """() => [...document.querySelectorAll("plot-figure .js-plotly-plot")].flatMap(figure => {
+    const boxes = [...figure.querySelectorAll("svg text")].filter(one => one.checkVisibility() && one.textContent.trim())
+        .map(one => [one.textContent, one.getBoundingClientRect()]).filter(([, box]) => box.width);
+    const place = figure.getBoundingClientRect(), name = figure.closest("[id]").id;
+    const over = ([, a], [, b]) => Math.min(a.right, b.right) - Math.max(a.left, b.left) > 2
+        && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 2;
+    const isCut = ([, a]) => a.left < place.left - 2 || a.right > place.right + 2 || a.bottom > place.bottom + 2;
+    return [...boxes.filter(isCut).map(([text]) => [name, text, "is cut"]), ...boxes.flatMap((one, k) =>
+        boxes.slice(k + 1).filter(other => over(one, other)).map(other => [name, one[0], other[0]]))];
+})"""
 CUT = """() => [...document.querySelectorAll("table.data")].map(table => table.parentElement)
     .filter(place => place.scrollWidth > place.clientWidth && !place.closest("details:not([open])"))
     .map(place => place.ariaLabel)"""
@@ -229,11 +241,19 @@ class Window:
         self.page.evaluate(SETTLED)
 
     def begins_high(self, address: str) -> None:
-        """Hold that the first figure of a page, or what stands in its place, is in sight at 1280 x 720 without scrolling."""
+        """Hold that the first figure of a page, or what stands in its place, and all small views are in sight at 1280 x 720."""
         self.open(address)
         self.page.set_viewport_size(GLANCE)
+        expect(self.page.locator(".link-banner")).to_have_count(0)  # a busy machine's server answers late
         top = self.page.evaluate(FIRST)
         assert top <= HIGHEST_PX, f"the first figure of {address} begins at {top} px"
+        last = self.page.evaluate(LAST_VIEW)
+        assert last <= GLANCE["height"], f"the views of {address} end at {last} px"
+
+    def overlaps(self) -> list[list[str]]:
+        """Texts of the drawn figures that lie over each other or are cut: the figure, the one, and the other."""
+        found: list[list[str]] = self.page.evaluate(OVERLAPS)
+        return found
 
     def fits(self) -> None:
         self.page.wait_for_function(FITS)

@@ -42,6 +42,11 @@ def tailed(traces: Sequence[Trace], tail_from: float | None) -> list[Trace]:
     return [replace(trace, tail_from=tail_from) for trace in traces]
 
 
+def labelled(traces: Sequence[Trace], size: str) -> list[Trace]:
+    """Name every run as a legend of this size has room for."""
+    return [replace(trace, label=trace.short or trace.label) if size == "narrow" else trace for trace in traces]
+
+
 @dataclass(frozen=True)
 class Figure:
     """One chart of the registry.
@@ -59,6 +64,11 @@ class Figure:
     wide: bool = False
     advanced: bool = False
     forms: Mapping[str, Callable[[Sequence[Trace]], go.Figure]] = field(default_factory=dict)
+
+    def draw_for(self, size: str, traces: Sequence[Trace]) -> go.Figure | None:
+        """Draw the form for a size, `large`, `narrow` or `small`; None where there is no small one."""
+        drawing = self.forms.get(size) or (None if size == "small" else self.draw)
+        return drawing(traces) if drawing else None
 
 
 def figure_json(figure: go.Figure) -> bytes:

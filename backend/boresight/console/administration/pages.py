@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse, Response
@@ -23,6 +24,7 @@ from boresight.console.pages.rendering import render
 from boresight.console.runs import service as runs
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.figures import CHAPTERS, FIGURES, WIDE, figure_json
+from boresight.figures.chart import labelled
 from boresight.figures.example_calibration import get_example_calibrations, make_example_traces
 from boresight.figures.tables import parameter_rows
 from boresight.platform.db.sessions import utc_after, utc_now
@@ -151,12 +153,12 @@ def gallery_page(request: Request, part: str = "figures", of: str = "one") -> HT
 
 
 @gallery_router.get("/gallery/figures/{name}")
-def gallery_figure(name: str, of: str = "one") -> Response:
+def gallery_figure(name: str, of: str = "one", size: Literal["large", "narrow"] = "large") -> Response:
     """Send a figure of the example as Plotly JSON."""
     if of == "broken":
         raise RefusedInputError("This figure fails on purpose, to show an error in its panel; choose another.")
-    traces = make_example_traces(_find_traces(name, of))
-    return Response(figure_json(FIGURES[name].draw(traces)), media_type="application/json")
+    traces = labelled(make_example_traces(_find_traces(name, of)), size)
+    return Response(figure_json(FIGURES[name].draw_for(size, traces)), media_type="application/json")
 
 
 @gallery_router.get("/gallery/figures/{name}/data")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import orjson
@@ -23,7 +23,7 @@ from boresight.console.runs.service import find_calibration
 from boresight.console.runs.tables import Run, parse_progress
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.figures import FIGURES, Figure, Table, Trace, figure_json
-from boresight.figures.chart import tailed
+from boresight.figures.chart import labelled, tailed
 from boresight.figures.charts import radial as radial_contrast
 from boresight.figures.live_traces import tell_place
 from boresight.figures.style.thinning import thinning
@@ -72,12 +72,10 @@ class View:
         if (self.x_from is None) != (self.x_to is None):
             raise RefusedInputError("Give both ends of the window, x_from and x_to, or neither.")
         with thinning(whole=self.x_from is not None) as watched:
-            drawing = figure.forms.get(self.size) or (None if self.size == "small" else figure.draw)
-            if self.size == "narrow":
-                traces = [replace(trace, label=trace.short or trace.label) for trace in traces]
-            if drawing is None:
+            traces = labelled(traces, self.size)
+            drawn = figure.draw_for(self.size, tailed(aligned(traces, self.align), self.tail_from))
+            if drawn is None:
                 raise RefusedInputError(f"There is no small figure {figure.name}; ask for the large one.")
-            drawn = drawing(tailed(aligned(traces, self.align), self.tail_from))
         tell_place(drawn, traces, *heard)
         if self.overlay == "band":
             as_band(drawn, traces)

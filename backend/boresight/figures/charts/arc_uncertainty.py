@@ -8,6 +8,7 @@ angle there, whatever the centroids do.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 import plotly.graph_objects as go
@@ -19,7 +20,7 @@ from boresight.figures.style.axes import MAX_MAPS, cells, detector_map, draw_map
 from boresight.verdicts.numbers import number
 
 
-def draw(drawn: Sequence[Part[ArcSigmaMap]]) -> go.Figure:
+def draw(drawn: Sequence[Part[ArcSigmaMap]], beside: int = MAX_MAPS) -> go.Figure:
     """Draw one map a run on one scale from zero; only the last shows it."""
     highest = max(float(np.nanmax(column(part.sigma_arcsec))) for _, _, part in drawn)
     scale = {"zmin": 0, "zmax": highest or 1, "colorscale": "Cividis"}
@@ -27,7 +28,7 @@ def draw(drawn: Sequence[Part[ArcSigmaMap]]) -> go.Figure:
     def draw_map(one: Part[ArcSigmaMap], last: bool) -> go.Heatmap:
         return detector_map(one[2], one[2].sigma_arcsec, one[1].label, showscale=last, **scale)
 
-    return draw_maps(drawn[:MAX_MAPS], draw_map, title=_headline(drawn), height_px=460)
+    return draw_maps(drawn[:MAX_MAPS], draw_map, title=_headline(drawn), height_px=460, beside=beside)
 
 
 def _headline(drawn: Sequence[Part[ArcSigmaMap]]) -> str:
@@ -55,4 +56,5 @@ ARC_UNCERTAINTY = part_figure(
         "calibration extrapolates."
     ),
     advanced=True,
+    forms={"narrow": partial(draw, beside=1)},
 )

@@ -53,13 +53,13 @@ def draw_panels(
             _draw(figure, places[0], history, judged, style, POINT_BUDGET // len(traces))
             _draw(figure, places[1], history, step_norm(history), style, POINT_BUDGET // len(traces))
     cost, step = places
-    figure.update_yaxes(title={"text": "step (σ)", "standoff": 4}, type="log", exponentformat="power", **step)
+    figure.update_yaxes(title={"text": "step (σ)", "standoff": 4}, type="log", exponentformat="power", nticks=3, **step)
     names = [_axis_name(figure, step)]
     if any(history is not None and history.axis == "frame" for history in histories):
         figure.add_hline(y=1, line=theme.LEVEL, **cost)
         figure.update_yaxes(title={"text": "NIS / dof, so far", "standoff": 4}, **cost)
     else:
-        figure.update_yaxes(title={"text": "cost", "standoff": 4}, type="log", exponentformat="power", **cost)
+        figure.update_yaxes(title={"text": "cost", "standoff": 4}, type="log", exponentformat="power", nticks=3, **cost)
         names.append(_axis_name(figure, cost))
     offer_log(figure, names)
 

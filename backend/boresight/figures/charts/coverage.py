@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 import plotly.graph_objects as go
@@ -11,7 +12,7 @@ from boresight.calibration.calibration import Calibration, Coverage
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, make_figure
 from boresight.figures.style import theme
-from boresight.figures.style.axes import MAX_MAPS, QUIET, lay_maps
+from boresight.figures.style.axes import MAX_MAPS, frame_maps, grid_place, lay_maps, stacked_px
 from boresight.verdicts.numbers import count
 
 
@@ -20,25 +21,23 @@ def read_coverage(result: Calibration) -> Coverage | None:
     return result.coverage if result.coverage and any(result.coverage.counts) else None
 
 
-def draw(found: Sequence[Part[Coverage]]) -> go.Figure:
-    """Draw one heat map a run, beside each other on one colour scale; empty cells show the surface."""
+def draw(found: Sequence[Part[Coverage]], beside: int = MAX_MAPS) -> go.Figure:
+    """Draw one heat map a run, so many beside each other, on one colour scale; empty cells show the surface."""
     drawn = found[:MAX_MAPS]
     alike = all(coverage.row_edges_px == drawn[0][2].row_edges_px for _, _, coverage in drawn)
     # rows that differ need their own labels, and room for them
-    figure = lay_maps(drawn, 0.05 if alike else 0.4 / len(drawn))
+    columns, rows = min(beside, len(drawn)), -(-len(drawn) // beside)
+    figure = lay_maps(drawn, beside, 0.05 if alike else 0.4 / len(drawn))
     highest = max(float(np.max(coverage.counts)) for _, _, coverage in drawn)
-    for place, one in enumerate(drawn, start=1):
-        figure.add_trace(_map(one, highest), row=1, col=place)
-    figure.update_traces(showscale=True, col=len(drawn))
-    theme.dress(figure, title=_headline(drawn), height_px=460, legend=False, hovermode="closest")
-    figure.update_xaxes(title_text="column (px)", **QUIET)
-    figure.update_yaxes(autorange="reversed", **QUIET)
-    figure.update_yaxes(title_text="row (px)", row=1, col=1)
-    for place in range(1, len(drawn) + 1):
-        anchor = "x" if place == 1 else f"x{place}"
-        labelled = place == 1 or not alike
-        figure.update_yaxes(scaleanchor=anchor, scaleratio=1, showticklabels=labelled, row=1, col=place)
-        figure.update_xaxes(nticks=max(2, 8 // len(drawn)), tickangle=0, row=1, col=place)
+    for number, one in enumerate(drawn):
+        figure.add_trace(_map(one, highest), **grid_place(number, columns))
+    figure.data[-1].showscale = True
+    theme.dress(
+        figure, title=_headline(drawn), height_px=stacked_px(460, rows, beside), legend=False, hovermode="closest"
+    )
+    frame_maps(figure, len(drawn), columns)
+    for number in range(len(drawn)):
+        figure.update_yaxes(showticklabels=number % columns == 0 or not alike, **grid_place(number, columns))
     return figure
 
 
@@ -94,4 +93,5 @@ COVERAGE = make_figure(
         "background. Distortion is only as good as the coverage of the corners, and a one-sided field makes the principal "
         "point uncertain."
     ),
+    forms={"narrow": partial(draw, beside=1)},
 )

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -161,24 +162,31 @@ LABELS = {
     "sigma_3": "σ3",
     "sigma_123": "σ1 σ2<br>σ3",
 }
-SENTENCE_WIDTH = 62
+SENTENCE_WIDTH, NARROW_SENTENCE_WIDTH = 62, 48
 
 
-def draw_reference_information(drawn: Sequence[Part[FrameObservability]]) -> go.Figure:
-    """Draw one bar a reference and run, and all there is as the level one."""
-    figure = go.Figure([_bars(one, labelled=len(drawn) == 1) for one in drawn])
+def draw_reference_information(drawn: Sequence[Part[FrameObservability]], *, lying: bool = False) -> go.Figure:
+    """Draw one bar a reference and run, and all there is as the level one; bars that lie have their names beside each other."""
+    figure = go.Figure([_bars(one, labelled=len(drawn) == 1, lying=lying) for one in drawn])
     many = len(drawn) > 1
     title = "Information over the Cramér-Rao bound"
     theme.dress(figure, title=title, height_px=480, legend=many, hovermode="closest", barmode="group")
-    figure.add_hline(y=1, line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.4})
-    figure.update_yaxes(title_text="share of the information", rangemode="tozero")
-    figure.update_xaxes(showgrid=False, tickangle=0)
+    level = {"line": {"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.4}}
+    shares = {"title_text": "share of the information", "rangemode": "tozero"}
+    if lying:
+        figure.add_vline(x=1, **level)
+        figure.update_xaxes(**shares)
+        figure.update_yaxes(showgrid=False, autorange="reversed")
+    else:
+        figure.add_hline(y=1, **level)
+        figure.update_yaxes(**shares)
+        figure.update_xaxes(showgrid=False, tickangle=0)
     words = theme.escape(drawn[0][2].sentence)
-    said = "<br>".join(textwrap.wrap(words, SENTENCE_WIDTH))
+    said = "<br>".join(textwrap.wrap(words, NARROW_SENTENCE_WIDTH if lying else SENTENCE_WIDTH))
     figure.update_layout(margin={"b": 66 + 18 * (1 + said.count("<br>"))})
     figure.add_annotation(
         text=said, x=0, y=0, xref="paper", yref="paper", xanchor="left", yanchor="top", yshift=-42, align="left",
-        showarrow=False,
+        xshift=-52 if lying else 0, showarrow=False,
     )  # fmt: skip
     return figure
 
@@ -187,13 +195,16 @@ def _shares(view: FrameObservability) -> FloatArray:
     return column([entry.share for entry in view.information])
 
 
-def _bars(one: Part[FrameObservability], *, labelled: bool) -> go.Bar:
+def _bars(one: Part[FrameObservability], *, labelled: bool, lying: bool) -> go.Bar:
     trace, style, view = one
     shares = _shares(view)
     names = [LABELS.get(entry.reference, theme.escape(entry.reference)) for entry in view.information]
+    names = [name.replace("<br>", " ") for name in names] if lying else names
     text = [f"{share:.2f}" if np.isfinite(share) else "open" for share in shares] if labelled else None
     least = [_least(entry, trace.result) for entry in view.information]
-    return theme.bars(style, names, shares, "%{y:.3f}, %{customdata}", text=text, customdata=least)
+    hover = f"%{{{'x' if lying else 'y'}:.3f}}, %{{customdata}}"
+    drawn = theme.bars(style, names, shares, hover, text=text, customdata=least)
+    return drawn.update(x=drawn.y, y=drawn.x, orientation="h") if lying else drawn
 
 
 def _least(entry: ReferenceInformation, result: Calibration) -> str:
@@ -227,4 +238,5 @@ REFERENCE_INFORMATION = make_figure(
         "nothing."
     ),
     advanced=True,
+    forms={"narrow": partial(draw_reference_information, lying=True)},
 )

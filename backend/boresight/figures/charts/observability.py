@@ -141,6 +141,9 @@ def draw_narrow(drawn: Sequence[Part[Observability]]) -> go.Figure:
     figure.update_traces(texttemplate="", showscale=False, selector={"type": "heatmap"})
     figure.update_traces(text=None, selector={"type": "bar"})
     figure.update_annotations(selector={"xref": "paper"}, text="")
+    over_the_shortest = {"xanchor": "right", "y": 1, "yref": "y domain", "yanchor": "top"}
+    words = f"dotted: below {THRESHOLD:g}, weak"
+    figure.update_annotations(selector={"xref": "x domain"}, text=words, **over_the_shortest)
     return figure
 
 

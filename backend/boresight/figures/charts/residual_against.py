@@ -10,6 +10,7 @@ magnitude is noise that does.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from boresight.calibration.calibration import Calibration, ResidualAgainst, Resi
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
+from boresight.figures.style.axes import grid_place
 
 PART = "residual_against"
 UNITS = {
@@ -29,23 +31,28 @@ UNITS = {
 }  # fmt: skip
 #: What an axis is called where that is not the cause's own name.
 TITLES = {"colour": "B-V", "row_phase": "row phase", "column_phase": "column phase"}
-COLUMNS = 3
+NARROW_LINE_PX = 170  # the height that a phone gives a panel of lines
 REASON_LETTERS = 24  # a line of a reason inside its panel
 REACH_SIGMA = 1.96
 
 
-def draw(drawn: Sequence[Part[ResidualAgainst]]) -> go.Figure:
-    """Draw a panel a cause; one without data says why."""
-    figure = make_subplots(-(-len(UNITS) // COLUMNS), COLUMNS, horizontal_spacing=0.08, vertical_spacing=0.13)
-    for i, cause in enumerate(UNITS):
-        _panel(figure, drawn, cause, {"row": i // COLUMNS + 1, "col": i % COLUMNS + 1})
+def draw(drawn: Sequence[Part[ResidualAgainst]], beside: int = 3) -> go.Figure:
+    """Draw a panel a cause, so many beside each other; one without data says why."""
+    rows = -(-len(UNITS) // beside)
+    figure = make_subplots(rows, beside, horizontal_spacing=0.08, vertical_spacing=0.39 / rows)
+    for number, cause in enumerate(UNITS):
+        _panel(figure, drawn, cause, number, grid_place(number, beside))
     many, title = len(drawn) > 1, "Mean residual, 95 % bars; dotted: RMS"
-    theme.dress(figure, title=title, height_px=760, legend=many, hovermode="closest")
+    height = 760 if beside > 1 else 80 + NARROW_LINE_PX * rows
+    theme.dress(figure, title=title, height_px=height, legend=many, hovermode="closest")
+    figure.update_xaxes(nticks=4 if beside > 1 else 6, tickangle=0)
     _name_once(figure)
     return figure
 
 
-def _panel(figure: go.Figure, drawn: Sequence[Part[ResidualAgainst]], cause: str, where: dict[str, int]) -> None:
+def _panel(
+    figure: go.Figure, drawn: Sequence[Part[ResidualAgainst]], cause: str, number: int, where: dict[str, int]
+) -> None:
     """Add one cause: every run's means and RMS, or the reason why there is nothing."""
     known = [(style, bins) for _, style, part in drawn if (bins := part.by_cause[cause]) is not None]
     for style, bins in known:
@@ -55,7 +62,7 @@ def _panel(figure: go.Figure, drawn: Sequence[Part[ResidualAgainst]], cause: str
     figure.update_xaxes(title_text=f"{TITLES.get(cause, cause)} ({unit})", **where)
     figure.update_yaxes(title_text="residual (px)" if where["col"] == 1 else None, **where)
     if not known:
-        _say(figure, _why(drawn[0][0].result, cause), where)
+        _say(figure, _why(drawn[0][0].result, cause), number + 1, where)
 
 
 def _why(result: Calibration, cause: str) -> str:
@@ -63,10 +70,9 @@ def _why(result: Calibration, cause: str) -> str:
     return unavailable.get(f"{PART}.{cause}") or f"The telemetry has no {cause}."
 
 
-def _say(figure: go.Figure, sentence: str, where: dict[str, int]) -> None:
+def _say(figure: go.Figure, sentence: str, number: int, where: dict[str, int]) -> None:
     """Write a sentence into an empty panel, folded to its width."""
     words = "<br>".join(folded(theme.escape(sentence), REASON_LETTERS))
-    number = COLUMNS * (where["row"] - 1) + where["col"]
     figure.add_trace(
         go.Scatter(x=[None], y=[None], showlegend=False, hoverinfo="skip"), **where
     )  # makes the axes stand
@@ -147,4 +153,5 @@ RESIDUAL_AGAINST = part_figure(
         "slope shows what the model or the centroiding does not include."
     ),
     advanced=True,
+    forms={"narrow": partial(draw, beside=1)},
 )

@@ -8,6 +8,7 @@ a tenth of a sigma can be seen beside three sigmas of what so many residuals can
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,27 +21,32 @@ from boresight.estimation.statistics.consistency import CLEAR_SIGMAS
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
+from boresight.figures.style.axes import BETWEEN_PANELS, grid_place, stacked_px
 from boresight.verdicts.numbers import percent
 
 NORMAL = np.linspace(-6, 6, 121)
 
 
-def draw(drawn: Sequence[Part[ResidualDistribution]]) -> go.Figure:
-    """Draw the histograms of all runs over the normal curve, and their quantiles."""
+def draw(drawn: Sequence[Part[ResidualDistribution]], beside: int = 2) -> go.Figure:
+    """Draw the histograms of all runs over the normal curve, and their quantiles beside or below."""
     titles = ["share of residuals", "quantile less the normal's"]
-    figure = make_subplots(1, 2, horizontal_spacing=0.1, subplot_titles=titles)
-    figure.add_trace(_steps(drawn[0], drawn[0][2].before, is_old=True), row=1, col=1)
+    rows, (one_panel, other) = 2 // beside, (grid_place(number, beside) for number in range(2))
+    figure = make_subplots(
+        rows, beside, horizontal_spacing=0.1, vertical_spacing=BETWEEN_PANELS / rows, subplot_titles=titles
+    )
+    figure.add_trace(_steps(drawn[0], drawn[0][2].before, is_old=True), **one_panel)
     for one in drawn:
-        figure.add_trace(_steps(one, one[2].after), row=1, col=1)
+        figure.add_trace(_steps(one, one[2].after), **one_panel)
         for trace in _quantiles(one):
-            figure.add_trace(trace, row=1, col=2)
-    figure.add_trace(_normal_curve(float(np.diff(column(drawn[0][2].edges)).mean())), row=1, col=1)
-    theme.dress(figure, title=_headline(drawn), height_px=440, hovermode="closest", margin={"t": 96})
-    figure.add_hline(y=0, line=theme.LEVEL, row=1, col=2)
-    figure.update_xaxes(title_text="residual (σ)", range=[-6, 6], row=1, col=1)
-    figure.update_xaxes(title_text="normal deviate", row=1, col=2)
-    figure.update_yaxes(rangemode="tozero", tickformat=".0%", row=1, col=1)
-    figure.update_yaxes(title_text="σ", row=1, col=2)
+            figure.add_trace(trace, **other)
+    figure.add_trace(_normal_curve(float(np.diff(column(drawn[0][2].edges)).mean())), **one_panel)
+    height = stacked_px(440, rows, beside)
+    theme.dress(figure, title=_headline(drawn), height_px=height, hovermode="closest", margin={"t": 96})
+    figure.add_hline(y=0, line=theme.LEVEL, **other)
+    figure.update_xaxes(title_text="residual (σ)", range=[-6, 6], **one_panel)
+    figure.update_xaxes(title_text="normal deviate", **other)
+    figure.update_yaxes(rangemode="tozero", tickformat=".0%", **one_panel)
+    figure.update_yaxes(title_text="σ", **other)
     return figure
 
 
@@ -129,4 +135,5 @@ RESIDUAL_DISTRIBUTION = part_figure(
         "noise."
     ),
     wide=True,
+    forms={"narrow": partial(draw, beside=1)},
 )

@@ -30,7 +30,7 @@ from boresight.estimation.statistics.consistency import CLEAR_SIGMAS
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
-from boresight.figures.style.axes import MAX_MAPS, QUIET, draw_maps
+from boresight.figures.style.axes import BETWEEN_PANELS, MAX_MAPS, draw_maps, frame_maps, grid_place, stacked_px
 from boresight.verdicts.numbers import number
 
 COLUMNS = ("row_px", "col_px", "d_row_px", "d_col_px")
@@ -50,21 +50,30 @@ class ArrowField:
     clear: NDArray[np.bool_]
 
 
-def draw(drawn: Sequence[Part[Residuals]]) -> go.Figure:
-    """Draw the first run's stars as arrows, and the mean arrow of each cell."""
+def draw(drawn: Sequence[Part[Residuals]], beside: int = 2) -> go.Figure:
+    """Draw the first run's stars as arrows, and the mean arrow of each cell beside or below."""
     stars = _stars(drawn[0][2])
     means = cell_means(stars)
     names = [f"star by star, {_scale(stars):,.0f} times", f"mean of each cell, {_scale(means):,.0f} times"]
-    figure = make_subplots(1, 2, shared_yaxes=True, horizontal_spacing=0.05, subplot_titles=names)
+    figure = _lay_pair(names, beside)
     style = drawn[0][1]
-    _arrows(figure, stars, style, 1, theme.translucent(style.colour, 0.75))
-    _arrows(figure, means, style, 2, style.colour)
+    _arrows(figure, stars, style, theme.translucent(style.colour, 0.75), is_mean=False, **grid_place(0, beside))
+    _arrows(figure, means, style, style.colour, is_mean=True, **grid_place(1, beside))
     n_clear = int(np.sum(means.clear))
     counted = f"{n_clear} of {len(means.row)} cell means exceed their noise"
     title = f"Residuals: {counted}{others([style.label for _, style, _ in drawn])}"
-    theme.dress(figure, title=title, height_px=470, legend=False, hovermode="closest")
-    _frame(figure)
+    theme.dress(figure, title=title, height_px=stacked_px(470, 2 // beside, beside), legend=False, hovermode="closest")
+    frame_maps(figure, 2, beside)
     return figure
+
+
+def _lay_pair(titles: Sequence[str], beside: int) -> go.Figure:
+    """Make room for one or two maps of a detector, so many beside each other, of which the left one has the labels of rows."""
+    columns, rows = min(beside, len(titles)), -(-len(titles) // beside)
+    return make_subplots(
+        rows, columns, shared_yaxes=True, horizontal_spacing=0.05, vertical_spacing=BETWEEN_PANELS / rows,
+        subplot_titles=titles,
+    )  # fmt: skip
 
 
 def others(labels: Sequence[str]) -> str:
@@ -106,13 +115,14 @@ def _scale(arrows: ArrowField) -> float:
     return float(max(step for step in (1.0, 2.0, 5.0) if step * power <= max(wanted, 1.0)) * power)
 
 
-def _arrows(figure: go.Figure, arrows: ArrowField, style: theme.RunStyle, place: int, colour: str) -> None:
+def _arrows(
+    figure: go.Figure, arrows: ArrowField, style: theme.RunStyle, colour: str, *, is_mean: bool, **where: int
+) -> None:
     """Draw each arrow as a line from its star, and the star as a mark: a diamond where the arrow is clear."""
     scale, gap = _scale(arrows), np.full(len(arrows.row), np.nan)
     x = np.stack([arrows.col, arrows.col + scale * arrows.d_col, gap], axis=1).ravel()
     y = np.stack([arrows.row, arrows.row + scale * arrows.d_row, gap], axis=1).ravel()
-    line = {"color": colour, "width": 1 if place == 1 else 2}
-    where = {"row": 1, "col": place}
+    line = {"color": colour, "width": 2 if is_mean else 1}
     figure.add_trace(
         go.Scatter(x=theme.short(x), y=theme.short(y), mode="lines", line=line, hoverinfo="skip", name=style.label),
         **where,
@@ -126,21 +136,14 @@ def _arrows(figure: go.Figure, arrows: ArrowField, style: theme.RunStyle, place:
             marker={
                 "color": colour,
                 "line": {"width": 0},
-                "size": np.where(arrows.clear, 9, 3 if place == 1 else 4).astype(np.int8),
-                "symbol": ["diamond" if clear else "circle" for clear in arrows.clear] if place > 1 else "circle",
+                "size": np.where(arrows.clear, 9, 4 if is_mean else 3).astype(np.int8),
+                "symbol": ["diamond" if clear else "circle" for clear in arrows.clear] if is_mean else "circle",
             },
             customdata=theme.short(np.stack([arrows.d_row, arrows.d_col], axis=1)),
             hovertemplate="rows %{customdata[0]:+.3f} px, columns %{customdata[1]:+.3f} px<extra></extra>",
         ),
         **where,
     )
-
-
-def _frame(figure: go.Figure) -> None:
-    for place, anchor in ((1, "x"), (2, "x2")):
-        figure.update_xaxes(title_text="column (px)", nticks=6, tickangle=0, **QUIET, row=1, col=place)
-        figure.update_yaxes(scaleanchor=anchor, scaleratio=1, autorange="reversed", **QUIET, row=1, col=place)
-    figure.update_yaxes(title_text="row (px)", row=1, col=1)
 
 
 def table(part: Residuals) -> Table:
@@ -162,15 +165,16 @@ RESIDUAL_MAP = part_figure(
     ),
     wide=True,
     advanced=True,
+    forms={"narrow": partial(draw, beside=1)},
 )
 
 
-def draw_residual_rms(found: Sequence[Part[ResidualField]]) -> go.Figure:
-    """Lay the maps of the runs beside each other on one scale."""
+def draw_residual_rms(found: Sequence[Part[ResidualField]], beside: int = MAX_MAPS) -> go.Figure:
+    """Lay the maps of the runs on one scale, so many beside each other."""
     drawn = found[:MAX_MAPS]
     top = max(float(np.nanmax(_rms(part))) for _, _, part in drawn)
     title = f"RMS {number(drawn[0][2].after.rms_in_all_px, 3)} px an axis at the best fit"
-    return draw_maps(drawn, partial(_map, top), title=title, height_px=440)
+    return draw_maps(drawn, partial(_map, top), title=title, height_px=440, beside=beside)
 
 
 def _rms(part: ResidualField) -> FloatArray:
@@ -218,6 +222,7 @@ RESIDUAL_RMS = part_figure(
         "distortion that the model does not have."
     ),
     advanced=True,
+    forms={"narrow": partial(draw_residual_rms, beside=1)},
 )
 
 
@@ -258,20 +263,21 @@ def read_cells(part: ResidualField, field: FieldOfResiduals) -> MeanCells:
     return MeanCells(*values[:, np.isfinite(values[2])])
 
 
-def draw_quiver(drawn: Sequence[Part[ResidualField]]) -> go.Figure:
-    """Draw the first run's cells, before on the left and after on the right."""
+def draw_quiver(drawn: Sequence[Part[ResidualField]], beside: int = 2) -> go.Figure:
+    """Draw the first run's cells, before first and after second."""
     _, style, part = drawn[0]
     sides = list_sides(part)
     titles = [f"{side}: RMS {number(field.rms_in_all_px, 3)} px" for side, field in sides.items()]
-    figure = make_subplots(1, len(sides), shared_yaxes=True, horizontal_spacing=0.05, subplot_titles=titles)
-    for place, (side, field) in enumerate(sides.items(), start=1):
+    figure = _lay_pair(titles, beside)
+    for place, (side, field) in enumerate(sides.items()):
         colour = theme.REFERENCE_COLOUR if side == "before" else style.colour
-        _side(figure, part, read_cells(part, field), place, colour, style.label)
+        _side(figure, part, read_cells(part, field), colour, style.label, **grid_place(place, beside))
     after = read_cells(part, part.after)
     counted = f"{int(after.clear.sum())} of {len(after.row)} cell means are clear of their noise after"
     title = f"Residuals: {counted}{others([style.label for _, style, _ in drawn])}"
-    theme.dress(figure, title=title, height_px=500, legend=False, hovermode="closest", margin={"t": 66})
-    _frame_cells(figure, part, len(sides))
+    height = stacked_px(500, -(-len(sides) // beside), beside)
+    theme.dress(figure, title=title, height_px=height, legend=False, hovermode="closest", margin={"t": 66})
+    _frame_cells(figure, part, len(sides), beside)
     return figure
 
 
@@ -287,10 +293,10 @@ def _round_down(value: float) -> float:
     return float(max(step for step in (1.0, 2.0, 5.0) if step * power <= value * (1 + 1e-9)) * power)
 
 
-def _side(figure: go.Figure, part: ResidualField, cells: MeanCells, place: int, colour: str, label: str) -> None:
+def _side(figure: go.Figure, part: ResidualField, cells: MeanCells, colour: str, label: str, **where: int) -> None:
     """Draw noise circles, arrows, their feet, and the bar that says how long they are."""
     columns, rows = column(part.col_edges_px), column(part.row_edges_px)
-    scale, where = choose_scale(cells, float(np.diff(columns).mean())), {"row": 1, "col": place}
+    scale = choose_scale(cells, float(np.diff(columns).mean()))
     gap = np.full(len(cells.row), np.nan)
     circle_x = cells.col[:, None] + CLEAR_SIGMAS * scale * cells.s_col[:, None] * CIRCLE.real
     circle_y = cells.row[:, None] + CLEAR_SIGMAS * scale * cells.s_row[:, None] * CIRCLE.imag
@@ -347,17 +353,13 @@ def _bar(figure: go.Figure, corner: tuple[float, float, float], scale: float, wh
     )
 
 
-def _frame_cells(figure: go.Figure, part: ResidualField, n_sides: int) -> None:
+def _frame_cells(figure: go.Figure, part: ResidualField, n_sides: int, beside: int) -> None:
     """Make the subplots detectors, row 0 on top, with room for the bar below."""
     rows, columns = column(part.row_edges_px), column(part.col_edges_px)
-    for place in range(1, n_sides + 1):
-        anchor, where = "x" if place == 1 else f"x{place}", {"row": 1, "col": place}
-        figure.update_xaxes(
-            title_text="column (px)", nticks=6, tickangle=0, range=[columns[0], columns[-1]], **QUIET, **where
-        )
-        bottom = rows[-1] + 0.1 * (columns[-1] - columns[0])
-        figure.update_yaxes(scaleanchor=anchor, scaleratio=1, range=[bottom, rows[0]], **QUIET, **where)
-    figure.update_yaxes(title_text="row (px)", row=1, col=1)
+    frame_maps(figure, n_sides, min(beside, n_sides))
+    bottom = rows[-1] + 0.1 * (columns[-1] - columns[0])
+    figure.update_xaxes(range=[columns[0], columns[-1]])
+    figure.update_yaxes(range=[bottom, rows[0]], autorange=False)
 
 
 def table_quiver(part: ResidualField) -> Table:
@@ -392,4 +394,5 @@ RESIDUAL_QUIVER = part_figure(
         "their circles are noise and good; longer arrows that turn together are a distortion that the model does not have."
     ),
     wide=True,
+    forms={"narrow": partial(draw_quiver, beside=1)},
 )

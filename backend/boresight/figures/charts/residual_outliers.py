@@ -7,6 +7,8 @@ detections or exposures were left out for each reason. A detection that was reje
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -18,29 +20,33 @@ from boresight.figures.chart import Table
 from boresight.figures.charts.residual_against import folded
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
+from boresight.figures.style.axes import BETWEEN_PANELS, grid_place, stacked_px
 from boresight.verdicts.numbers import count
 
 MOST_REASONS = 8
-REASON_LETTERS = 34
+REASON_LETTERS, NARROW_REASON_LETTERS = 34, 20
 
 
-def draw(drawn: Sequence[Part[ResidualOutliers]]) -> go.Figure:
-    """Draw every run's outliers on the detector, and its reasons as bars."""
-    figure = make_subplots(1, 2, horizontal_spacing=0.3, column_widths=[0.6, 0.4])
+def draw(drawn: Sequence[Part[ResidualOutliers]], beside: int = 2) -> go.Figure:
+    """Draw every run's outliers on the detector, and its reasons as bars beside or below."""
+    n_rows, detector, bars = 2 // beside, grid_place(0, beside), grid_place(1, beside)
+    figure = make_subplots(
+        n_rows, beside, horizontal_spacing=0.3, vertical_spacing=BETWEEN_PANELS / n_rows,
+        column_widths=[0.6, 0.4][:beside],
+    )  # fmt: skip
     for one in drawn:
-        figure.add_trace(_places(one), row=1, col=1)
-        figure.add_trace(_reasons(one), row=1, col=2)
-    theme.dress(
-        figure, title=_headline(drawn), height_px=440, legend=len(drawn) > 1, hovermode="closest", barmode="group"
-    )
+        figure.add_trace(_places(one), **detector)
+        figure.add_trace(_reasons(one, REASON_LETTERS if beside > 1 else NARROW_REASON_LETTERS), **bars)
+    layout: dict[str, Any] = {"legend": len(drawn) > 1, "hovermode": "closest", "barmode": "group"}
+    theme.dress(figure, title=_headline(drawn), height_px=stacked_px(440, n_rows, beside), **layout)
     rows, columns = (max(sizes) for sizes in zip(*map(_detector_size, drawn), strict=True))
     quiet = {"showgrid": False, "zeroline": False}
-    across = {"title_text": "column (px)", "range": [-0.5, columns - 0.5], "constrain": "domain", "nticks": 6, **quiet}
+    across = {"title_text": "column (px)", "range": [-0.5, columns - 0.5], "constrain": "domain", **quiet}
     down = {"title_text": "row (px)", "range": [rows - 0.5, -0.5], "constrain": "domain", **quiet}
-    figure.update_xaxes(tickangle=0, **across, row=1, col=1)
-    figure.update_yaxes(scaleanchor="x", scaleratio=1, **down, row=1, col=1)
-    figure.update_xaxes(title_text="left out", rangemode="tozero", row=1, col=2)
-    figure.update_yaxes(autorange="reversed", showgrid=False, row=1, col=2)
+    figure.update_xaxes(tickangle=0, nticks=3 * beside, **across, **detector)
+    figure.update_yaxes(scaleanchor="x", scaleratio=1, **down, **detector)
+    figure.update_xaxes(title_text="left out", rangemode="tozero", **bars)
+    figure.update_yaxes(autorange="reversed", showgrid=False, **bars)
     return figure
 
 
@@ -89,11 +95,11 @@ def _places(one: Part[ResidualOutliers]) -> go.Scatter:
     )
 
 
-def _reasons(one: Part[ResidualOutliers]) -> go.Bar:
+def _reasons(one: Part[ResidualOutliers], letters: int) -> go.Bar:
     trace, style, _ = one
     found = reasons(trace.result) or {"nothing was left out": 0}
     return go.Bar(
-        y=["<br>".join(folded(theme.escape(reason), REASON_LETTERS)) for reason in found],
+        y=["<br>".join(folded(theme.escape(reason), letters)) for reason in found],
         x=list(found.values()),
         orientation="h",
         name=style.label,
@@ -136,4 +142,5 @@ RESIDUAL_OUTLIERS = part_figure(
     ),
     wide=True,
     advanced=True,
+    forms={"narrow": partial(draw, beside=1)},
 )

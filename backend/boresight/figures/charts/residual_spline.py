@@ -7,6 +7,7 @@ nothing but noise looks pale; a diamond marks a place that is more than three si
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 import plotly.graph_objects as go
@@ -19,27 +20,29 @@ from boresight.figures.chart import Table
 from boresight.figures.charts.residual_map import others
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
-from boresight.figures.style.axes import frame_maps
+from boresight.figures.style.axes import BETWEEN_PANELS, frame_maps, grid_place, stacked_px
 from boresight.verdicts.numbers import number
 
 SIDES = {"row": "of rows", "col": "of columns"}
 COLUMNS = ("row_px", "col_px", "d_row_px", "sigma_row_px", "d_col_px", "sigma_col_px")
 
 
-def draw(drawn: Sequence[Part[ResidualSpline]]) -> go.Figure:
-    """Draw the first run's displacement of rows on the left, of columns on the right."""
+def draw(drawn: Sequence[Part[ResidualSpline]], beside: int = 2) -> go.Figure:
+    """Draw the first run's displacement of rows, and of columns beside or below."""
     _, style, part = drawn[0]
     reach = max(_reach(part, side) for side in SIDES)
+    titles, rows = [f"displacement {words}" for words in SIDES.values()], 2 // beside
     figure = make_subplots(
-        1, 2, horizontal_spacing=0.1, subplot_titles=[f"displacement {words}" for words in SIDES.values()]
+        rows, beside, horizontal_spacing=0.1, vertical_spacing=BETWEEN_PANELS / rows, subplot_titles=titles
     )
-    for place, side in enumerate(SIDES, start=1):
-        where = {"row": 1, "col": place}
-        figure.add_trace(_field(part, side, reach, style.label, last=place == len(SIDES)), **where)
+    for place, side in enumerate(SIDES):
+        where = grid_place(place, beside)
+        figure.add_trace(_field(part, side, reach, style.label, last=place == len(SIDES) - 1), **where)
         figure.add_trace(_marks(part, side, style.label), **where)
     title = f"{_headline(part)}{others([style.label for _, style, _ in drawn])}"
-    theme.dress(figure, title=title, height_px=430, legend=False, hovermode="closest", margin={"t": 66})
-    frame_maps(figure, len(SIDES))
+    height = stacked_px(430, rows, beside)
+    theme.dress(figure, title=title, height_px=height, legend=False, hovermode="closest", margin={"t": 66})
+    frame_maps(figure, len(SIDES), beside)
     return figure
 
 
@@ -115,4 +118,5 @@ RESIDUAL_SPLINE = part_figure(
     ),
     wide=True,
     advanced=True,
+    forms={"narrow": partial(draw, beside=1)},
 )

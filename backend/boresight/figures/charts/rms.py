@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,7 @@ from boresight.figures.chart import Figure, Table, Trace
 from boresight.figures.factory import Part, column, make_figure
 from boresight.figures.live_traces import follow_errors
 from boresight.figures.style import theme
-from boresight.figures.style.axes import axis_title, counted, share_cursor
+from boresight.figures.style.axes import BETWEEN_PANELS, axis_title, counted, grid_place, share_cursor, stacked_px
 from boresight.figures.style.thinning import keep_extremes
 from boresight.verdicts.history import History, read_history, tail_start
 from boresight.verdicts.numbers import number, urad
@@ -282,19 +283,28 @@ def _centre(result: Calibration, row: FloatArray, col: FloatArray) -> tuple[floa
     return model.principal_point(np.array([values[name] for name in model.parameter_names], dtype=np.float64))
 
 
-def draw_rms_axes(drawn: Sequence[Part[AxisResiduals]]) -> go.Figure:
-    """Draw every run's RMS by axis with 3-sigma bars, and how it runs over the frames."""
-    figure = make_subplots(1, 2, column_widths=[0.35, 0.65], horizontal_spacing=0.08)
+def draw_rms_axes(drawn: Sequence[Part[AxisResiduals]], beside: int = 2) -> go.Figure:
+    """Draw every run's RMS by axis with 3-sigma bars, and how it runs over the frames beside or below."""
+    rows, points, over_frames = 2 // beside, grid_place(0, beside), grid_place(1, beside)
+    figure = make_subplots(
+        rows,
+        beside,
+        column_widths=[0.35, 0.65][-beside:],
+        horizontal_spacing=0.08,
+        vertical_spacing=BETWEEN_PANELS / rows,
+    )
     for _, style, found in drawn:
-        figure.add_trace(_points(found, style), row=1, col=1)
+        figure.add_trace(_points(found, style), **points)
         for axis in RUNNING if len(drawn) == 1 else (ALONG_RADIUS,):
-            _rms_axes_draw_run(figure, found, axis, style, banded=len(drawn) <= 3)
-    theme.dress(figure, title=_rms_axes_headline(drawn[0][2]), height_px=400, hovermode="closest", scattermode="group")
+            _rms_axes_draw_run(figure, found, axis, style, banded=len(drawn) <= 3, **over_frames)
+    layout: dict[str, Any] = {"hovermode": "closest", "scattermode": "group"}
+    theme.dress(figure, title=_rms_axes_headline(drawn[0][2]), height_px=stacked_px(400, rows, beside), **layout)
     figure.update_yaxes(rangemode="tozero")
-    figure.update_yaxes(title_text="RMS residual (px), bars ±3σ", row=1, col=1)
-    figure.update_yaxes(title_text="RMS of a bin of frames (px)", row=1, col=2)
-    figure.update_xaxes(type="category", row=1, col=1)
-    figure.update_xaxes(title_text="frame", row=1, col=2)
+    figure.update_yaxes(title_text="RMS residual (px), bars ±3σ", **points)
+    figure.update_yaxes(title_text="RMS of a bin of frames (px)", **over_frames)
+    broken = [axis.replace(" the ", " ").replace(" ", "<br>") for axis in AXES]  # four names beside each other
+    figure.update_xaxes(type="category", tickvals=AXES, ticktext=broken, tickangle=0, **points)
+    figure.update_xaxes(title_text="frame", **over_frames)
     return share_cursor(figure, "frame")
 
 
@@ -324,11 +334,10 @@ def _points(found: AxisResiduals, style: theme.RunStyle) -> go.Scatter:
 
 
 def _rms_axes_draw_run(
-    figure: go.Figure, found: AxisResiduals, axis: str, style: theme.RunStyle, *, banded: bool
+    figure: go.Figure, found: AxisResiduals, axis: str, style: theme.RunStyle, *, banded: bool, **place: Any
 ) -> None:
     own = theme.RunStyle(style.label, style.colour, RUNNING[axis])
     frame, level, sigma = running(found, axis)
-    place: dict[str, Any] = {"row": 1, "col": 2}
     if banded and axis == ALONG_RADIUS:
         figure.add_trace(theme.band(own, frame, level - 3 * sigma, level + 3 * sigma), **place)
     hover = f"frame %{{x}}: %{{y:.4f}} px {axis}<extra>{style.label}</extra>"
@@ -376,4 +385,5 @@ RMS_AXES = make_figure(
     ),
     wide=True,
     advanced=True,
+    forms={"narrow": partial(draw_rms_axes, beside=1)},
 )

@@ -7,6 +7,8 @@ chi-square distribution if the model and the noise are what was assumed. A small
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -16,31 +18,35 @@ from boresight.calibration.calibration import TwoHalves
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
-from boresight.figures.style.axes import cells, detector_map, frame_maps
+from boresight.figures.style.axes import BETWEEN_PANELS, cells, detector_map, frame_maps, grid_place, stacked_px
 from boresight.verdicts.numbers import number, quantity, signed
 
 LIMIT_SIGMA = 3.0
 
 
-def draw(drawn: Sequence[Part[TwoHalves]]) -> go.Figure:
-    """Draw the first run's map, and the bars of every run."""
+def draw(drawn: Sequence[Part[TwoHalves]], beside: int = 2) -> go.Figure:
+    """Draw the first run's map, and the bars of every run beside or below; a phone has no room for their numbers."""
     first = drawn[0]
     titles = [f"over the detector ({first[1].label})", "by parameter"] if len(drawn) > 1 else None
-    figure = make_subplots(1, 2, column_widths=[0.5, 0.5], horizontal_spacing=0.2, subplot_titles=titles)
-    figure.add_trace(_map(first), row=1, col=1)
+    rows = 2 // beside
+    figure = make_subplots(
+        rows, beside, horizontal_spacing=0.2, vertical_spacing=BETWEEN_PANELS / rows, subplot_titles=titles
+    )
+    scale = {"x": 0.41, "xanchor": "left"} if beside > 1 else {"len": 0.45, "y": 1, "yanchor": "top"}
+    figure.add_trace(_map(first, scale), **grid_place(0, beside))
     for one in drawn:
-        figure.add_trace(_bars(one, labelled=len(drawn) == 1), row=1, col=2)
-    _dress(figure, drawn)
+        figure.add_trace(_bars(one, labelled=len(drawn) == 1 and beside > 1), **grid_place(1, beside))
+    _dress(figure, drawn, beside)
     return figure
 
 
-def _map(one: Part[TwoHalves]) -> go.Heatmap:
+def _map(one: Part[TwoHalves], scale: dict[str, Any]) -> go.Heatmap:
     part = one[2].map
     reach = float(np.nanmax(np.abs(column(part.difference_arcsec)))) or 1.0
     drawing = detector_map(
         part, part.difference_arcsec, one[1].label, zmin=-reach, zmax=reach, colorscale=theme.DIVERGING
     )
-    drawing.update(colorbar={"x": 0.41, "xanchor": "left"})
+    drawing.update(colorbar=scale)
     return drawing
 
 
@@ -52,14 +58,14 @@ def _bars(one: Part[TwoHalves], *, labelled: bool) -> go.Bar:
     return theme.bars(style, names, values, "%{x}: %{y:+.2f} σ", text=text, constraintext="none")
 
 
-def _dress(figure: go.Figure, drawn: Sequence[Part[TwoHalves]]) -> None:
-    many = len(drawn) > 1
-    theme.dress(figure, title=_headline(drawn), height_px=440, legend=many, hovermode="closest", barmode="group")
+def _dress(figure: go.Figure, drawn: Sequence[Part[TwoHalves]], beside: int) -> None:
+    many, height = len(drawn) > 1, stacked_px(440, 2 // beside, beside)
+    theme.dress(figure, title=_headline(drawn), height_px=height, legend=many, hovermode="closest", barmode="group")
     if many:
         figure.update_layout(margin={"t": 96})
-    frame_maps(figure, 1)
+    frame_maps(figure, 1, 1)
     figure.update_traces(showlegend=many, selector={"type": "bar"})
-    where = {"row": 1, "col": 2}
+    where = grid_place(1, beside)
     seen = [float(np.nanmax(np.abs(column(part.difference_in_sigma)), initial=0.0)) for _, _, part in drawn]
     reach = 1.15 * max(LIMIT_SIGMA, *seen)
     figure.update_yaxes(title_text="difference (σ of the difference)", range=[-reach, reach], **where)
@@ -97,4 +103,5 @@ TWO_HALVES = part_figure(
         "means that the model, the matches or the noise are not what the sigmas assume."
     ),
     wide=True,
+    forms={"narrow": partial(draw, beside=1)},
 )

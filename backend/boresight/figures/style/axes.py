@@ -17,6 +17,8 @@ from boresight.figures.style import theme
 ALIGNMENTS = {"frame": "frame", "time": "hours since the first frame", "update": "update"}
 EXTRAPOLATED = "no stars: extrapolated"
 MAX_MAPS = 4
+BETWEEN_PANELS = 0.3  # of the height, over the number of rows
+NARROW_PANEL_PX = 260  # the height that a phone gives a panel
 QUIET = {"showgrid": False, "zeroline": False, "constrain": "domain"}
 
 
@@ -95,33 +97,45 @@ def detector_map(part: ArcSigmaMap | HalvesMap, values: Matrix, label: str, **sc
     )
 
 
-def lay_maps(drawn: Sequence[Part[P]], spacing: float | None = None) -> go.Figure:
-    """Make room for the maps of several runs in one row, each under its run's name."""
+def lay_maps(drawn: Sequence[Part[P]], beside: int, spacing: float | None = None) -> go.Figure:
+    """Make room for the maps of several runs, so many beside each other, each under its run's name."""
     titles = [style.short for _, style, _ in drawn] if len(drawn) > 1 else None
-    space = 0.4 / max(4, len(drawn)) if spacing is None else spacing
-    return make_subplots(1, len(drawn), subplot_titles=titles, horizontal_spacing=space)
+    columns, rows = min(beside, len(drawn)), -(-len(drawn) // beside)
+    space = 0.4 / max(4, columns) if spacing is None else spacing
+    return make_subplots(
+        rows, columns, subplot_titles=titles, horizontal_spacing=space, vertical_spacing=BETWEEN_PANELS / rows
+    )
 
 
 def draw_maps(
-    drawn: Sequence[Part[P]], draw: Callable[[Part[P], bool], go.Heatmap], *, title: str, height_px: int
+    drawn: Sequence[Part[P]], draw: Callable[[Part[P], bool], go.Heatmap], *, title: str, height_px: int, beside: int
 ) -> go.Figure:
-    """Draw one map a run, of which only the last shows the scale that all have."""
-    figure = lay_maps(drawn)
-    for place, one in enumerate(drawn, start=1):
-        figure.add_trace(draw(one, place == len(drawn)), row=1, col=place)
-    theme.dress(figure, title=title, height_px=height_px, legend=False, hovermode="closest")
-    frame_maps(figure, len(drawn))
+    """Draw one map a run, so many beside each other, of which only the last shows the scale that all have."""
+    figure = lay_maps(drawn, beside)
+    columns, rows = min(beside, len(drawn)), -(-len(drawn) // beside)
+    for number, one in enumerate(drawn):
+        figure.add_trace(draw(one, number == len(drawn) - 1), **grid_place(number, columns))
+    theme.dress(figure, title=title, height_px=stacked_px(height_px, rows, beside), legend=False, hovermode="closest")
+    frame_maps(figure, len(drawn), columns)
     return figure
 
 
-def frame_maps(figure: go.Figure, n_maps: int) -> None:
-    """Make the first `n_maps` subplots detectors: square pixels, row 0 on top."""
-    for place in range(1, n_maps + 1):
-        where = {"row": 1, "col": place}
-        anchor = "x" if place == 1 else f"x{place}"
-        figure.update_xaxes(title_text="column (px)", nticks=max(2, 8 // n_maps), tickangle=0, **QUIET, **where)
+def stacked_px(height_px: int, rows: int, beside: int) -> int:
+    """Return the height of a figure: its own, or, with one panel below the other as on a phone, what so many need."""
+    return height_px if beside > 1 else 90 + NARROW_PANEL_PX * rows
+
+
+def frame_maps(figure: go.Figure, n_maps: int, columns: int) -> None:
+    """Make the first `n_maps` subplots of a grid detectors: square pixels, row 0 on top."""
+    for number in range(n_maps):
+        where = grid_place(number, columns)
+        anchor = "x" if number == 0 else f"x{number + 1}"
+        figure.update_xaxes(nticks=max(2, 8 // max(2, columns)), tickangle=0, **QUIET, **where)
         figure.update_yaxes(autorange="reversed", scaleanchor=anchor, scaleratio=1, **QUIET, **where)
-    figure.update_yaxes(title_text="row (px)", row=1, col=1)
+        if number % columns == 0:
+            figure.update_yaxes(title_text="row (px)", **where)
+        if number + columns >= n_maps:
+            figure.update_xaxes(title_text="column (px)", **where)
 
 
 def cells(part: ArcSigmaMap | HalvesMap, name: str, values: Matrix) -> Table:

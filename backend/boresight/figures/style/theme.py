@@ -103,7 +103,7 @@ def _template(tokens: Tokens, paper: str) -> go.layout.Template:
         "tickfont": ticks,
         "title": {"font": {"size": 12, "color": muted}, "standoff": 8},
     }
-    bar = {"tickfont": ticks, "outlinewidth": 0, "title": {"font": {"size": 12, "color": muted}}}
+    bar = {"tickfont": ticks, "outlinewidth": 0, "title": {"font": {"size": 12, "color": muted}, "side": "right"}}
     return go.layout.Template(
         layout={
             "paper_bgcolor": paper,

@@ -502,6 +502,7 @@ def list_part_figures(review: RunReview, part: str) -> dict[str, tuple[Figure, .
     lacking = {
         "summary": found is None or not found.parameters,
         "trust": found is None or found.trust is None,
+        "residuals": found is None or found.trust is None,
         "matching": found is None or found.matching is None,
     }
     figures = {chapter: () if lacking.get(chapter) else CHAPTERS[chapter] for chapter in PARTS[part].chapters}
