@@ -147,10 +147,11 @@ def make_example_calibration(catalogue: Catalogue) -> bytes:
         simulate(s, np.random.default_rng(k), catalogue) for s, k in zip((scenario, validation_set), SEEDS, strict=True)
     ]
     made = {
-        name: calibrate(
-            sets[0], scenario.sensor, catalogue, CalibrationSettings(method=method), validation=sets[1]
-        ).to_dict()
-        for name, method in (("batch", "batch"), ("filter", "sqrf"))
+        name: calibrate(sets[0], scenario.sensor, catalogue, settings, validation=sets[1]).to_dict()
+        for name, settings in (
+            ("batch", CalibrationSettings()),
+            ("filter", CalibrationSettings(method="sqrf", smooth=True)),
+        )
     }
     return orjson.dumps(_shortened(made)) + b"\n"
 

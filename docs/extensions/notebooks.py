@@ -45,7 +45,7 @@ def show(value: object) -> str:
         drawing = f'<div class="drawing" role="img" aria-label="The figure that this cell returned"><script type="application/json">{text}</script></div>'
         return f"\n``````{{raw}} html\n{drawing}\n``````\n"
     if hasattr(value, "_repr_html_"):
-        return f'\n``````{{raw}} html\n<div class="output" tabindex="0">{value._repr_html_()}</div>\n``````\n'  # noqa: SLF001 - the name that notebooks agree on
+        return f'\n``````{{raw}} html\n<div class="output" tabindex="0">{value._repr_html_()}</div>\n``````\n'
     return _text(repr(value))
 
 

@@ -5,7 +5,7 @@ from playwright.sync_api import expect
 
 from boresight.console.runs.pages.run import PARTS
 from boresight.figures import CHAPTERS
-from tests.browser.window import CUT, CUT_OFF, GLANCE, WRITES
+from tests.browser.window import CUT, CUT_OFF, WRITES
 from tests.effort import effort
 
 pytestmark = pytest.mark.browser

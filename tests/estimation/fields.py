@@ -63,6 +63,19 @@ def arranged(starts, frame_start, row_px, col_px, s_i, noise_px):
     )
 
 
+def joined(parts):
+    """Frames of two exposures each, one after another."""
+    arrays = ("row_px", "col_px", "sigma_px", "s_i", "source_row", "phi", "band")
+    stars = np.concatenate([[0], *(np.diff(part.star_start) for part in parts)]).cumsum()
+    return replace(
+        parts[0],
+        frame=np.arange(len(parts)),
+        frame_start=2 * np.arange(len(parts) + 1),
+        star_start=stars,
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays},
+    )
+
+
 def whitened(arcs, x):
     return arcsets.whiten(arcs, arcsets.angular_sigma(INVERTED_WANG, x, arcs))[0]
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.estimation.batch import NormalEquations
-from boresight.estimation.block_bordered import Linked, OfTemperature
+from boresight.estimation.block_bordered import Linked, Regressed
 
 
 def drawn(rng, K, n, rows=30):
@@ -58,7 +58,7 @@ def test_passes_and_walks_are_the_stacked_problem(seed, K, m, walks):
 
 
 @given(st.integers(0, 10_000), st.integers(2, 6), st.integers(1, 3))
-def test_a_slope_in_temperature_is_the_stacked_problem(seed, K, m):
+def test_a_regression_is_the_stacked_problem(seed, K, m):
     rng, n = np.random.default_rng(seed), 4
     own = np.sort(rng.permutation(n)[:m])
     H, e, sums = drawn(rng, K, n)
@@ -66,7 +66,7 @@ def test_a_slope_in_temperature_is_the_stacked_problem(seed, K, m):
     t[1] = t[0] + 5.0
     B = np.concatenate([np.tile(np.eye(n), (K, 1, 1)), t[:, None, None] * np.eye(n)[:, own]], axis=2)
     step, P, d, all_P = dense(H, e, B)
-    found = OfTemperature(own, t).solve(sums, np.zeros((K, n)))
+    found = Regressed(own, np.tile(t[:, None], (1, m))).solve(sums, np.zeros((K, n)))
     within_1e_9_sigma(found, step, P)
     np.testing.assert_allclose(found.slope, d[n:], rtol=1e-7, atol=1e-10)
     np.testing.assert_allclose(found.slope_covariance, all_P[n:, n:], rtol=1e-7)

@@ -1,7 +1,5 @@
 """The filters agree with one another, the batch, the textbook and their own covariance, also where they forget."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -19,6 +17,7 @@ from tests.estimation.fields import (
     TRUTH,
     WU_START,
     WU_TRUTH,
+    joined,
     star_field,
     whitened,
     whitened_plainly,
@@ -242,23 +241,11 @@ def test_a_drifting_focal_length_is_followed_and_lags_where_nothing_is_forgotten
         truth = TRUTH.copy()
         truth[0] += k * a_frame
         parts.append(whitened(star_field(np.random.default_rng([7, k]), frames=1, truth=truth), truth))
-    arcs = _joined(parts)
+    arcs = joined(parts)
     end = TRUTH[0] + (frames - 1) * a_frame
     follows, lags = (_forgotten(arcs, choice, method) for choice in (tuning, Tuning()))
     assert abs(follows.last.x[0] - end) / SCALE[0] < 5 * follows.sigmas[-1, 0]
     assert abs(lags.last.x[0] - end) / SCALE[0] > 10 * lags.sigmas[-1, 0]
-
-
-def _joined(parts):
-    arrays = ("row_px", "col_px", "sigma_px", "s_i", "source_row", "phi", "band")
-    stars = np.concatenate([[0], *(np.diff(part.star_start) for part in parts)]).cumsum()
-    return replace(
-        parts[0],
-        frame=np.arange(len(parts)),
-        frame_start=2 * np.arange(len(parts) + 1),
-        star_start=stars,
-        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays},
-    )
 
 
 WU_SCALE = np.array([1e-3, 1e-4, 10.0, 10.0, 0.1, 0.5])

@@ -31,6 +31,7 @@ from boresight.calibration.corrections import Corrections
 from boresight.calibration.estimate import Estimate, Parameters, never
 from boresight.calibration.evaluation.pixel_residuals import FreeCovariance
 from boresight.calibration.evaluation.result_evaluation import evaluate_result, validate, with_advice
+from boresight.calibration.joint.drift import estimate_drift, shows_drift
 from boresight.calibration.joint.passes import JointTelemetry, passes_of
 from boresight.calibration.joint.prior import (
     PriorSource,
@@ -51,8 +52,10 @@ from boresight.calibration.matching.match_report import CyclesEnd, Estimation
 from boresight.calibration.matching.matched import Dataset, Matched
 from boresight.calibration.matching.verification import advise
 from boresight.calibration.minima import LowerMinimum, describe_minima, minima_advice
-from boresight.calibration.options import CalibrationSettings
+from boresight.calibration.options import OPTIONS, CalibrationSettings
 from boresight.calibration.problem import Problem
+from boresight.calibration.process_noise import choose_drift, describe_process_noise, free_names
+from boresight.calibration.smoothing import describe_smoothed
 from boresight.calibration.telemetry_pieces import (
     JUDGED_STARS,
     PREPARED,
@@ -340,12 +343,33 @@ def _begin(
         refuse_without_prior(settings)
         if settings.vary:
             return _fit_passes(telemetry, sensor, catalogue, parameters, settings, context)
-        return _Begun(telemetry, sensor, parameters, telemetry)
+        drifting = _with_drift(telemetry, sensor, catalogue, parameters, settings, context)
+        return _Begun(telemetry, sensor, drifting, telemetry)
     refuse_vary(settings)
     new, left_out = without_held(telemetry, prior, sha256s)
     taken = take_prior(prior, sensor, parameters, settings, new.begins)
     there = replace(sensor, initial=taken.prior.x)
-    return _Begun(new, there, replace(parameters, prior=taken.prior), new, taken, advice=left_out)
+    parameters = replace(parameters, prior=taken.prior)
+    drifting = _with_drift(new, there, catalogue, parameters, settings, context)
+    return _Begun(new, there, drifting, new, taken, advice=left_out)
+
+
+def _with_drift(
+    telemetry: TelemetryInput,
+    sensor: Sensor,
+    catalogue: Catalogue,
+    parameters: Parameters,
+    settings: CalibrationSettings,
+    context: CalibrationContext,
+) -> Parameters:
+    """Estimate how far the parameters of a filter drift, where nobody stated it and the set shows it."""
+    if not settings.drifts or settings.states_drift or not shows_drift(telemetry):
+        return parameters
+    with _fit_alike(telemetry, sensor, catalogue, parameters, settings, context) as ended:
+        if ended.estimate.status in {"diverged", "max_iterations"}:
+            return parameters
+        problem, x = ended.matched.problem, ended.estimate.x
+        return replace(parameters, drift=estimate_drift(problem, parameters, x, settings, context.cancelled))
 
 
 def _fit_passes(
@@ -361,11 +385,7 @@ def _fit_passes(
     if not isinstance(telemetry, JointTelemetry):
         refuse_one_pass()
     check_variation(names, settings)
-    alike = replace(settings, method="batch", variant="no-q", vary=None)
-    corrections = Corrections(sensor, catalogue, left_out=settings.leave_out_stars)
-    with open_dataset(telemetry, sensor, catalogue, parameters, alike, context, corrections) as (sets, _):
-        first = sets.at_start()
-        ended = Estimation(sets, first, parameters, sets.settings, lambda *_: None, context.cancelled).run()
+    with _fit_alike(telemetry, sensor, catalogue, parameters, settings, context) as ended:
         if ended.estimate.status in {"diverged", "max_iterations"}:
             raise RefusedInputError("All passes as one camera do not fit: see what it says without --vary.")
         fitted, variation = fit_variation(
@@ -378,6 +398,25 @@ def _fit_passes(
     taken = TakenPrior(fitted.prior_of_last(parameters, open_sigmas), origin, (variation.sentence,), remedy)
     last = telemetry.in_order[-1].telemetry
     return _Begun(last, sensor, replace(parameters, prior=taken.prior), telemetry, taken, variation, judged=judged)
+
+
+@contextmanager
+def _fit_alike(
+    telemetry: TelemetryInput,
+    sensor: Sensor,
+    catalogue: Catalogue,
+    parameters: Parameters,
+    settings: CalibrationSettings,
+    context: CalibrationContext,
+) -> Iterator[CyclesEnd]:
+    """Match and fit all frames as one camera, by least squares; what that ended with holds within."""
+    usual = CalibrationSettings()
+    of_filters = {name: getattr(usual, name) for name, option in OPTIONS.items() if "batch" not in option.methods}
+    alike = replace(settings, **of_filters, method="batch", vary=None)
+    corrections = Corrections(sensor, catalogue, left_out=settings.leave_out_stars)
+    with open_dataset(telemetry, sensor, catalogue, parameters, alike, context, corrections) as (sets, _):
+        first = sets.at_start()
+        yield Estimation(sets, first, parameters, sets.settings, lambda *_: None, context.cancelled).run()
 
 
 def hardly_matches(found: Calibration) -> bool:
@@ -460,6 +499,13 @@ def _calibrated(
     if sets.is_given:
         found = _with_removed(found, sets, ended.matched)
     clock.lap("judge")
+    if settings.drifts:
+        names = free_names(ended.matched.problem, parameters)
+        found = replace(found, process_noise=describe_process_noise(names, choose_drift(parameters, names, settings)))
+    if settings.smooth and ended.estimate.status != "diverged":
+        of = (ended.matched.problem, parameters, settings, ended.estimate, context.cancelled)
+        found = replace(found, smoothed=describe_smoothed(*of))
+        clock.lap("smooth")
     return found, ended, None
 
 

@@ -1112,6 +1112,38 @@ class History:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ProcessNoise:
+    """How far a filter lets parameters drift, typical sigmas `per` frame or square root of a day.
+
+    `source`: `given`, `usual` where nobody gave it, or `estimated` from so many `stretches` of data, with the ends of its 95 %
+    `interval`, from zero where the data do not show that a parameter moves.
+    """
+
+    per: str
+    source: str
+    sigma: Values[float] = field(default_factory=Values)
+    interval: dict[str, Numbers] | None = None
+    stretches: int = 0
+    sentence: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Smoothed:
+    """The parameters at frames' times given all frames, before and after, with their sigmas, SI: an entry a frame that is kept.
+
+    `chi2`: whitened sum of squares at them. `settled`: whether the smoother came to rest; only then use it.
+    """
+
+    frame: list[int]
+    time_utc: list[str | None] | None = None
+    parameters: Matrix
+    sigma: Matrix
+    chi2: float | None
+    settled: bool
+    sentence: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Iterations:
     """A batch's iterates: state, sigma, cost (half of chi-square), damping and RMS."""
 
@@ -1230,6 +1262,8 @@ class Calibration:
     frames_done: int | None = None
     prior: PriorUse | None = None
     variation: PassVariation | None = None
+    process_noise: ProcessNoise | None = None
+    smoothed: Smoothed | None = None
 
     @property
     def reliable_covariance(self) -> Covariance:

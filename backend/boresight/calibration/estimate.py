@@ -144,12 +144,31 @@ WHITENING_ROUNDS = 2
 
 
 @dataclass(frozen=True)
+class Drift:
+    """How far free parameters step, `sigma` (n_free,) typical sigmas, each frame, or a square root of a day as `per` says.
+
+    `source`: `given`, `usual` or `estimated`, then from so many `stretches` of data and with the ends of its intervals.
+    """
+
+    sigma: FloatArray
+    per: str
+    source: str
+    low: FloatArray | None = None
+    high: FloatArray | None = None
+    stretches: int = 0
+
+
+@dataclass(frozen=True)
 class Parameters:
-    """The free parameters of a calibration: places in the state and typical sigmas, both (n_free,); and what was known before."""
+    """The free parameters of a calibration: places in the state and typical sigmas, both (n_free,).
+
+    `prior`: what was known before. `drift`: how far they step, where that was estimated.
+    """
 
     free: IntArray
     scale: FloatArray
     prior: Prior | None = None
+    drift: Drift | None = None
 
     def start(self, x: FloatArray, settings: CalibrationSettings) -> FilterState:
         """State of a filter before any frame: the prior's, or at x (n_parameters,) with the settings' sigma."""

@@ -14,7 +14,7 @@ from typing import Any, Literal, TypedDict
 from boresight.errors import RefusedInputError
 from boresight.estimation import MINIMUM_STARS
 
-Kind = Literal["word", "whole", "number", "yes or no", "names", "wholes", "stars"]
+Kind = Literal["word", "whole", "number", "yes or no", "names", "numbers", "wholes", "stars"]
 
 
 @dataclass(frozen=True)
@@ -139,6 +139,7 @@ class Option:
             or {
                 "yes or no": "yes or no",
                 "names": "parameter names",
+                "numbers": "parameter names with numbers",
                 "wholes": "some of 1, 2, 3",
                 "stars": "Hipparcos numbers",
             }[self.kind]
@@ -157,6 +158,7 @@ class Option:
             "whole": f"give a whole number from {self.range}",
             "number": f"give a number from {self.range}",
             "yes or no": "give true or false",
+            "numbers": f'give parameters with numbers from {self.lowest:g} to {self.highest:g}, as ["f_m=0.5"]',
             "wholes": "give some of 1, 2, 3, as [2, 3]",
             "stars": f"give at most {MOST_STARS_LEFT_OUT} Hipparcos numbers, as [71683, 71681]",
         }
@@ -173,10 +175,17 @@ class Option:
             )
         if not isinstance(value, list | tuple) or not (value or self.kind == "stars"):
             return False
-        if self.kind == "names":
-            return all(isinstance(name, str) for name in value)
+        if self.kind in ("names", "numbers"):
+            return all(isinstance(text, str) and (self.kind == "names" or self._names_number(text)) for text in value)
         highest, most = (LAST_STAR, MOST_STARS_LEFT_OUT) if self.kind == "stars" else (3, 3)
         return all(type(k) is int and 1 <= k <= highest for k in value) and len(set(value)) == len(value) <= most
+
+    def _names_number(self, text: str) -> bool:
+        name, _, number = text.partition("=")
+        try:
+            return bool(name) and self.lowest <= float(number) <= self.highest
+        except ValueError:
+            return False
 
     def read(self, text: str) -> Any:  # noqa: PLR0911 - one a kind
         """Read what was typed into a form; a comma stands for a point, as many keyboards have it."""
@@ -212,7 +221,11 @@ class Option:
             star = {"type": "integer", "minimum": 1, "maximum": LAST_STAR}
             said |= {"type": "array", "items": star, "maxItems": MOST_STARS_LEFT_OUT}
         else:
-            item = {"type": "string"} if self.kind == "names" else {"type": "integer", "minimum": 1, "maximum": 3}
+            item = (
+                {"type": "string"}
+                if self.kind in ("names", "numbers")
+                else {"type": "integer", "minimum": 1, "maximum": 3}
+            )
             said |= {"type": "array", "items": item, "minItems": 1}
         if self.default is None:
             said["type"] = [said["type"], "null"]
@@ -237,6 +250,8 @@ class Option:
 
 #: The last Hipparcos number, and most stars that are left out by number: with more it is the catalogue that is wrong.
 LAST_STAR, MOST_STARS_LEFT_OUT = 120_416, 200
+#: Drift of every parameter a frame where nobody states it and the data do not tell it, typical sigmas.
+USUAL_DRIFT = 0.02
 #: A whole number of more is none of ours.
 MOST_DIGITS = 9
 
@@ -394,10 +409,26 @@ class CalibrationSettings:
         cell=(2, 1), default=6, lowest=1, highest=100, flag="--linearisations", usual=True,
         hint="1 is the published filter; more let the state settle within the frame.",
     )  # fmt: skip
-    process_noise_sigma: float = option(
-        "Of the filters", "Drift per frame", "For q and no-refit: drift per frame, in typical sigmas.",
-        cell=(1, 2), default=0.02, lowest=0.0, highest=10.0, unit="typical σ", flag="--process-noise", usual=True,
-        hint="Not for No-Q.",
+    process_noise_sigma: float | None = option(
+        "Of the filters", "Drift per frame",
+        "For q and no-refit: drift, in typical sigmas; if left out from the data, where these show it, else 0.02 per frame.",
+        cell=(1, 2), default=None, kind="number", lowest=0.0, highest=10.0, unit="typical σ", flag="--process-noise", usual=True,
+        hint="Not for No-Q. Empty: from the data where five passes show it, else 0.02.",
+    )  # fmt: skip
+    process_noise_of: tuple[str, ...] | None = option(
+        "Of the filters", "Drift by parameter", "Drift of single parameters in place of that, as f_m=0.05,b2_per_m2=0.",
+        default=None, kind="numbers", lowest=0.0, highest=10.0, unit="typical σ", flag="--process-noise-of",
+    )  # fmt: skip
+    process_noise_per: str = option(
+        "Of the filters", "Drift counts", "Whether drift is per frame, or per square root of a day by the times of frames.",
+        default="frame", flag="--process-noise-per",
+        words={"frame": "Per frame, however long the gap before it", "day": "Per square root of a day, by the time that passed"},
+        elsewhere="Process noise is only for filters: choose a filter, or leave 'process_noise_per' out.",
+    )  # fmt: skip
+    smooth: bool = option(
+        "Of the filters", "Smooth", "Estimate the parameters at every frame's time given all frames, beside the filter.",
+        cell=(3, 1), default=False, flag="--smooth", usual=True,
+        elsewhere="A smoother runs beside a filter: choose a filter, or leave 'smooth' off.",
     )  # fmt: skip
     forgetting_factor: float = option(
         "Of the filters", "Forgetting factor", "Share of the information kept from frame to frame.",
@@ -463,9 +494,21 @@ class CalibrationSettings:
         return "baseline" if self.variant == "no-refit" else self.match_parameters
 
     @property
+    def drifts(self) -> bool:
+        """Whether a filter lets the parameters change."""
+        return self.sequential and self.variant != "no-q"
+
+    @property
     def process_noise(self) -> float:
-        """Standard deviation that a filter adds a frame, in typical sigmas; 0 where the parameters are constant."""
-        return 0.0 if self.variant == "no-q" else self.process_noise_sigma
+        """Standard deviation that a filter adds, in typical sigmas, where the data do not say it; 0 of constant parameters."""
+        if self.variant == "no-q":
+            return 0.0
+        return USUAL_DRIFT if self.process_noise_sigma is None else self.process_noise_sigma
+
+    @property
+    def states_drift(self) -> bool:
+        """Whether a person said how far the parameters drift."""
+        return self.process_noise_sigma is not None or self.process_noise_of is not None
 
     @classmethod
     def parse(cls, document: Mapping[str, Any]) -> CalibrationSettings:
@@ -488,6 +531,14 @@ class CalibrationSettings:
                 raise RefusedInputError(declared.elsewhere)
         if self.error == "cosine" and self.robust != "none":
             raise RefusedInputError("The cosine error has no weights for a robust loss: set 'robust' to 'none'.")
+        if self.smooth and self.forgetting_factor != 1.0:
+            raise RefusedInputError(
+                "Forgetting is no model of change that a smoother could use: leave 'forgetting_factor' at 1, or 'smooth' off."
+            )
+        if self.process_noise_per == "day" and not self.states_drift and self.variant != "no-q":
+            raise RefusedInputError(
+                "Drift per day has no usual size: give --process-noise, or leave --process-noise-per out."
+            )
 
     def document(self) -> dict[str, Any]:
         """Return the settings as JSON values, every key present."""
@@ -532,7 +583,10 @@ class Choices(TypedDict, total=False):
     robust: str
     huber_threshold: float
     linearisations: int
-    process_noise_sigma: float
+    process_noise_sigma: float | None
+    process_noise_of: str | Sequence[str] | None
+    process_noise_per: str
+    smooth: bool
     forgetting_factor: float
     initial_sigma_scale: float
     star_model: int

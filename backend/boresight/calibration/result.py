@@ -101,10 +101,9 @@ def history_view(problem: Problem, parameters: Parameters, estimate: Estimate, a
     kept = history.taken(places)
     sigma = np.full(kept["states"].shape, np.nan)
     sigma[:, parameters.free] = kept["sigmas"] * parameters.scale
-    times = problem.get_times(kept["frame"])
     return History(
         frame=_list(kept["frame"]),
-        time_utc=None if times is None else [None if np.isnat(value) else f"{value}Z" for value in times],
+        time_utc=written_times(problem, kept["frame"]),
         parameters=_list(kept["states"]),
         sigma=_list(sigma),
         tail_rms_rad=_list(_tail(arcs, np.ascontiguousarray(kept["states"]))),
@@ -114,6 +113,12 @@ def history_view(problem: Problem, parameters: Parameters, estimate: Estimate, a
         linearisations=_list(kept["linearisations"]),
         between=None if len(places) == len(history) else _between(history, places),
     )
+
+
+def written_times(problem: Problem, frame: IntArray) -> list[str | None] | None:
+    """Write the times of frames (n,); None where the set has none."""
+    times = problem.get_times(frame)
+    return None if times is None else [None if np.isnat(value) else f"{value}Z" for value in times]
 
 
 def _between(history: RecordedHistory, places: IntArray) -> HistoryBetween:

@@ -19,6 +19,7 @@ from boresight.calibration.estimate import Asked, Estimate, Parameters, ReportEs
 from boresight.calibration.history_recorder import RecordedHistory
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem, whiten_at
+from boresight.calibration.process_noise import FrameSteps, choose_drift, free_names
 from boresight.errors import CancelledError
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
@@ -81,6 +82,7 @@ def run_sequential(
     """Run a filter over frames; returns its history, empty where no frame has stars."""
     n_frames = frames.n_frames
     first_tuning, tuning = _tunings(settings)
+    steps = FrameSteps(problem, choose_drift(parameters, free_names(problem, parameters), settings))
     state = parameters.start(problem.sensor.initial, settings)
     history = RecordedHistory(state)
     began = time.perf_counter()
@@ -91,9 +93,11 @@ def run_sequential(
         arcs = pooled if first == 0 else frames.arcs(first, last, history.last)
         if arcs.n_exposures:
             chunk = whiten_at(arcs, problem.camera, history.last.x)
-            tuned = tuning if history else first_tuning
-            part = _filtered(chunk, history.last, parameters, settings, tuned)
-            history.append(part, arcs.frame)
+            for run, step in steps.in_runs(chunk):
+                tuned = replace(tuning if history else first_tuning, process_noise=step)
+                history.append(_filtered(run, history.last, parameters, settings, tuned), run.frame)
+                if not history.finite:
+                    break
             listen(_on_its_way(history), last / n_frames, f"frame {arcs.frame[-1]}: {last} of {n_frames} frames")
             if not history.finite:
                 break
@@ -112,7 +116,7 @@ def _filtered(
 def _tunings(settings: CalibrationSettings) -> tuple[Tuning, Tuning]:
     """How the first update is made, which an iterated filter leaves time to rest, and how all others are."""
     tuning = Tuning(
-        settings.linearisations, settings.process_noise, settings.forgetting_factor,
+        settings.linearisations, forgetting=settings.forgetting_factor,
         selection=Selection(settings.star_model, settings.singular_values), gain_form=settings.gain_form,
     )  # fmt: skip
     most = max(settings.linearisations, START_LINEARISATIONS) if settings.linearisations > 1 else 1
@@ -179,7 +183,10 @@ def _first_frames(
         if done == frames.n_frames or wanted >= MOST_START_ARCS_PER_PARAMETER * n_free:
             return pooled, done
         chunk = whiten_at(pooled, problem.camera, state.x)
-        ended = _filtered(chunk, state, parameters, settings, tuning)
+        step = FrameSteps(problem, choose_drift(parameters, free_names(problem, parameters), settings)).take(
+            pooled.frame
+        )
+        ended = _filtered(chunk, state, parameters, settings, replace(tuning, process_noise=step[0]))
         if not ended.finite or _bend(pooled, problem, parameters, settings, ended.last) < BENT:
             return pooled, done
         wanted *= 2

@@ -3,9 +3,10 @@
 Pass k = 1..K sees the free parameters z_k = (c, p_k), scaled by their typical sigmas: c common to all, p_k its own. Its arcs give
 A_k and b_k at its own state (`batch`), and nothing else is needed of it. What joins the p_k is one of
 
-    pass         nothing
-    walk         p_k - p_{k-1} has the covariance Q_k, so W_k = Q_k^-1 is information between the two
-    temperature  p_k = p + t_k s, t_k the temperature of the pass from a reference, s a slope
+    pass        nothing
+    walk        p_k - p_{k-1} has the covariance Q_k, so W_k = Q_k^-1 is information between the two
+    regression  p_k = p + v_k^T s, v_k what is known of the pass: its temperature or time from a reference, their powers, or 1 from
+                a date on; s coefficients
 
 Passes and walks. With r_k = p_k - p_{k-1} the normal equations of the stacked problem are
 
@@ -21,7 +22,7 @@ a sweep back gives as Z_k = L_k^-1 + L_k^-1 W_{k+1} Z_{k+1} W_{k+1} L_k^-1, and 
 
 Without W this is the Schur complement of each pass by itself. With W alone it is the smoother of Rauch, Tung and Striebel.
 
-Temperature. z_k = B_k (z, s) with B_k = [I, t_k E], so A = sum_k B_k^T A_k B_k is as small as the parameters are few.
+Regression. z_k = B_k (z, s) with B_k = [I, E_k], E_k the v_k of each parameter in its row, so A = sum_k B_k^T A_k B_k is as small as the parameters are few.
 
 Each is the stacked least-squares problem itself, and no average of results: a pass that leaves a direction open says what it knows
 of the others. The steps are damped as in `batch`, with every pass linearised anew at its own state.
@@ -43,8 +44,8 @@ from boresight.estimation.batch import NormalEquations
 class Solution:
     """A step of every pass, (n_passes, n_free) typical sigmas, its squared length in sigmas, and the covariance of each pass.
 
-    `P`: (n_passes, n_free, n_free). `slope`, `slope_covariance`: (n_own,) and (n_own, n_own) of a temperature, typical sigmas a
-    degree; empty for the others. `log_determinant`: log |H| of the whole problem.
+    `P`: (n_passes, n_free, n_free). `slope`, `slope_covariance`: (n_columns,) and (n_columns, n_columns) of a regression, typical
+    sigmas a unit of its columns; empty for the others. `log_determinant`: log |H| of the whole problem.
     """
 
     step: FloatArray
@@ -121,34 +122,44 @@ class Linked:
 
 
 @dataclass(frozen=True)
-class OfTemperature:
-    """Parameters of each pass that are linear in its temperature.
+class Regressed:
+    """Parameters of each pass that are linear in what is known of it: its temperature or time, powers of them, or 1 from a date on.
 
     Parameters
     ----------
-    own
-        (n_own,) places of these parameters among the free ones.
-    t
-        (n_passes,) temperatures from the reference, degrees.
+    of
+        (n_columns,) place of each column's parameter among the free ones; a parameter may have several, or none.
+    values
+        (n_passes, n_columns) what its coefficient is multiplied by.
     """
 
-    own: IntArray
-    t: FloatArray
+    of: IntArray
+    values: FloatArray
+
+    def design(self, n: int) -> FloatArray:
+        """B of every pass, (n_passes, n, n + n_columns), for n free parameters."""
+        m = len(self.of)
+        B = np.zeros((len(self.values), n, n + m))
+        B[:, np.arange(n), np.arange(n)] = 1.0
+        B[:, self.of, np.arange(n, n + m)] = self.values
+        return B
 
     def solve(self, sums: Sequence[NormalEquations], z: FloatArray, damping: float = 0.0) -> Solution:
         """Solve for the step of every pass."""
-        n, m = len(sums[0].b), len(self.own)
-        B = np.zeros((len(sums), n, n + m))
-        B[:, np.arange(n), np.arange(n)] = 1.0
-        B[:, self.own, np.arange(n, n + m)] = self.t[:, None]
+        n, m = len(sums[0].b), len(self.of)
+        B = self.design(n)
         A = np.einsum("kij,kil,klm->jm", B, np.array([one.A for one in sums]), B)
         g = np.einsum("kij,ki->j", B, np.array([one.b for one in sums]))
         inverse = _inverse(A + damping * np.eye(n + m))
         d = -inverse @ g
-        slope = np.linalg.lstsq(np.column_stack([np.ones_like(self.t), self.t]), z[:, self.own], rcond=None)[0][1]
+        slope = d[n:].copy()
+        for place in np.unique(self.of):
+            mine = np.flatnonzero(self.of == place)
+            X = np.column_stack([np.ones(len(z)), self.values[:, mine]])
+            slope[mine] += np.linalg.lstsq(X, z[:, place], rcond=None)[0][1:]
         P = np.einsum("kij,jl,kml->kim", B, inverse, B)
         log_determinant = -float(np.linalg.slogdet(inverse)[1])
-        return Solution(B @ d, -float(g @ d), P, slope + d[n:], inverse[n:, n:], log_determinant)
+        return Solution(B @ d, -float(g @ d), P, slope, inverse[n:, n:], log_determinant)
 
     def cost(self, z: FloatArray) -> float:  # noqa: ARG002 - a line costs nothing
         """Nothing: the passes lie on the line."""

@@ -28,6 +28,8 @@ from boresight.estimation.block_bordered import Linked
 
 #: Drifts that are looked at, typical sigmas a square root of a day.
 LEAST, MOST = 1e-4, 10.0
+#: Smallest step between two passes, typical sigmas: below, it is none.
+SMALLEST_STEP = 1e-5
 #: Rise of -2 log L at the ends of a 95 % interval.
 RISE = 3.841458820694124
 #: Step of u for slopes and curvatures.
@@ -48,7 +50,7 @@ class Walk:
 def link_by_walk(own: IntArray, days: FloatArray, sigma: FloatArray) -> Linked:
     """Return the link of passes by a walk; `days`: (n_passes - 1,) between them, `sigma`: (n_own,)."""
     W = np.zeros((len(days) + 1, len(own)))
-    W[1:] = 1.0 / (days[:, None] * sigma**2)
+    W[1:] = 1.0 / np.maximum(days[:, None] * sigma**2, SMALLEST_STEP**2)
     return Linked(own, W)
 
 
@@ -73,7 +75,7 @@ def find_walk(
     own
         (n_own,) places of the parameters that walk among the free ones.
     days
-        (n_passes - 1,) between the passes, more than zero.
+        (n_passes - 1,) between the passes.
     rise
         Of -2 log L at the ends of the interval.
     """

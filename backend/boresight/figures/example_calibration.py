@@ -20,7 +20,8 @@ from boresight.figures.chart import Trace
 
 PLACE = Path(__file__).with_name("example_calibration.json")
 JUDGED_AT_THE_END = (
-    "chi2", "chi2_per_dof", "evaluation", "frame_observability", "matching", "observability", "trust", "validation",
+    "chi2", "chi2_per_dof", "evaluation", "frame_observability", "matching", "observability", "smoothed", "trust",
+    "validation",
 )  # fmt: skip
 LABELS = {"filter": ("Run 2", "as frames come down"), "batch": ("Run 1", "all frames at once")}
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray
 from boresight.calibration.calibration import Calibration, NisOverTime, Trust
+from boresight.calibration.times import parse_times
 from boresight.errors import RefusedInputError
 from boresight.figures.chart import Trace
 from boresight.figures.style import theme
@@ -67,7 +68,7 @@ def _by_time(trace: Trace) -> Calibration:
         return replace(result, trust=_without_innovations(trust)) if trust else result
     if not history.time_utc:
         raise RefusedInputError(f"{trace.label} has no times in its telemetry: align by frame or by update.")
-    times = np.array([str(time).rstrip("Z") for time in history.time_utc], dtype="datetime64[us]")
+    times = parse_times(history.time_utc)
     hours = (times - times[0]) / np.timedelta64(3600, "s")
     series = _innovations(result)
     placed = None if series is None else np.interp(series.frame, history.frame, hours)

@@ -2,7 +2,8 @@
 
 `arclengths` holds the camera, the arcs, the batch and the square-root filters; `singular` and `angles` the references of the
 filters on singular values and on all pairs, `information` their update; `matching` the association of detections with
-stars; `displacements` what displaced stars change in the arcs. `compilation` says how they are compiled, and where that is kept.
+stars; `displacements` what displaced stars change in the arcs; `smoothing` the two passes of the smoother. `compilation` says
+how they are compiled, and where that is kept.
 """
 
 from __future__ import annotations
@@ -27,17 +28,20 @@ from boresight.kernels.arclengths import (
 from boresight.kernels.displacements import displaced_rows
 from boresight.kernels.information import cost, information_update, invert, whiten, worst_departure
 from boresight.kernels.singular import factor_values, value_rows
+from boresight.kernels.smoothing import backward_pass, forward_pass
 from boresight.kernels.star import define
 
 __all__ = [
     "HALF_BANDWIDTH",
     "arcs_and_factors",
+    "backward_pass",
     "cost",
     "count_beyond",
     "define",
     "displaced_rows",
     "factor_pairs",
     "factor_values",
+    "forward_pass",
     "information_update",
     "invert",
     "normal_equations",

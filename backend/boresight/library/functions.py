@@ -111,10 +111,10 @@ def parse_choices(choices: Mapping[str, Any]) -> CalibrationSettings:
 
 def _split(name: str, text: str) -> Any:
     kind = OPTIONS[name].kind if name in OPTIONS else "word"
-    if kind not in {"names", "wholes", "stars"}:
+    if kind not in {"names", "numbers", "wholes", "stars"}:
         return text
     parts = [part.strip() for part in text.split(",") if part.strip()]
-    return [int(part) if part.isdecimal() else part for part in parts] if kind != "names" else parts
+    return [int(part) if part.isdecimal() else part for part in parts] if kind not in {"names", "numbers"} else parts
 
 
 @_on_kernels

@@ -104,6 +104,8 @@ def _scores(found: Calibration) -> Iterator[tuple[str, str]]:
     for name, part in (
         ("passes", found.variation),
         ("prior", found.prior),
+        ("process noise", found.process_noise),
+        ("smoother", found.smoothed),
         ("misfit", found.misfit),
         ("minima", found.minima),
     ):

@@ -29,6 +29,7 @@ from boresight.calibration.options import OPTIONS, CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.result import OF_SEVERAL, ON_A_PRIOR, trend_entry
 from boresight.calibration.telemetry_pieces import TelemetryInput, is_large
+from boresight.calibration.times import parse_times
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
 from boresight.estimation.prior import Prior
@@ -70,12 +71,12 @@ class PriorSource:
         if found.history is not None and found.history.time_utc:
             times.append(found.history.time_utc[-1])
         try:
-            known = [np.datetime64(time.removesuffix("Z"), "us") for time in times if time]
+            known = parse_times([time for time in times if time])
         except ValueError as error:
             raise RefusedInputError(
                 f"{self.name} has a time that is none ({error}): write times as 2026-11-21T03:04:05Z."
             ) from error
-        return max(known) if known else None
+        return known.max() if len(known) else None
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,9 @@ class TakenPrior:
         names = [problem.camera.parameter_names[p] for p in parameters.free]
         z = (estimate.x - self.prior.x)[parameters.free] / parameters.scale
         share: list[float] | list[None] = [None] * len(names)
-        if not settings.sequential or (settings.process_noise == 0.0 and settings.forgetting_factor == 1.0):
+        if not settings.sequential or (
+            settings.process_noise == 0.0 and settings.process_noise_of is None and settings.forgetting_factor == 1.0
+        ):
             share = self.prior.share(estimate.A).tolist()
         sigma = np.sqrt(np.diag(self.prior.P)) * parameters.scale
         found = replace(

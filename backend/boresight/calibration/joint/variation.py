@@ -29,6 +29,7 @@ from boresight.calibration.calibration import InputPass, PassState, PassVariatio
 from boresight.calibration.estimate import WHITENING_ROUNDS, Asked, Parameters
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem, whiten_part
+from boresight.calibration.times import parse_times, to_days
 from boresight.errors import CancelledError, RefusedInputError
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
@@ -49,12 +50,8 @@ ROUNDING = 1e-12
 MOST_HALVINGS = 10
 #: Typical sigmas of what nobody knows.
 OPEN_SIGMAS = 1e4
-#: Smallest step of a walk between two passes, typical sigmas: below, it is none.
-SMALLEST_STEP = 1e-5
 #: Drift where its estimate begins, typical sigmas a square root of a day; rounds of it, and the change of its log that ends them.
 FIRST_WALK, WALK_ROUNDS, WALK_RESTS = 0.1, 4, 0.1
-#: Days between passes, at least, where a drift is estimated.
-SHORTEST_DAYS = 1e-4
 #: Chance below which a change from pass to pass is called one.
 CHANGES = 1e-3
 
@@ -246,28 +243,23 @@ def make_link(passes: Sequence[InputPass], own: IntArray, settings: CalibrationS
             )
         return OfTemperature(own, np.array(known) - np.mean(known))
     sigma = np.full(len(own), FIRST_WALK if settings.walk_sigma is None else settings.walk_sigma)
-    return _link_by_walk(_days_between(passes), own, sigma)
-
-
-def _link_by_walk(days: FloatArray, own: IntArray, sigma: FloatArray) -> Linked:
-    """Return the link of a walk whose steps are never smaller than what is one."""
-    return link_by_walk(own, np.maximum(days, (SMALLEST_STEP / sigma.min()) ** 2), sigma)
+    return link_by_walk(own, _days_between(passes), sigma)
 
 
 def _days_between(passes: Sequence[InputPass]) -> FloatArray:
     """Days between the middles of the passes, (n_passes - 1,)."""
-    days = np.array([_middle_days(one) for one in passes])
+    days = middle_days(passes)
     if not np.isfinite(days).all():
         raise RefusedInputError("A walk needs to know when each pass was: add time_utc, or choose --vary-as pass.")
     return np.maximum(np.diff(days), 0.0)
 
 
-def _middle_days(one: InputPass) -> float:
-    """The middle of a pass in days; NaN where it has no time."""
-    if one.start_utc is None or one.end_utc is None:
-        return float("nan")
-    ends = np.array([one.start_utc.rstrip("Z"), one.end_utc.rstrip("Z")], "datetime64[us]")
-    return float(ends.astype(np.int64).mean() / 86_400e6)
+def middle_days(passes: Sequence[InputPass]) -> FloatArray:
+    """The middles of passes in days, (n_passes,); NaN where one has no time."""
+    starts, ends = (
+        to_days(parse_times(times)) for times in zip(*((one.start_utc, one.end_utc) for one in passes), strict=True)
+    )
+    return (starts + ends) / 2
 
 
 def fit_variation(
@@ -283,7 +275,9 @@ def fit_variation(
         link = make_link(passes, own, settings)
         fitted = fit_passes(problem, ends, parameters, x, link, cancelled, settings.max_iterations)
         if settings.vary_as == "walk" and settings.walk_sigma is None:
-            fitted, walk = _fit_walk(problem, passes, parameters, x, own, fitted, cancelled, settings.max_iterations)
+            fitted, walk = fit_walk(
+                problem, ends, _days_between(passes), parameters, x, own, fitted, cancelled, settings.max_iterations
+            )
     except np.linalg.LinAlgError as error:
         few = min(range(len(ends)), key=lambda k: ends[k][1] - ends[k][0])
         raise RefusedInputError(
@@ -297,18 +291,17 @@ def fit_variation(
     return fitted, _describe(problem, passes, parameters, own, fitted, settings, walk)
 
 
-def _fit_walk(
-    problem: Problem, passes: Sequence[InputPass], parameters: Parameters, x: FloatArray, own: IntArray, fitted: PassesFit,
+def fit_walk(  # noqa: PLR0913, PLR0917 - a fit of passes, and the walk that it goes on with
+    problem: Problem, ends: Ends, days: FloatArray, parameters: Parameters, x: FloatArray, own: IntArray, fitted: PassesFit,
     cancelled: Asked, most: int,
 ) -> tuple[PassesFit, Walk]:  # fmt: skip
-    """Estimate the drift and fit the passes with it, in turn."""
-    days, before = _days_between(passes), np.full(len(own), FIRST_WALK)
-    days = np.maximum(days, SHORTEST_DAYS)
+    """Estimate the drift, days (n_passes - 1,) between passes, and fit the passes with it, in turn."""
+    before = np.full(len(own), FIRST_WALK)
     for _ in range(WALK_ROUNDS):
         z = (fitted.states[:, parameters.free] - x[parameters.free]) / parameters.scale
         walk = find_walk(fitted.sums, z, own, days)
-        link = _link_by_walk(days, own, walk.sigma)
-        fitted = fit_passes(problem, places_of(problem, passes), parameters, x, link, cancelled, most)
+        link = link_by_walk(own, days, walk.sigma)
+        fitted = fit_passes(problem, ends, parameters, x, link, cancelled, most)
         if np.abs(np.log(walk.sigma / before)).max() < WALK_RESTS:
             break
         before = walk.sigma

@@ -28,7 +28,7 @@ class Tuning:
     linearisations
         Most linearisations a frame; 1 is the printed filter, which a Table III start makes far over-confident.
     process_noise
-        Standard deviation added a frame to each free parameter, in typical sigmas; 0 is No-Q.
+        Standard deviation added a frame to each free parameter, (n_free,) or one for all, in typical sigmas; 0 is No-Q.
     forgetting
         lambda, the share of its information that the filter carries from frame to frame; 1 forgets nothing.
     rest
@@ -40,7 +40,7 @@ class Tuning:
     """
 
     linearisations: int = 6
-    process_noise: float = 0.0
+    process_noise: float | FloatArray = 0.0
     forgetting: float = 1.0
     rest: float = REST
     selection: Selection = CHOSEN

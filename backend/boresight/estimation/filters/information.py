@@ -128,7 +128,7 @@ def information_filter(
 def between_frames(information: FloatArray, tuning: Tuning) -> FloatArray:
     """Information after forgetting and process noise, (P / lambda + Q)^-1."""
     kept = tuning.forgetting * information
-    if tuning.process_noise == 0.0:
+    if not np.any(tuning.process_noise):
         return kept
     return inverse(inverse(kept) + tuning.process_noise**2 * np.eye(len(kept)))
 

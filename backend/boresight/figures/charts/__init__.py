@@ -24,13 +24,14 @@ from boresight.figures.charts.residual_outliers import RESIDUAL_OUTLIERS
 from boresight.figures.charts.residual_spline import RESIDUAL_SPLINE
 from boresight.figures.charts.rms import RMS, RMS_AXES
 from boresight.figures.charts.shadow import SHADOW
+from boresight.figures.charts.smoothed import SMOOTHED
 from boresight.figures.charts.stars import STARS
 from boresight.figures.charts.two_halves import TWO_HALVES
 from boresight.figures.charts.whiteness import WHITENESS
 
 CHAPTERS: dict[str, tuple[Figure, ...]] = {
     "summary": (PARAMETERS, CORRELATION),
-    "convergence": (CONVERGENCE, METHODS),
+    "convergence": (CONVERGENCE, SMOOTHED, METHODS),
     "rms": (RMS, RMS_AXES),
     "distortion": (RADIAL, DISTORTION, COVERAGE),
     "observability": (OBSERVABILITY, FRAME_OBSERVABILITY, REFERENCE_INFORMATION),

@@ -52,6 +52,7 @@ from boresight.figures import CHAPTERS, WIDE, Figure
 from boresight.figures.charts.matching import why_no_matching
 from boresight.figures.charts.observability import helpful_data, weakest_words
 from boresight.figures.charts.shadow import SHADOW
+from boresight.figures.charts.smoothed import SMOOTHED
 from boresight.figures.report import calibrate_command
 from boresight.figures.tables import (
     cause_rows,
@@ -508,6 +509,8 @@ def list_part_figures(review: RunReview, part: str) -> dict[str, tuple[Figure, .
     figures = {chapter: () if lacking.get(chapter) else CHAPTERS[chapter] for chapter in PARTS[part].chapters}
     if found is None or not shown(found):
         figures = {chapter: tuple(one for one in kept if one is not SHADOW) for chapter, kept in figures.items()}
+    if found is None or found.smoothed is None:
+        figures = {chapter: tuple(one for one in kept if one is not SMOOTHED) for chapter, kept in figures.items()}
     return figures
 
 

@@ -1,0 +1,124 @@
+"""How far parameters step between frames, as filter and smoother take it: by parameter, a frame or by the time that passed.
+
+Drift a frame is what E adds: every frame adds q^2, however long the camera rested. Drift a day is a random walk in time: between
+two frames dt days apart it adds q^2 dt, so an hour's gap is not one frame. A frame without a time gets one between those of its
+neighbours.
+
+Which numbers. A person gives them, for all parameters or for some. Where nobody does, they are estimated from the data
+(`joint.drift`) if these show the camera at enough times, and are else the usual `USUAL` typical sigmas a frame, which is said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from boresight.arrays import FloatArray, IntArray
+from boresight.calibration.calibration import ProcessNoise, Values
+from boresight.calibration.estimate import Drift, Parameters
+from boresight.calibration.options import CalibrationSettings
+from boresight.calibration.problem import Problem
+from boresight.calibration.times import to_days
+from boresight.errors import RefusedInputError
+from boresight.estimation.arcs import ArcSet
+
+#: Stretches of data, and hours without a frame between two of them, from which drift is estimated where nobody states it.
+FEWEST_STRETCHES, GAP_HOURS = 5, 1.0
+#: By where drift is from.
+SOURCES = {
+    "given": "as given",
+    "usual": "the usual one for every parameter",
+    "estimated": "the most likely one of each parameter by {stretches} stretches of data",
+}
+
+
+def read_drift_of(texts: tuple[str, ...], names: list[str]) -> dict[str, float]:
+    """Read drift by parameter, as f_m=0.5; refuses a parameter that is not among `names`."""
+    found: dict[str, float] = {}
+    for text in texts:
+        name, _, number = text.partition("=")
+        if name not in names:
+            raise RefusedInputError(f"{name} is not free, so it cannot drift: choose from {', '.join(names)}.")
+        found[name] = float(number)
+    return found
+
+
+def choose_drift(parameters: Parameters, names: list[str], settings: CalibrationSettings) -> Drift:
+    """Return the drift of a filter's run: estimated where that was done, else as the settings have it; `names` of the free ones."""
+    if parameters.drift is not None:
+        return parameters.drift
+    sigma = np.full(len(names), settings.process_noise)
+    if settings.process_noise_of is not None and settings.drifts:
+        for name, value in read_drift_of(settings.process_noise_of, names).items():
+            sigma[names.index(name)] = value
+    return Drift(sigma, settings.process_noise_per, "given" if settings.states_drift else "usual")
+
+
+def free_names(problem: Problem, parameters: Parameters) -> list[str]:
+    """Names of the free parameters, in order."""
+    return [problem.camera.parameter_names[p] for p in parameters.free]
+
+
+class FrameSteps:
+    """The steps before frames as they come, from drift and the times of a problem's frames."""
+
+    def __init__(self, problem: Problem, drift: Drift) -> None:
+        self.drift, self._before = drift, np.nan
+        self._frame, self._days = problem.arcs.frame, np.empty(0)
+        if drift.per == "frame":
+            return
+        days = np.full(len(self._frame), np.nan) if problem.time_utc is None else to_days(problem.time_utc)
+        known = np.isfinite(days)
+        if not known.any():
+            raise RefusedInputError("Drift a day needs the times of frames: add time_utc, or give drift a frame.")
+        self._frame, self._days = self._frame[known], days[known]
+
+    def take(self, frame: IntArray) -> FloatArray:
+        """Standard deviation of the step before each of the next frames (n,), (n, n_free) typical sigmas."""
+        if self.drift.per == "frame":
+            return np.tile(self.drift.sigma, (len(frame), 1))
+        days = np.interp(frame, self._frame, self._days)
+        passed = np.maximum(np.diff(days, prepend=days[:1] if np.isnan(self._before) else self._before), 0.0)
+        self._before = float(days[-1])
+        return np.asarray(np.sqrt(passed)[:, None] * self.drift.sigma)
+
+    def in_runs(self, arcs: ArcSet) -> Iterator[tuple[ArcSet, FloatArray]]:
+        """Cut the next frames where the step changes; yields each part with the step (n_free,) before each of its frames."""
+        steps = self.take(arcs.frame)
+        ends = [*(np.flatnonzero(np.any(np.diff(steps, axis=0) != 0.0, axis=1)) + 1).tolist(), len(steps)]
+        for first, last in zip([0, *ends], ends, strict=False):
+            yield arcs.frames(first, last), steps[first]
+
+
+def describe_process_noise(names: list[str], drift: Drift) -> ProcessNoise:
+    """Say what process noise a filter had, and where that is from."""
+    interval = None
+    if drift.low is not None and drift.high is not None:
+        ends = zip(names, drift.low.tolist(), drift.high.tolist(), strict=True)
+        interval = {name: [low, high] for name, low, high in ends}
+    found = ProcessNoise(
+        per=drift.per,
+        source=drift.source,
+        sigma=Values(dict(zip(names, drift.sigma.tolist(), strict=True))),
+        interval=interval,
+        stretches=drift.stretches,
+        sentence="",
+    )
+    return ProcessNoise(**{**vars(found), "sentence": _sentence(found)})
+
+
+def _sentence(found: ProcessNoise) -> str:
+    unit = "a frame" if found.per == "frame" else "a square root of a day"
+    opening = f"Drift in typical sigmas {unit}, {SOURCES[found.source].format(stretches=found.stretches)}"
+    if found.interval:
+        ends = {name: f" ({low:.2g} to {high:.2g})" for name, (low, high) in found.interval.items()}
+        return f"{opening}: {', '.join(f'{name} {value:.2g}{ends[name]}' for name, value in found.sigma.items())}."
+    values = set(found.sigma.values())
+    listed = f"{values.pop():.3g}" if len(values) == 1 else ", ".join(f"{n} {v:.3g}" for n, v in found.sigma.items())
+    if found.source == "given":
+        return f"{opening}: {listed}."
+    return (
+        f"{opening}: {listed}; these data do not tell it, for that takes {FEWEST_STRETCHES} stretches with times, {GAP_HOURS:g} h "
+        "apart: give more passes, or --process-noise."
+    )
