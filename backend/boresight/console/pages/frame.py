@@ -159,6 +159,7 @@ NAVIGATION = (
             NavigationLine("/telemetry", "Telemetry", "t"),
             NavigationLine("/runs", "Runs", "r"),
             NavigationLine("/campaigns", "Campaigns", "n"),
+            NavigationLine("/ingest", "Ingest", "i"),
             NavigationLine("/compare", "Compare", "c"),
         ),
         frozenset({"analyst"}),

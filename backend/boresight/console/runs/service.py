@@ -36,14 +36,18 @@ def launch(  # noqa: PLR0913 - who launches what, and four choices by name
     label: str = "",
     validate_only: bool = False,
     forecast_sources: ForecastSources | None = None,
+    initial: Mapping[str, Any] | None = None,
 ) -> Run | dict[str, Any]:
-    """Queue a calibration, or only say what it would be."""
+    """Queue a calibration, or only say what it would be; `initial`: parameters to start from in place of the sensor file's."""
     require_role(actor, "analyst")
     require_scope(actor, "runs")
     run_request = check_run_request(session, sensor_id, telemetry_set_id, settings, validation_set_id, label)
     if validate_only:
         return dry_run(session, run_request, forecast_sources)
-    run = queries.add_run(session, **run_request.columns(), launched_by=actor.user_id)
+    columns = run_request.columns()
+    if initial is not None:
+        columns["sensor_document"] = {**columns["sensor_document"], "initial": dict(initial)}
+    run = queries.add_run(session, **columns, launched_by=actor.user_id)
     audit.append(session, actor, "launched", f"runs/{run.id}", None, run_request.on_record())
     return run
 
