@@ -8,6 +8,7 @@ from functools import partial
 from typing import Annotated, Any, Protocol
 
 from fastapi import APIRouter, Depends, Request
+from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access.dependencies import (
@@ -17,6 +18,7 @@ from boresight.console.access.dependencies import (
     Who,
     csrf,
     depend_on_server,
+    get_server,
 )
 from boresight.console.approvals.tables import Approval
 from boresight.console.fleet import service as sensors
@@ -284,16 +286,18 @@ async def draft_policy(request: Request, actor: Who, sensor_id: int, watcher: Se
     return await make_change(request, change, address, "Drafted: rehearse it on the past next.", again=again)
 
 
-@router.post("/ingest-policies/{policy_id:int}/{step}", response_class=HTMLResponse)
-async def move_policy(request: Request, actor: Who, policy_id: int, step: str) -> Response:
+@router.post("/sensors/{sensor_id:int}/ingest/{step}", response_class=HTMLResponse)
+async def move_policy(request: Request, actor: Who, sensor_id: int, step: str) -> Response:
     """Rehearse, enable, pause, resume or switch off a policy."""
     if step not in STEPS:
         raise NotFoundError(f"There is no step {step[:40]} of a policy; choose from {', '.join(STEPS)}.")
     typed = await read_texts(request)
-    with open_reading(request.app.state.engine) as session:
-        row = session.get_known(IngestPolicy, policy_id)
-        found = policies.compute_rehearsal(session, policy_id) if step == "rehearse" else {}
-    seen, reason = seen_version(typed), typed.get("reason", "")
+    policy_id, seen, reason = (
+        parse_row_id(typed.get("policy_id", "")) or 0,
+        seen_version(typed),
+        typed.get("reason", ""),
+    )
+    found = await run_in_threadpool(_rehearse, request, policy_id) if step == "rehearse" else {}
     changes: dict[str, Callable[[Session], IngestPolicy]] = {
         "rehearse": lambda session: policies.record_rehearsal(session, actor, policy_id, found, seen),
         "enable": lambda session: policies.enable(session, actor, policy_id, seen),
@@ -301,6 +305,10 @@ async def move_policy(request: Request, actor: Who, policy_id: int, step: str) -
         "resume": lambda session: policies.resume(session, actor, policy_id, reason, seen),
         "switch-off": lambda session: policies.switch_off(session, actor, policy_id, reason, seen),
     }
-    return await make_change(
-        request, changes[step], f"/sensors/{row.sensor_id}/ingest?version={row.number}", STEPS[step]
-    )
+    return await make_change(request, changes[step], f"/sensors/{sensor_id}/ingest", STEPS[step])
+
+
+def _rehearse(request: Request, policy_id: int) -> dict[str, Any]:
+    """Walk over the past before the writing transaction."""
+    with open_reading(get_server(request).engine) as session:
+        return policies.compute_rehearsal(session, policy_id)
