@@ -26,6 +26,7 @@ NOUNS = (
     "uplinks",
     "change_proposals",
     "campaigns",
+    "ingest",
     "webhooks",
     "audit",
     "help",

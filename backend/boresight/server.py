@@ -31,6 +31,7 @@ from boresight.console.access.credentials import Authentication, CredentialCache
 from boresight.console.access.password_checks import PasswordWorker
 from boresight.console.jobs.broadcast import Broadcast
 from boresight.console.jobs.heartbeat import Heartbeat
+from boresight.console.jobs.ingest_watcher import IngestWatcher
 from boresight.console.jobs.maintenance import ExternalHeadFile, Maintenance
 from boresight.console.jobs.webhook_sender import WebhookSender
 from boresight.console.pages.frame import FleetStatusCache
@@ -166,6 +167,7 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.rendered = OrderedDict()
     state.response_cache = ResponseCache(state.data_version_poller, authenticate, lambda: _beside(app))
     state.workers = None
+    state.ingest_watcher = IngestWatcher(state.engine, state.forecast_sources, settings, lambda: _tell(app))
     state.metrics = Metrics(lambda: _count_runs(app), lambda: state.broadcast.listeners)
 
 
@@ -173,6 +175,14 @@ def _beside(app: FastAPI) -> tuple[object, ...]:
     """Return what pages show besides the store: whether two are asked for, the light of the audit log, how the workers are."""
     workers = app.state.workers
     return (app.state.policy.four_eyes, app.state.maintenance.light(), *(workers.state().values() if workers else ()))
+
+
+def _tell(app: FastAPI) -> None:
+    """Wake what follows the store after a service wrote to it."""
+    app.state.broadcast.nudge()
+    app.state.webhook_sender.nudge()
+    if app.state.workers is not None:
+        app.state.workers.notify()
 
 
 def _count_runs(app: FastAPI) -> dict[str, int]:
@@ -210,10 +220,12 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     state.webhook_sender.start()
     state.workers = RunDispatcher(state.engine, state.settings, state.broadcast.hear, suspect=state.maintenance.suspect)
     state.workers.start()
+    state.ingest_watcher.start()
     threading.Thread(target=_warm, args=(state.catalogue,), name="boresight-catalogue", daemon=True).start()
     try:
         yield
     finally:
+        await run_in_threadpool(state.ingest_watcher.close)
         await run_in_threadpool(state.workers.stop)
         await run_in_threadpool(state.webhook_sender.close)
         await run_in_threadpool(state.heartbeat.close)

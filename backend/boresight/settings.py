@@ -112,6 +112,10 @@ class Settings:
     webhook_key: str = _setting(
         "", "path", "File with the key that encrypts webhooks' secrets; empty = in the data folder."
     )
+    watch_folder: str = _setting(
+        "", "path", "Folder watched for new telemetry, with a sub-folder for each sensor, named as it; empty = none."
+    )
+    watch_settle_s: float = _setting("10", "s", "A file there is taken once it has not changed for this time.")
     four_eyes: int = _setting("1", "0 or 1", "0 = one person works alone here and can sign what they submitted.")
     second_person: int = _setting("0", "0 or 1", "1 = a second person must confirm new gate limits and table layouts.")
     approvals: int = _setting("1", "people", "Approvals that a request needs; two at least where a gate is waived.")
@@ -191,6 +195,11 @@ class Settings:
         file = Path(self.audit_head_file).expanduser()
         refuse_place(file, self.data_folder)
         return file
+
+    @property
+    def watched_folder(self) -> Path | None:
+        """Folder that is watched for new telemetry; None where none is."""
+        return Path(self.watch_folder).expanduser().resolve() if self.watch_folder else None
 
     @property
     def catalogue_folder(self) -> Path:

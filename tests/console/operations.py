@@ -22,6 +22,7 @@ from tests.console.alarms import alarms
 from tests.console.approvals import gates
 from tests.console.campaigns import campaigns
 from tests.console.change_proposals import proposals
+from tests.console.ingest import decisions
 from tests.console.uplinks import routes as onboard
 from tests.served import PASSWORD, House, settings_in
 
@@ -320,6 +321,7 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "list_figures": lambda house: ("victor", {"run_id": house.finished()}),
     "get_figure": lambda house: ("victor", {"run_id": house.finished(), "name": "radial"}),
     "get_figure_data": lambda house: ("victor", {"run_id": house.finished(), "name": "radial"}),
+    **decisions.GOOD,
     "list_parameter_sets": lambda _: ("victor", {}),
     "create_parameter_set": lambda house: ("ada", {"json": {"run_id": house.finished()}}),
     "get_parameter_set": lambda house: ("victor", {"parameter_set_id": house.candidate()["id"]}),

@@ -27,6 +27,7 @@ from boresight.console.campaigns.queries import select_newest_members
 from boresight.console.campaigns.tables import Campaign, CampaignRun
 from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
+from boresight.console.ingest.tables import IngestDecision, IngestPolicy
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import CALIBRATIONS, ArchivedRun, JointSet, Preset, Run
 from boresight.console.telemetry.tables import ImportProfile, TelemetrySet
@@ -284,6 +285,25 @@ LISTS = {
             "kind": equals(ChangeProposal.kind),
             "state": equals(ChangeProposal.state),
         },
+    ),
+    "ingest-decisions": List(
+        IngestDecision,
+        {
+            "attention": sa.case((IngestDecision.state == "ASKED", 0), else_=1),
+            "decision": IngestDecision.id,
+            "sensor": _name_expression(Sensor, IngestDecision.sensor_id),
+            "state": IngestDecision.state,
+            "file": sa.func.lower(IngestDecision.file_name),
+        },
+        {
+            "sensor": equals(IngestDecision.sensor_id),
+            "sensor_name": _of_sensor_named(IngestDecision.sensor_id),
+            "state": equals(IngestDecision.state),
+            "q": _holds(IngestDecision.file_name),
+        },
+    ),
+    "ingest-policies": List(
+        IngestPolicy, {}, {"sensor": equals(IngestPolicy.sensor_id), "state": equals(IngestPolicy.state)}
     ),
     "packages": List(
         Package,

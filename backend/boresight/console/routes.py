@@ -15,6 +15,7 @@ from boresight.console.audit import routes as audit
 from boresight.console.campaigns import routes as campaigns
 from boresight.console.change_proposals import routes as change_proposals
 from boresight.console.fleet import routes as fleet
+from boresight.console.ingest import routes as ingest
 from boresight.console.jobs import routes as events
 from boresight.console.notes import routes as notes
 from boresight.console.parameter_sets import routes as parameter_sets
@@ -36,6 +37,7 @@ NOUNS = (
     approvals,
     uplinks,
     alarms,
+    ingest,
     notes,
     saved_views,
     events,

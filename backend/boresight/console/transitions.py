@@ -10,6 +10,7 @@ from boresight.console.alarms.tables import Alarm
 from boresight.console.approvals.tables import Approval, Thread
 from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
+from boresight.console.ingest.tables import IngestDecision, IngestPolicy
 from boresight.console.parameter_sets import queries as rows
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.errors import PreconditionRequiredError, RefusedInputError, StaleError
@@ -18,7 +19,7 @@ from boresight.platform.audit import log as audit
 from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import Session
 
-Versioned = Alarm | Approval | ChangeProposal | ParameterSet | Sensor | Thread
+Versioned = Alarm | Approval | ChangeProposal | IngestDecision | IngestPolicy | ParameterSet | Sensor | Thread
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,8 @@ def name_subject(row: Versioned) -> str:
         Alarm: "alarms",
         Approval: "approvals",
         ChangeProposal: "change-proposals",
+        IngestDecision: "ingest-decisions",
+        IngestPolicy: "ingest-policies",
         ParameterSet: "parameter-sets",
         Sensor: "sensors",
     }
@@ -52,6 +55,10 @@ def make_label(row: Versioned) -> str:
         return f"Alarm {row.id}"
     if isinstance(row, ChangeProposal):
         return f"Proposal {row.id}"
+    if isinstance(row, IngestDecision):
+        return f"Decision {row.id}"
+    if isinstance(row, IngestPolicy):
+        return f"Policy {row.number}"
     if isinstance(row, Thread):
         return f"Thread {row.id}"
     return f"Request {row.id}" if isinstance(row, Approval) else row.name
@@ -108,7 +115,7 @@ def describe_baseline(session: Session, sensor_id: int) -> str:
 def move(
     session: Session,
     actor: Actor,
-    row: Approval | ChangeProposal | ParameterSet | Thread,
+    row: Approval | ChangeProposal | IngestDecision | IngestPolicy | ParameterSet | Thread,
     state: str,
     action: str,
     *,

@@ -67,6 +67,11 @@ COMMAND_LINE = Actor(
     None, "command line", "Command line", frozenset({"analyst", "operator", "administrator"}), "command line"
 )
 
+#: Takes telemetry in and prepares requests by a policy. It has no row of a person, so it cannot submit, sign or promote.
+INGEST = Actor(
+    None, "ingest", "Ingest", frozenset({"analyst"}), "service", frozenset({"telemetry-sets", "runs", "parameter-sets"})
+)
+
 
 def require_role(actor: Actor, *roles: str) -> None:
     """Refuse an actor without any of these roles."""

@@ -23,6 +23,7 @@ from boresight.console.approvals import threads
 from boresight.console.approvals.tables import Approval, GateProfile, GateReport, Waiver
 from boresight.console.campaigns.tables import Campaign, CampaignRun
 from boresight.console.change_proposals.tables import ChangeProposal
+from boresight.console.ingest.tables import IngestDecision, IngestPolicy
 from boresight.console.notes import service as notes
 from boresight.console.notes.attachments import attach, check_file
 from boresight.console.parameter_sets.tables import ParameterSet
@@ -99,12 +100,18 @@ def _fill_the_rest(session: Session) -> None:
         CampaignRun,
         ChangeProposal,
         ImportProfile,
+        IngestPolicy,
+        IngestDecision,
         JointSet,
     ):
         if session.scalar(sa.select(sa.func.count()).select_from(model)) == 0:
             row = _plain(model)
             if isinstance(row, ChangeProposal):
                 row.kind, row.state = "gate-profile", "OPEN"
+            if isinstance(row, IngestPolicy):
+                row.state, row.pause_code = "ACTIVE", "PERSON"
+            if isinstance(row, IngestDecision):
+                row.state, row.source, row.answer = "ANSWERED", "FOLDER", "WAIT"
             session.add(row)
             session.flush()
     audit.append(session, COMMAND_LINE, "filled", "tables")

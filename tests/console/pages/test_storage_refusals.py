@@ -56,6 +56,9 @@ FORMS = {  # who sends which form to which page
     "/telemetry/{set_id}/accept-mapping": ("ada", {}),
     "/sensors": ("ada", {"document": "{}"}),
     "/sensors/propose": ("ada", {}),
+    "/sensors/{sensor_id:int}/ingest": ("ada", {"reason": "x"}),
+    "/sensors/{sensor_id:int}/ingest/{step}": ("ada", {"reason": "x", "version": "1", "policy_id": "1"}),
+    "/ingest/{decision_id:int}/answer": ("ada", {"answer": "WAIT", "reason": "x", "version": "1"}),
     "/campaigns/{campaign_id:int}/cancel": ("ada", {"reason": "x"}),
     "/campaigns/{campaign_id:int}/launch-failed": ("ada", {}),
     "/approvals/{approval_id:int}/threads": ("alan", {"kind": "gate", "name": "coverage", "text": "Why?"}),
@@ -139,7 +142,8 @@ def test_a_full_disk_is_503_with_retry_after_by_every_form(request, site, monkey
         monkeypatch.setattr(new_sensor, "_solve", on_a_full_folder)
     visitor = site.visitor(name)
     monkeypatch.setattr(attempts, "_transaction", on_a_full_disk)
-    path = route.replace("{step}", "acknowledge").replace("{kind}", "runs").replace("{action}", "resolved")
+    step = "pause" if "/ingest/" in route else "acknowledge"
+    path = route.replace("{step}", step).replace("{kind}", "runs").replace("{action}", "resolved")
     path = "/".join("1" if part.startswith("{") else part for part in path.split("/"))
     given = {"headers": {"Accept": "text/html"}}
     data = {"csrf_token": visitor.csrf_token, **form}

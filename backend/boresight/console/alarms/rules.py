@@ -9,6 +9,7 @@
 `CLOCK`    serious  the clock jumped by `JUMP_S`, or nobody ran for `AWAY_S`: nothing expires until somebody acknowledges it
 `HEAD`     serious  the head of the audit log cannot be written to where it is kept
 `FILES`    critical a stored file that rows name was altered on the disk, or is missing
+`INGEST`   serious  the sensor's policy for new telemetry was paused: a runaway was stopped, and a person resumes it
 ========== ======== ==========================================================================================
 
 No sentence contains anything that changes with time alone, so evaluating the rules again changes nothing.
@@ -28,6 +29,8 @@ from boresight.console.alarms.tables import Alarm
 from boresight.console.fleet import queries as sensors_rows
 from boresight.console.fleet import queries as trends
 from boresight.console.fleet.status import OLD_DAYS, DriftVerdict, count_days_since, get_drift_verdicts
+from boresight.console.ingest import queries as ingest_rows
+from boresight.console.ingest.tables import IngestPolicy
 from boresight.platform.actors import SYSTEM
 from boresight.platform.blobs.files import BadFile
 from boresight.platform.db.sessions import Session, utc_now, utc_text
@@ -61,6 +64,7 @@ def evaluate_rules(session: Session, sensor_ids: Sequence[int] | None = None) ->
         sensors_rows.list_sensor_heads(session, sensor_ids),
     )
     drifts = get_drift_verdicts(session, fleet, baselines, stamps)
+    paused = {row.sensor_id: row for row in ingest_rows.list_policies_in_force(session, paused=True)}
     return [
         found
         for sensor in fleet
@@ -68,6 +72,7 @@ def evaluate_rules(session: Session, sensor_ids: Sequence[int] | None = None) ->
             *_check_mismatches(sensor, onboard.get(sensor.id, ())),
             *_check_drift(sensor, drifts[sensor.id]),
             *_check_age(sensor, baselines.get(sensor.id)),
+            *_check_ingest(sensor, paused.get(sensor.id)),
         )
     ]
 
@@ -115,6 +120,13 @@ def _check_age(sensor: Any, baseline: Any) -> Iterator[AlarmCause]:
     )
     details = {"parameter_set_id": baseline.id, "due_utc": due_utc}
     yield AlarmCause(name_source(sensor.id, "AGE"), sensor.id, "AGE", "caution", sentence, details)
+
+
+def _check_ingest(sensor: Any, policy: IngestPolicy | None) -> Iterator[AlarmCause]:
+    if policy is not None and policy.pause_code != "PERSON":
+        sentence = f"Ingest of {sensor.name} is paused: {policy.pause_reason}"
+        details = {"policy_id": policy.id, "code": policy.pause_code, "paused_utc": policy.paused_utc}
+        yield AlarmCause(name_source(sensor.id, "INGEST"), sensor.id, "INGEST", "serious", sentence, details)
 
 
 def _check_mismatches(sensor: Any, onboard: Sequence[Any]) -> Iterator[AlarmCause]:

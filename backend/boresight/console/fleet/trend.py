@@ -317,7 +317,7 @@ def judge_drift(trend: Trend, alpha: float = FALSE_ALARM_RATE) -> DriftResult:
     if not later:
         return DriftResult("NOT TESTED", _nothing_newer(trend))
     newest = later[-1]
-    names, base = newest.names, _baseline_epoch(trend.baseline, own, newest.names)
+    names, base = newest.names, make_baseline_epoch(trend.baseline, own, newest.names)
     series = [make_epoch(point, names) for point in since if point.timed and set(point.names) == set(names)]
     line = tests.fit_line(series)
     share = alpha / (1 if line is None else 2)
@@ -378,7 +378,7 @@ def make_epoch(point: TrendPoint, names: Sequence[str]) -> Epoch:
     return Epoch(days, value, point.covariance[np.ix_(order, order)], warmth)
 
 
-def _baseline_epoch(baseline: ParameterSet, own: TrendPoint | None, names: Sequence[str]) -> Epoch:
+def make_baseline_epoch(baseline: ParameterSet, own: TrendPoint | None, names: Sequence[str]) -> Epoch:
     """Return the baseline's estimate, with the covariance of its run where that is known."""
     document = baseline.document["covariance"]
     listed, matrix = list(document["names"]), np.array(document["matrix"], dtype=np.float64)

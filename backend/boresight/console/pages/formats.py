@@ -186,6 +186,16 @@ LEVEL_OF_STATE = {
     "STALE": "caution",
     "APPROVE": "normal",
     "REFUSE": "caution",
+    # ingest policies and decisions
+    "DRAFT": "standby",
+    "PAUSED": "serious",
+    "OFF": "off",
+    "CALIBRATING": "standby",
+    "WITHIN FORECAST": "normal",
+    "UNCONFIRMED": "standby",
+    "ASKED": "caution",
+    "ANSWERED": "normal",
+    "NOT JUDGED": "serious",
     # gates
     "PASS": "normal",
     "MARGINAL": "caution",

@@ -157,6 +157,7 @@ NAVIGATION = (
             NavigationLine("/telemetry", "Telemetry", "t"),
             NavigationLine("/runs", "Runs", "r"),
             NavigationLine("/campaigns", "Campaigns", "n"),
+            NavigationLine("/ingest", "Ingest", "i"),
             NavigationLine("/compare", "Compare", "c"),
         ),
         frozenset({"analyst"}),

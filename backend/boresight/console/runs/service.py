@@ -39,10 +39,12 @@ def launch(  # noqa: PLR0913 - who launches what, and seven choices by name
     label: str = "",
     validate_only: bool = False,
     forecast_sources: ForecastSources | None = None,
+    initial: Mapping[str, Any] | None = None,
 ) -> Run | dict[str, Any]:
     """Queue a calibration of one set or of several as one, or only say what it would be.
 
-    It starts from the sensor's parameters, or from a run or a parameter set with its covariance.
+    It starts from the sensor's parameters, or from a run or a parameter set with its covariance; `initial`: parameters to start
+    from in place of the sensor file's, without a covariance.
     """
     require_role(actor, "analyst")
     require_scope(actor, "runs")
@@ -59,7 +61,10 @@ def launch(  # noqa: PLR0913 - who launches what, and seven choices by name
     )
     if validate_only:
         return dry_run(session, run_request, forecast_sources)
-    run = queries.add_run(session, **run_request.columns(), launched_by=actor.user_id)
+    columns = run_request.columns()
+    if initial is not None:
+        columns["sensor_document"] = {**columns["sensor_document"], "initial": dict(initial)}
+    run = queries.add_run(session, **columns, launched_by=actor.user_id)
     audit.append(session, actor, "launched", f"runs/{run.id}", None, run_request.on_record())
     return run
 

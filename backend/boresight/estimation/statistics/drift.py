@@ -24,6 +24,9 @@ more than they say: then C is multiplied by that ratio (Birge 1932), which can o
 Both are asked at once, so each gets its share of the false-alarm rate alpha: with two tests alpha / 2 (Bonferroni), and the
 chance that either rejects although nothing changed is alpha at most.
 
+**What does the line forecast?** At the time t and the temperature T its value is a + s (t - t_mean) + c (T - T_mean), linear in
+the unknowns, with the covariance G C G^T of G = [1, t - t_mean, T - T_mean]; without T the temperature has no part in it.
+
 How much a test can see is its power: when d has the true mean delta, D^2 is noncentral chi-square with the noncentrality
 delta^T (P_n + P_b)^-1 delta.
 """
@@ -168,6 +171,25 @@ def fit_line(epochs: Sequence[Epoch]) -> RegressionLine | None:
     return None if whitened is None else _solved(*whitened, units, scale)
 
 
+def forecast(epochs: Sequence[Epoch], t_d: float, temperature_c: float = float("nan")) -> Epoch | None:
+    """Return what the line through the estimates gives at a time, and a temperature; None where there is no line."""
+    scale = np.median([np.sqrt(np.diag(epoch.covariance)) for epoch in epochs], axis=0) if epochs else np.zeros(0)
+    columns, units = _columns(epochs) if len(epochs) >= FEWEST_FOR_A_LINE else (None, np.zeros(0))
+    if columns is None or not (np.isfinite(scale).all() and (scale > 0).all()):
+        return None
+    if len(units) > 2 and not np.isfinite(temperature_c):
+        columns, units = columns[:, :2], units[:2]
+    whitened = _whitened(epochs, columns, scale)
+    solved = None if whitened is None else _least_squares(*whitened)
+    if solved is None:
+        return None
+    means = [0.0, *(float(np.mean([getattr(one, name) for one in epochs])) for name in ("t_d", "temperature_c"))]
+    place = (np.array([1.0, t_d, temperature_c]) - means)[: len(units)] / units
+    G = np.kron(place, np.eye(len(scale)))
+    value = epochs[0].value + scale * (G @ solved.b)
+    return Epoch(t_d, value, G @ solved.C @ G.T * np.outer(scale, scale), temperature_c)
+
+
 def _columns(epochs: Sequence[Epoch]) -> tuple[FloatArray | None, FloatArray]:
     """Return one, time and perhaps temperature of each estimate (m, 2 or 3), in their own units (2 or 3,)."""
     t = np.array([epoch.t_d for epoch in epochs])
@@ -197,18 +219,34 @@ def _whitened(epochs: Sequence[Epoch], columns: FloatArray, scale: FloatArray) -
     return np.concatenate(design), np.concatenate(values)
 
 
-def _solved(X: FloatArray, y: FloatArray, units: FloatArray, scale: FloatArray) -> RegressionLine | None:
-    """Solve the stacked problem X b = y and give the blocks their units back."""
+@dataclass(frozen=True)
+class _Solution:
+    """The unknowns b (n k,) with their covariance C (n k, n k), widened by the scatter; the scatter and its degrees of freedom."""
+
+    b: FloatArray
+    C: FloatArray
+    scatter: float
+    dof: int
+
+
+def _least_squares(X: FloatArray, y: FloatArray) -> _Solution | None:
+    """Solve the stacked problem X b = y."""
     Q, R = np.linalg.qr(X)
     if np.abs(np.diag(R)).min() <= 1e-12 * np.abs(np.diag(R)).max():
         return None
     b = np.linalg.solve(R, Q.T @ y)
     scatter, dof = float(np.sum((y - X @ b) ** 2)), len(y) - len(b)
     half = np.linalg.inv(R)
-    C = half @ half.T * max(1.0, scatter / dof)
-    blocks = [_block(b, C, n, unit, scale) for n, unit in enumerate(units)]
+    return _Solution(b, half @ half.T * max(1.0, scatter / dof), scatter, dof)
+
+
+def _solved(X: FloatArray, y: FloatArray, units: FloatArray, scale: FloatArray) -> RegressionLine | None:
+    """Solve the stacked problem X b = y and give the blocks their units back."""
+    if (found := _least_squares(X, y)) is None:
+        return None
+    blocks = [_block(found.b, found.C, n, unit, scale) for n, unit in enumerate(units)]
     slope, thermal = blocks[1], blocks[2] if len(blocks) > 2 else (None, None)
-    return RegressionLine(slope[0], slope[1], thermal[0], thermal[1], scatter, dof)
+    return RegressionLine(slope[0], slope[1], thermal[0], thermal[1], found.scatter, found.dof)
 
 
 def _block(b: FloatArray, C: FloatArray, n: int, unit: float, scale: FloatArray) -> tuple[FloatArray, FloatArray]:

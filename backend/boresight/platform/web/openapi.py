@@ -49,6 +49,7 @@ TAGS = [
     },
     {"name": "uplinks", "description": "What was sent and loaded on board, as recorded."},
     {"name": "alarms", "description": "What needs a person: acknowledge, shelve, assign, comment."},
+    {"name": "ingest", "description": "New telemetry, judged by its sensor's policy; people decide on what it finds."},
     {"name": "notes", "description": "What people wrote down; notes are never edited or removed."},
     {"name": "events", "description": "The live feed, as server-sent events."},
     {"name": "audit", "description": "The append-only, hash-chained log."},

@@ -26,6 +26,7 @@ from boresight.console.change_proposals import service as proposals
 from boresight.console.fleet import queries as sensor_queries
 from boresight.console.fleet import status as fleet
 from boresight.console.fleet.status import SensorStatus, SensorTile
+from boresight.console.ingest import queries as ingest_queries
 from boresight.console.pages.drawings import Sparkline, sparkline
 from boresight.console.pages.formats import LEVELS
 from boresight.console.pages.rendering import render
@@ -132,6 +133,17 @@ def _alarms(session: Session, actor: Actor, names: Mapping[int, str]) -> Waiting
         gist = f"{names.get(alarm.sensor_id or 0, 'A sensor')} drifts." if alarm.kind == "DRIFT" else alarm.sentence
         first.append(WaitingAction(alarm.level, f"Alarm {alarm.id}: {gist}", f"/alarms/{alarm.id}", "Handle"))
     return WaitingItems(alarms.count_unacknowledged(session), first)
+
+
+def _questions(session: Session, actor: Actor, names: Mapping[int, str]) -> WaitingItems:
+    """Write the decisions on new telemetry that ask an analyst."""
+    if "analyst" not in actor.roles:
+        return NOTHING
+    first = [
+        WaitingAction("caution", f"{names[row.sensor_id]} left its baseline: decide.", f"/ingest/{row.id}", "Decide")
+        for row in ingest_queries.list_asked(session, MOST_ACTIONS)
+    ]
+    return WaitingItems(ingest_queries.count_asked(session), first)
 
 
 def _promotions(session: Session, actor: Actor) -> Iterator[WaitingItems]:
@@ -324,8 +336,9 @@ def _ours(session: Session, actor: Actor, overview: FleetView) -> tuple[WaitingI
     """Gather the tasks that are the same for everybody with these roles: alarms, promotions and calibrations."""
     found = overview.by_roles.get(actor.roles)
     if found is None:
-        rest = (*_promotions(session, actor), _calibrations(session, overview.standings, actor))
         names = {one.sensor_id: one.name for one in overview.standings}
+        questions = _questions(session, actor, names)
+        rest = (questions, *_promotions(session, actor), _calibrations(session, overview.standings, actor))
         found = overview.by_roles[actor.roles] = (_alarms(session, actor, names), rest)
     return found
 
