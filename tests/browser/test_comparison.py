@@ -74,3 +74,48 @@ def test_no_figure_is_drawn_over_and_over_until_its_labels_have_room(people, bat
         again = window.page.evaluate(CHANGES)
     assert len(again) > 20
     assert {name: times for name, times in again.items() if times > MOST_AGAIN} == {}
+
+
+WIDEN = """columns => {
+    for (const table of document.querySelectorAll("table[data-pinned]")) {
+        const wide = table.cloneNode(true);
+        for (const row of wide.rows) for (let k = row.cells.length; k < columns; k += 1)
+            row.append(row.cells[row.cells.length - 1].cloneNode(true));
+        table.replaceWith(wide);
+    }
+}"""
+SCROLLED = """() => [...document.querySelectorAll("table[data-pinned]")].map(table => {
+    const place = table.parentElement;
+    place.scrollLeft = 1e4;
+    const box = place.getBoundingClientRect(), first = table.rows[1].cells[0].getBoundingClientRect();
+    const reference = table.querySelector("td.reference").getBoundingClientRect();
+    return {fit: table.dataset.fit, scrolled: place.scrollLeft > 0, first: first.left - box.left,
+            beside: reference.left - first.right, beyond: Math.max(0, reference.right - box.right)};
+})"""
+COLUMNS = 12  # a name, a unit and ten runs
+
+
+def test_of_many_runs_what_is_compared_and_the_reference_stay_in_sight_while_the_others_are_scrolled(
+    people, batch_run, sequential_run
+):
+    with people.seat("analyst") as window:
+        window.open(f"/compare?runs={batch_run},{sequential_run}&overlay=table&all=1")
+        window.page.evaluate(WIDEN, COLUMNS)
+        for width in (1280, 1920):
+            window.page.set_viewport_size({"width": width, "height": 900})
+            window.settle()
+            window.fits()
+            found = window.page.evaluate(SCROLLED)
+            assert len(found) >= 3
+            assert "cards" not in {one["fit"] for one in found}
+            pinned = [one for one in found if one["scrolled"]]
+            assert width > 1280 or pinned
+            for one in pinned:
+                assert one["fit"] == "pinned"
+                assert (one["first"], one["beyond"]) == pytest.approx((0, 0), abs=2)
+                assert one["beside"] >= -2, "the reference lies under what is compared"
+        window.page.set_viewport_size({"width": 390, "height": 844})
+        window.settle()
+        window.fits()
+        found = window.page.evaluate(SCROLLED)
+        assert not any(one["scrolled"] for one in found)

@@ -73,7 +73,8 @@ OVERLAPS = """() => [...document.querySelectorAll("plot-figure .js-plotly-plot")
         boxes.slice(k + 1).filter(other => over(one, other)).map(other => [name, one[0], other[0]]))];
 })"""
 CUT = """() => [...document.querySelectorAll("table.data")].map(table => table.parentElement)
-    .filter(place => place.scrollWidth > place.clientWidth && !place.closest("details:not([open])"))
+    .filter(place => place.scrollWidth > place.clientWidth && !place.closest("details:not([open])")
+        && !place.querySelector("[data-fit=pinned]"))
     .map(place => place.ariaLabel)"""
 #: What would write now: whatever opens the dialog of an act, or sends a form by POST.
 WRITES = """() => [...document.querySelectorAll("button, input[type=submit], input[type=image]")].filter(one => !one.disabled

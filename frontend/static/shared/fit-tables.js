@@ -1,8 +1,12 @@
 /**
  * Tables that are wider than their place: set closer first (`data-fit="close"`), and where that is not enough a card a row
- * (`data-fit="cards"`), each cell under the heading of its column, so that nothing lies beyond an edge.
+ * (`data-fit="cards"`), each cell under the heading of its column, so that nothing lies beyond an edge. One whose columns are
+ * to be compared (`data-pinned`) keeps them beside each other where there is room for a few: its first column and the reference
+ * stay in sight while the others are scrolled in its own place (`data-fit="pinned"`).
  */
 import { findAll } from "./dom.js";
+
+const ROOM_FOR_COLUMNS_PX = 640;
 
 /** @type {WeakMap<Element, number>} */
 const widths = new WeakMap();
@@ -26,11 +30,13 @@ function fit(table) {
   if (!place?.clientWidth || !table.tHead) return;
   widths.set(place, place.clientWidth);
   delete table.dataset.fit;
-  for (const way of ["close", "cards"]) {
+  const isPinned = table.hasAttribute("data-pinned") && place.clientWidth >= ROOM_FOR_COLUMNS_PX;
+  for (const way of ["close", isPinned ? "pinned" : "cards"]) {
     if (place.scrollWidth <= place.clientWidth) return;
     table.dataset.fit = way;
   }
-  label(table);
+  if (isPinned) table.style.setProperty("--first-column", `${table.tHead.rows[0]?.cells[0]?.offsetWidth ?? 0}px`);
+  else label(table);
 }
 
 /** @param {ParentNode} root */
