@@ -120,7 +120,9 @@ class Settings:
     second_person: int = _setting("0", "0 or 1", "1 = a second person must confirm new gate limits and table layouts.")
     approvals: int = _setting("1", "people", "Approvals that a request needs; two at least where a gate is waived.")
     rest_review: int = _setting(
-        "0", "0 or 1", "1 = an approval over REST must also answer every point of the request, as on its page."
+        "0",
+        "0 or 1",
+        "1 = over REST too an approval must answer every point of the request and a promotion give its reason.",
     )
     approval_days: float = _setting("30", "d", "A request that nobody decided on expires after this time.")
     rollback_days: float = _setting("3", "d", "The same for a request to roll back to a former baseline.")

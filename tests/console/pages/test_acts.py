@@ -7,6 +7,7 @@ import pytest
 
 from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import open_reading
 from tests.console.uplinks.pages import advance, define, version
 from tests.sites import PASSWORD, answer_points
@@ -77,13 +78,23 @@ def test_the_password_of_a_promotion_is_a_setting(site, approved):
     assert olga.post(f"{place}/promote", version=seen, reason="Tonight.").status_code == 303
 
 
-@pytest.mark.parametrize(("needed", "status"), [(False, 200), (True, 422)])
-def test_over_rest_a_reason_is_needed_where_the_installation_says_so(site, approved, needed, status):
+@pytest.mark.parametrize(
+    ("asked", "status"), [({}, 200), ({"promotion_reason": True}, 422), ({"rest_review": True}, 422)]
+)
+@pytest.mark.usefixtures("approved")
+def test_over_rest_a_reason_is_needed_where_the_installation_says_so_and_the_record_says_what_was_given(
+    site, asked, status
+):
     server, olga = site.app.state, site.visitor("olga")
-    server.policy = replace(server.policy, promotion_reason=needed)
+    server.policy = replace(server.policy, **asked)
     headers = {"If-Match": '"v3"', "X-CSRF-Token": olga.csrf_token}
-    assert approved
     assert olga.send("POST", "/api/v1/parameter-sets/2:promote", headers=headers).status_code == status
+    if status == 200:
+        with open_reading(site.engine) as session:
+            record = next(
+                one for one in audit.list_records(session, subject="parameter-sets/2") if one.action == "promoted"
+            )
+        assert (record.after["reason_given"], record.after["password_given"]) == (False, False)
 
 
 def test_nothing_is_preselected_on_a_record_and_the_expected_crc_is_shown_after_the_told_one(site):

@@ -372,7 +372,7 @@ def promote(
     refuse_changed_binding(session, actor, approval, row)
     refuse_blocked(session, row)
     _refuse_lone(session, approval, policy)
-    if policy.promotion_reason and not reason:
+    if (policy.promotion_reason or policy.rest_review) and not reason:
         raise RefusedInputError(f"Give the reason why {row.name} becomes the baseline now.")
     if proof is not None:
         users.require_password(session, actor, proof)
@@ -382,7 +382,8 @@ def promote(
         incumbent.baseline_to_utc = now
         move(session, actor, incumbent, "SUPERSEDED", "superseded", reason=f"{row.name} became baseline")
     row.baseline_from_utc, row.baseline_to_utc = now, None
-    told = {"approval": approval.id, "kind": approval.kind}
+    given = {"reason_given": bool(reason), "password_given": proof is not None}
+    told = {"approval": approval.id, "kind": approval.kind, **given}
     move(session, actor, row, "BASELINE", "promoted", reason=reason or approval.reason, **told)
     record_promotion(session, actor, row, approval, reason)
     make_others_stale(session, actor, row)

@@ -48,7 +48,9 @@ class PromotionRequest(Shape):
     """Why this set becomes the baseline now."""
 
     reason: str = Field(
-        "", description="Required if the installation demands it.", examples=["To be loaded in tonight's pass."]
+        "",
+        description="Required where BORESIGHT_PROMOTION_REASON or BORESIGHT_REST_REVIEW is 1.",
+        examples=["To be loaded in tonight's pass."],
     )
 
 
