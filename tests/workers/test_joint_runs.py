@@ -160,6 +160,8 @@ def test_the_command_sends_several_sets_and_a_prior(house, server, sets, files, 
     document = json.loads((tmp_path / "out.json").read_text())
     assert document["prior"]["name"] == f"run {joint[0].id}"
     assert len(document["inputs"]["passes"]) == 2
+    by_file = [str(files / "sensor.json") if word == str(joint[0].id) else word for word in words]
+    assert CliRunner().invoke(main, by_file).exit_code == 1
 
 
 def test_a_run_s_page_says_what_came_from_its_prior_and_what_each_pass_says(server, house, sets, joint):
