@@ -160,3 +160,61 @@ def test_the_command_sends_several_sets_and_a_prior(house, server, sets, files, 
     document = json.loads((tmp_path / "out.json").read_text())
     assert document["prior"]["name"] == f"run {joint[0].id}"
     assert len(document["inputs"]["passes"]) == 2
+    by_file = [str(files / "sensor.json") if word == str(joint[0].id) else word for word in words]
+    assert CliRunner().invoke(main, by_file).exit_code == 1
+
+
+def test_a_run_s_page_says_what_came_from_its_prior_and_what_each_pass_says(server, house, sets, joint):
+    run, there = found(server, sets[2:4], prior=joint[0])
+    page = house.person("ada").get(f"/runs/{run.id}").text
+    prior = page[page.index('id="prior"') : page.index('id="passes"')]
+    for name in there.free:
+        assert f'value="{round(there.prior.share[name], 4)}" aria-label="{name} from the prior"' in prior
+    assert f"{there.prior.agreement.p_value:.2g}" in prior
+    passes = page[page.index('id="passes"') : page.index('id="minima"')]
+    assert [f'href="/telemetry/{one.id}"' in passes for one in sets] == [False, False, True, True]
+    assert "figure-passes" not in page
+    record = house.person("ada").get(f"/runs/{run.id}?part=record").text
+    assert "boresight calibrate pass-2.csv pass-3.csv" in record
+    assert f"--prior run-{joint[0].id}.json" in record
+    assert f'href="/runs/{joint[0].id}"' in record
+
+
+def test_what_varies_is_drawn_over_the_passes_and_read_as_a_table(server, house, sets):
+    run, there = found(server, sets[:3], vary=["f_m"], vary_as="walk")
+    ada = house.person("ada")
+    page = ada.get(f"/runs/{run.id}").text
+    assert "figure-passes" in page
+    drawn = ada.get(f"/api/v1/runs/{run.id}/passes/figure").json()["data"]
+    assert [len(trace["x"]) for trace in drawn] == [3]
+    lines = ada.get(f"/api/v1/runs/{run.id}/passes/data").text.splitlines()
+    assert lines[0] == "pass,start_utc,frames,stars,pairs,chi2,temperature_c,f_m,sigma_f_m"
+    assert [float(line.split(",")[-1]) for line in lines[1:]] == [
+        state.sigma["f_m"] for state in there.variation.states
+    ]
+
+
+def test_a_clone_keeps_the_sets_and_the_prior(server, house, sets, joint):
+    run, _ = found(server, sets[2:4], prior=joint[0])
+    page = house.person("ada").get(f"/runs/new?clone={run.id}").text
+    ticked = page[page.index("data-further") : page.index('id="prior"')]
+    assert [f'value="{one.id}" checked' in ticked for one in sets] == [False, False, False, True]
+    assert f'<option value="run-{joint[0].id}" data-sensor="{run.sensor_id}" selected>' in page
+
+
+def test_the_frames_of_a_joint_run_are_those_of_all_its_sets_as_its_result_numbers_them(house, joint):
+    victor, run = house.person("victor"), joint[0]
+    listed = victor.get(f"/api/v1/runs/{run.id}/frames", params={"limit": 200}).json()["items"]
+    assert [line["frame"] for line in listed] == list(range(80))
+    seen = victor.get(f"/api/v1/runs/{run.id}/frames/45").json()
+    assert (seen["place"], seen["frames"], seen["previous"], seen["next"]) == (46, 80, 44, 46)
+    assert all(star["fate"] == "used" for star in seen["exposures"][0]["stars"])
+    at_the_seam = victor.get(f"/api/v1/runs/{run.id}/frames/40").json()
+    assert at_the_seam["time_utc"].startswith("2026-01-11")
+
+
+def test_runs_that_share_sets_are_compared_by_what_they_share(server, house, sets, joint):
+    other, _ = found(server, sets[1:3])
+    compared = house.person("victor").get("/api/v1/runs/compare", params={"runs": f"{joint[0].id},{other.id}"}).json()
+    shared = compared["runs"][1]["shared_data"]
+    assert (shared["kind"], shared["share"], shared["share_of_reference"]) == ("partly", 0.5, 0.5)

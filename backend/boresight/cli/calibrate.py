@@ -137,6 +137,10 @@ def calibrate(
     parse_settings(settings)
     if profile is not None and server_url is not None:
         raise RefusedInputError("--server does not read mapping profiles: import the file first.")
+    if prior is not None and server_url is not None and Path(prior).is_file():
+        raise RefusedInputError(
+            "A server starts from what it has itself: give a parameter set's name or a run's number as --prior."
+        )
     former = None if prior is None or server_url is not None else INPUT_FILE.convert(prior, None, None)
     with (
         progress(first_message(server_url)) as report,

@@ -21,6 +21,7 @@ from boresight.calibration.evaluation.contrast import (
 from boresight.cameras import CAMERA_MODELS
 from boresight.console import list_queries as lists
 from boresight.console.parameter_sets import queries as parameter_sets
+from boresight.console.runs import queries
 from boresight.console.runs import service as runs
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
@@ -170,6 +171,9 @@ def _describe_shared(session: Session, blobs: BlobStore, run: Run, reference: Ru
     """Return the data that a run shares with the reference, in numbers and in words."""
     if run.sensor_id != reference.sensor_id:
         return SharedData(0, 0), "another sensor: the difference includes how the two sensors differ"
+    mine, theirs = (queries.list_held_sets(session, row) for row in (run, reference))
+    if max(len(mine), len(theirs)) > 1:
+        return _describe_shared_sets(session, mine, theirs)
     one, other = (session.get_one(TelemetrySet, row.telemetry_set_id) for row in (run, reference))
     if one.table_sha256 == other.table_sha256:
         return SharedData(1, 1), f"the same data, {one.name}"
@@ -188,6 +192,16 @@ def _describe_shared(session: Session, blobs: BlobStore, run: Run, reference: Ru
         "disjoint": f"separate data, {one.name} and {other.name}",
     }
     return shared, words[shared.kind]
+
+
+def _describe_shared_sets(session: Session, mine: set[int], theirs: set[int]) -> tuple[SharedData, str]:
+    """Return what two estimates share that rest on several sets, those of their priors among them, by the sets' stars."""
+    stars = {number: session.get_one(TelemetrySet, number).stars for number in mine | theirs}
+    both = sum(stars[number] for number in mine & theirs)
+    shared = SharedData(*(both / max(sum(stars[number] for number in held), 1) for held in (mine, theirs)))
+    if mine == theirs:
+        return shared, f"the same {len(mine)} sets"
+    return shared, f"{len(mine & theirs)} of the {len(mine)} sets that it rests on, which the other has too"
 
 
 def document(comparison: Comparison) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from boresight.calibration.calibration import Calibration, Trust
 from boresight.calibration.frame_view import frame_view, read_run_states
 from boresight.calibration.matching.rematch import compute_magnitude_limit
 from boresight.calibration.options import CalibrationSettings
+from boresight.console.runs import queries
 from boresight.console.runs.service import find_calibration, get_run
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
 from boresight.console.telemetry.tables import TelemetrySet
@@ -18,7 +19,7 @@ from boresight.platform.blobs.store import BlobStore
 from boresight.platform.blobs.working_tables import table_path
 from boresight.platform.db.sessions import Session
 from boresight.sky.catalogue import Catalogue
-from boresight.telemetry.read.frames import FrameIndex, frame_index
+from boresight.telemetry.read.frames import FrameIndex, frame_index, joined_frame_index
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor, parse_sensor
 
@@ -36,9 +37,16 @@ class FrameLine:
     deviation: float | None
 
 
-def get_frame_index(session: Session, blobs: BlobStore, run: Run) -> FrameIndex:
-    """Find the frames of a run's calibration set."""
-    return frame_index(table_path(blobs, session.get_known(TelemetrySet, run.telemetry_set_id).table_sha256))
+def get_frame_index(session: Session, blobs: BlobStore, run: Run, result: Calibration | None) -> FrameIndex:
+    """Find the frames of a run's calibration sets, as its result numbers them; where parameters vary, those of the last pass."""
+    first = session.get_known(TelemetrySet, run.telemetry_set_id)
+    tables = {one.original_sha256: one.table_sha256 for one in (first, *queries.list_further_sets(session, run))}
+    passes = [one for one in (result.inputs.passes if result else ()) if one.sha256 in tables]
+    if result is not None and result.variation is not None:
+        passes = [replace(one, frame_offset=0) for one in passes[-1:]]
+    if not passes:
+        return frame_index(table_path(blobs, first.table_sha256))
+    return joined_frame_index(tuple((table_path(blobs, tables[str(one.sha256)]), one.frame_offset) for one in passes))
 
 
 def list_frames(
@@ -46,7 +54,8 @@ def list_frames(
 ) -> list[FrameLine]:
     """List a run's frames from index `after` on, by number, or by the result's list of worst frames."""
     run = get_run(session, run_id)
-    index, worst = get_frame_index(session, blobs, run), list_worst_frames(_read_result(session, blobs, run))
+    result = _read_result(session, blobs, run)
+    index, worst = get_frame_index(session, blobs, run, result), list_worst_frames(result)
     if order == "worst":
         return [
             _line(index, place, index.find_place(frame), worst)
@@ -83,9 +92,9 @@ def get_frame(
 ) -> dict[str, Any]:
     """Show one frame of a run under its old and new parameters."""
     run = get_run(session, run_id)
-    index = get_frame_index(session, blobs, run)
-    place = index.find_place(frame)
     result = _read_result(session, blobs, run)
+    index = get_frame_index(session, blobs, run, result)
+    place = index.find_place(frame)
     sensor = _with_limit(parse_sensor(run.sensor_document), index, catalogue)
 
     def read(neighbours: int) -> tuple[Telemetry, slice]:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,13 +20,53 @@ TABLES_KEPT = 8
 
 
 @dataclass(frozen=True)
+class JoinedTables:
+    """Tables one after the other, and what the frame numbers of each are moved by; at a seam, the columns that both have."""
+
+    tables: tuple[tuple[WorkingTable, int], ...]
+
+    @cached_property
+    def row_start(self) -> IntArray:
+        """(n_tables + 1,) first row of each, and the end."""
+        return np.cumsum([0, *(len(table) for table, _ in self.tables)], dtype=np.int64)
+
+    def __len__(self) -> int:
+        """Count the rows."""
+        return int(self.row_start[-1])
+
+    def parts(self) -> Iterator[Telemetry]:
+        """Map the parts of all, one after the other."""
+        return (_moved(part, offset) for table, offset in self.tables for part in table.parts())
+
+    def rows(self, begin: int, end: int) -> Telemetry:
+        """Map the rows begin <= k < end."""
+        found = []
+        for (table, offset), first, last in zip(self.tables, self.row_start, self.row_start[1:], strict=False):
+            if begin < last and end > first:
+                found.append(_moved(table.rows(max(begin - int(first), 0), min(end, int(last)) - int(first)), offset))
+        return joined(_with_common_columns(found))
+
+
+def _moved(telemetry: Telemetry, offset: int) -> Telemetry:
+    return replace(telemetry, frame=telemetry.frame + offset) if offset else telemetry
+
+
+def _with_common_columns(parts: Sequence[Telemetry]) -> list[Telemetry]:
+    """Leave out what one of the parts has not."""
+    lacked = {item.name: None for item in fields(Telemetry) if any(getattr(part, item.name) is None for part in parts)}
+    texts = [name for name in parts[0].unknown if all(name in part.unknown for part in parts)]
+    own: dict[str, Any] = dict(lacked)
+    return [replace(part, **own, unknown={name: part.unknown[name] for name in texts}) for part in parts]
+
+
+@dataclass(frozen=True)
 class FrameIndex:
     """Where the frames of a table are.
 
     `frame`: (n_frames,) frame numbers, ascending. `first_row`: (n_frames + 1,) first row of each, and the end.
     """
 
-    table: WorkingTable
+    table: WorkingTable | JoinedTables
     frame: IntArray
     first_row: IntArray
 
@@ -63,7 +105,16 @@ class FrameIndex:
 @lru_cache(maxsize=TABLES_KEPT)
 def frame_index(path: Path) -> FrameIndex:
     """Find the frames of a table that never changes under its path."""
-    table = WorkingTable(path)
+    return _find_frames(WorkingTable(path))
+
+
+@lru_cache(maxsize=TABLES_KEPT)
+def joined_frame_index(tables: tuple[tuple[Path, int], ...]) -> FrameIndex:
+    """Find the frames of several such tables as one, each with what its numbers are moved by."""
+    return _find_frames(JoinedTables(tuple((WorkingTable(path), offset) for path, offset in tables)))
+
+
+def _find_frames(table: WorkingTable | JoinedTables) -> FrameIndex:
     frame = np.concatenate([part.frame for part in table.parts()])
     first = np.append(0, np.flatnonzero(np.diff(frame)) + 1)
     return FrameIndex(table, frame[first], np.append(first, len(frame)))

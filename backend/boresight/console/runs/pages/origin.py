@@ -30,6 +30,8 @@ class PriorRow:
 class PriorView:
     """How much came from a prior, in a sentence and by parameter, and whether the data agree with it."""
 
+    title: str
+    source: str
     answer: str
     address: str | None
     rows: Sequence[PriorRow]
@@ -61,7 +63,7 @@ def make_origin(run: Run, sets: Sequence[TelemetrySet], result: Calibration | No
         "prior": None if result.prior is None else make_prior_view(run, result, result.prior),
         "passes": {
             "answer": say_passes(result),
-            "heads": [(quantity(name, result).symbol, quantity(name, result).change_unit) for name in varied],
+            "heads": [(name, quantity(name, result).change_unit) for name in varied],
             "rows": list_pass_rows(sets, result),
         }
         if len(result.inputs.passes) > 1
@@ -81,17 +83,21 @@ def make_prior_view(run: Run, result: Calibration, use: PriorUse) -> PriorView:
             spread += f" to {percent(max(shares), 0)}"
         answer = f"{spread} of each parameter's variance came from {use.name}{aged}, the rest from these data."
     rows = [PriorRow(name, share, use.sigma.get(name), result.sigma.get(name)) for name, share in use.share.items()]
+    source = use.name if result.variation is None else "the other passes"
+    who = "Prior and data" if result.variation is None else "The other passes and the last"
     level, agreement = "standby", "The data determine no direction that the prior could be held against."
     if use.agreement is not None:
         told = use.agreement
         agrees = told.p_value >= DISAGREE
         level = "normal" if agrees else "serious"
         agreement = (
-            f"Prior and data {'agree' if agrees else 'contradict each other'}: chi-square {told.chi2:.3g} of {told.dof} degrees of "
+            f"{who} {'agree' if agrees else 'contradict each other'}: chi-square {told.chi2:.3g} of {told.dof} degrees of "
             f"freedom, p = {told.p_value:.2g}."
         )
     named = f"/parameter-sets/{run.prior_set_id}" if run.prior_set_id else f"/runs/{run.prior_run_id}"
-    return PriorView(answer, named if run.prior_run_id else None, rows, level, agreement)
+    return PriorView(
+        f"What came from {source}", source, answer, named if run.prior_run_id else None, rows, level, agreement
+    )
 
 
 def say_passes(result: Calibration) -> str:
