@@ -100,7 +100,9 @@ STEPS = {
 
 
 class Watcher(Protocol):
-    """What pages read of the watcher of this server."""
+    """What pages read of the watcher of this server; `fault`: what is wrong with its folder."""
+
+    fault: str
 
     @property
     def folder(self) -> str | None:
@@ -148,6 +150,7 @@ def ingest_page(request: Request, session: Reading, watcher: ServerWatcher) -> H
         last=found.last,
         lines=lines,
         folder=watcher.folder,
+        fault=watcher.fault,
         sensor=sensor,
         choices=sensors.list_choices(session, keep=[sensor] if sensor else []),
         states=DECISION_STATES,
