@@ -91,7 +91,7 @@ def _take_in(
         if not is_dry_run:
             with open_writing(engine) as session:
                 policies.pause(session, session.get_known(IngestPolicy, policy.id), "TOO MANY SETS", flood)
-        raise ConflictError(f"{flood} The policy is paused until a person resumes it.")
+        raise ConflictError(f"{flood} The policy is paused; have a person resume it.")
     sent, images = _sent(upload), ImageUpload(upload.images, settings.image_limits, settings.image_seconds)
     with ExitStack() as stack:
         try:
