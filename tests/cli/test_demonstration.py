@@ -17,6 +17,8 @@ from boresight.console.approvals import service as approvals
 from boresight.console.approvals.tables import Approval
 from boresight.console.fleet import queries as sensor_queries
 from boresight.console.fleet.trend import judge_drift, read_trend
+from boresight.console.ingest import service as ingest
+from boresight.console.ingest.tables import IngestDecision, IngestPolicy
 from boresight.console.parameter_sets import queries as parameter_set_rows
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs import service as runs
@@ -243,7 +245,7 @@ def test_a_year_of_passes_since_the_baseline_raised_a_drift_alarm(told):
         (alarm,) = alarms.list_alarms(session)
     counted = found.independent
     assert (alarm.kind, alarm.sensor_id, alarm.active) == ("DRIFT", sensor.id, 1)
-    assert (drift.verdict, drift.largest[0], drift.counted) == ("DRIFT", "f_m", 27)
+    assert (drift.verdict, drift.largest[0], drift.counted) == ("DRIFT", "f_m", 28)
     assert drift.holds.rejects
     assert drift.slope.rejects
     days = (datetime.fromisoformat(counted[-1].at_utc) - datetime.fromisoformat(counted[0].at_utc)).days
@@ -251,6 +253,16 @@ def test_a_year_of_passes_since_the_baseline_raised_a_drift_alarm(told):
     slope = drift.line.slope_per_d[drift.names.index("f_m")]
     sigma = math.sqrt(drift.line.slope_covariance[drift.names.index("f_m"), drift.names.index("f_m")])
     assert abs(slope + 3.5e-8) < 4 * sigma < 2e-8
+
+
+def test_a_new_pass_of_two_sensors_is_judged_by_policies_that_were_rehearsed(told):
+    with open_reading(told.engine) as session:
+        found = {row.sensor_id: row for row in lists.list_newest(session, IngestDecision)}
+        states = {number: ingest.examine(session, row.id).judgement.state for number, row in found.items()}
+        rehearsed = lists.list_newest(session, IngestPolicy, sensor=told.sensor(session, 4).id)[0].rehearsal
+    assert states == {3: "WITHIN FORECAST", 4: "ASKED"}
+    assert rehearsed["sets"] > 20
+    assert 1 <= rehearsed["asked"] < rehearsed["sets"]
 
 
 def test_one_run_failed_and_says_why(told):

@@ -19,6 +19,7 @@ FIRST = {
     "campaigns": "-campaign",
     "campaign-sensors": "launched",
     "change-proposals": "-proposal",
+    "ingest-decisions": "-decision",
 }
 SORTED_BY_THE_CLOCK = {"alarms"}  # one on the shelf comes back by time alone, so that no index knows the order
 

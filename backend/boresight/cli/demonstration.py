@@ -8,6 +8,7 @@ ST16-1  a filter that runs on for ten minutes, as ST16-5's; both sets are of `WA
 ST16-2  a parameter set that waits for approval
 ST16-3  a set that was approved, promoted, exported and sent, and of which nothing was read back yet
 ST16-4  a year of passes, one a fortnight, while the focal length shortens; the baseline is of the first: a drift alarm
+        a policy for new telemetry, as ST16-3: a new pass of ST16-3 asks nothing, and one of ST16-4 a person
 ST16-6  a run that failed, for its telemetry has no times
 ======  ==========================================================================================================
 """
@@ -31,6 +32,9 @@ from boresight.console.approvals import service as approvals
 from boresight.console.fleet import queries as sensor_queries
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.tables import Sensor as SensorRow
+from boresight.console.ingest import policies
+from boresight.console.ingest import queries as ingest_rows
+from boresight.console.ingest import service as ingest
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs import service as runs
@@ -56,6 +60,7 @@ PASSES, PASS_FRAMES, DAYS_APART, DRIFT_M_PER_DAY = 26, 40, 14, -3.5e-8
 FAILED_FRAMES = 60
 BATCH, FILTER = {"method": "batch"}, {"method": "sqrf", "variant": "no-q"}
 WATCHED_FILTER = FILTER | {"replay_frames_per_s": WATCHED_FRAMES_PER_S}
+MOST_DAYS = 20_000.0  # the simulated passes are of a fixed date
 LIVE = ("QUEUED", "RUNNING", "CANCELLING")
 ACCEPTED = "Accepted in the demonstration: the camera is simulated, and its truth is known."
 
@@ -259,6 +264,7 @@ class _Fleet:
                 package = packages.build(session, operator, self.blobs, row.id, policy=self.policy)
                 uplinks.record(session, operator, row.id, "SENT", "Simulated pass 1.", package_id=package.id)
         yield f"{row.name} is sent; nothing was read back yet."
+        yield from self._judge_new_pass(SENT_NUMBER, "calibration")
 
     def fly_a_year(self) -> Iterator[str]:
         """Make the first pass's set the baseline, then calibrate the passes that came after it."""
@@ -272,6 +278,49 @@ class _Fleet:
         for k in range(1, PASSES):  # together: the alarm's sentence changes with each group that ends
             self.launch(DRIFTING_NUMBER, f"Pass {k + 1} of {PASSES}", BATCH, _name_pass(k))
         yield f"{PASSES} passes of {row.document['sensor']} are there, a year of them."
+        yield from self._judge_new_pass(DRIFTING_NUMBER, _name_pass(PASSES - 1))
+
+    def _judge_new_pass(self, number: int, name: str) -> Iterator[str]:
+        """Put a policy into force once the run of a set has ended, and take a new pass in."""
+        while (run := self._find_batch_run(number, name)) is not None and run.state in LIVE:
+            yield ""
+        policy = self._enable_policy(number)
+        if policy is not None:
+            self._take_in(number, policy)
+            yield f"A new pass of {st16_sensor(number).name} is judged by its policy."
+
+    def _enable_policy(self, number: int) -> int | None:
+        """Draft, rehearse and enable a policy for new telemetry; None where the sensor has one already."""
+        with open_reading(self.engine) as session:
+            sensor_id = _get_sensor(session, st16_sensor(number).name).id
+            if ingest_rows.list_policies(session, sensor_id):
+                return None
+        administrator, _ = self._log_in("administrator")
+        rules = {"oldest_days": MOST_DAYS, "preset": "first-calibration"}
+        with open_writing(self.engine) as session:
+            row = policies.draft(session, self.analyst, sensor_id, rules, "A pass every fortnight.")
+            found = policies.compute_rehearsal(session, row.id)
+            policies.record_rehearsal(session, self.analyst, row.id, found, row.version)
+            return policies.enable(session, administrator, row.id, row.version).id
+
+    def _take_in(self, number: int, policy_id: int) -> None:
+        """Send a pass of the day after the sensor's last one, as a program would over REST."""
+        scenario = _make_pass(PASSES, calibration_scenario(number, PASS_FRAMES))
+        drifted = scenario if number == DRIFTING_NUMBER else calibration_scenario(number, PASS_FRAMES)
+        orbit = replace(drifted.orbit, start_utc=scenario.orbit.start_utc + np.timedelta64(1, "D"))
+        made = replace(drifted, orbit=orbit, seed=scenario.seed + 1)
+        telemetry = simulate(made, np.random.default_rng(made.seed), self.catalogue)
+        with open_reading(self.engine) as session:
+            document = session.get_known(SensorRow, _get_sensor(session, scenario.sensor.name).id).document
+        with tempfile.TemporaryDirectory(prefix="boresight-demo-") as folder:
+            path = Path(folder) / f"{scenario.sensor.name}-new-pass.parquet"
+            write_parquet(telemetry, path)
+            sent = ingest.SentFile("REST", path.name, ingest.compute_sha256_of_file(path), path.stat().st_size)
+            with (
+                telemetry_sets.hold_prepared(document, self.catalogue, path, path.name) as prepared,
+                open_writing(self.engine) as session,
+            ):
+                ingest.receive(session, self.analyst, self.blobs, policy_id, prepared, sent)
 
     def _submit(self, number: int, reason: str, name: str = "calibration") -> Generator[str, None, ParameterSet | None]:
         """Wait for the batch run of a set and submit what it found, unless that was done; None where it found nothing."""

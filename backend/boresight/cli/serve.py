@@ -51,7 +51,10 @@ def demo(host: str | None, port: int | None, data: Path | None) -> None:
     if data is None and not os.environ.get("BORESIGHT_DATA_FOLDER"):
         data = Path(DEMO_FOLDER)
     settings = replace(read_serve_settings(data, host, port, DEMO_SETTINGS), mode="SIM")
+    watched = settings.watch_folder or str(settings.data_folder / "watched")
+    settings = replace(settings, watch_folder=watched)
     _claim_port(settings)
+    Path(watched).mkdir(mode=0o700, parents=True, exist_ok=True)
     threading.Thread(target=_populate, args=(settings,), name="boresight-demonstration", daemon=True).start()
     _serve(settings)
 
@@ -117,6 +120,7 @@ def _populate(settings: Settings) -> None:
     click.echo(f"\n  Boresight demonstration: {_address(settings)}\n\n  Log in as")
     for person in LOG_INS:
         click.echo(f"    {person.name:<14} {person.password:<28} {person.printed_name}")
+    click.echo(f"\n  Telemetry dropped into {settings.watch_folder}/<sensor> is taken in, for ST16-3 and ST16-4.")
     click.echo("\n  The fleet is being created and calibrated now. Stop with Ctrl-C.\n")
     engine = open_engine(settings.database_url)
     try:

@@ -289,7 +289,6 @@ LISTS = {
     "ingest-decisions": List(
         IngestDecision,
         {
-            "attention": sa.case((IngestDecision.state == "ASKED", 0), else_=1),
             "decision": IngestDecision.id,
             "sensor": _name_expression(Sensor, IngestDecision.sensor_id),
             "state": IngestDecision.state,

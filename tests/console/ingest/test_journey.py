@@ -37,8 +37,8 @@ class Mission:
         ada = house.person("ada")
         document = {**sensor_document(calibration_scenario(1).sensor), "name": "ST-1"}
         self.sensor_id = ada.post("/api/v1/sensors", json=document).json()["id"]
-        held_out = _pass(catalogue, folder, "validation.csv", 0.25, 3, validation=True)
-        answer = house.upload(ada, self.sensor_id, held_out.read_bytes(), purpose="validation", file_name="v.csv")
+        validation = _pass(catalogue, folder, "validation.csv", 0.25, 3, validation=True)
+        answer = house.upload(ada, self.sensor_id, validation.read_bytes(), purpose="validation", file_name="v.csv")
         assert answer.status_code == 201, answer.text
 
     def made(self, name, day, seed, **changed):

@@ -9,11 +9,15 @@ from fastapi.routing import APIRoute
 from boresight.console import pages
 from boresight.console.approvals.pages import gates as gate_report
 from boresight.console.fleet.pages import new_sensor
+from boresight.console.ingest import policies
+from boresight.console.ingest import service as ingest
 from boresight.console.pages import rendering as attempts
 from boresight.console.telemetry import pages as telemetry
 from boresight.console.webhooks import service as webhooks
 from boresight.disks import full
 from boresight.errors import StorageError
+from boresight.platform.actors import INGEST
+from boresight.platform.db.sessions import open_writing
 from tests.console.alarms.test_pages import drifting  # noqa: F401 - a fixture
 from tests.console.campaigns.test_routes import FORM as CAMPAIGN
 from tests.console.change_proposals.test_routes import _proposed, asking_site  # noqa: F401 - a fixture
@@ -96,6 +100,17 @@ FORMS = {  # who sends which form to which page
 }
 
 
+NEEDED = {"/alarms/{alarm_id:int}/{step}": "drifting", "/ingest/{decision_id:int}/answer": "decided"}  # fixtures
+
+
+@pytest.fixture
+def decided(site):
+    with open_writing(site.engine) as session:
+        policy = policies.draft(session, site.actor("ada"), 1, {}, "x")
+        sent = ingest.SentFile("FOLDER", "pass.csv", None, 1)
+        ingest.refuse(session, INGEST, policy.id, sent, "No telemetry.")
+
+
 def _forms() -> set[str]:
     routes = [route for module in pages.modules() for router in pages.routers(module) for route in router.routes]
     return {route.path for route in routes if isinstance(route, APIRoute) and "POST" in route.methods}
@@ -108,8 +123,8 @@ def test_every_form_of_a_page_is_tried():
 @pytest.mark.parametrize("route", FORMS)
 def test_a_full_disk_is_503_with_retry_after_by_every_form(request, site, monkeypatch, route):
     name, form = FORMS[route]
-    if route.startswith("/alarms"):
-        request.getfixturevalue("drifting")
+    if fixture := NEEDED.get(route):
+        request.getfixturevalue(fixture)
     if route.startswith("/change-proposals"):
         request.getfixturevalue("asking_site")
         _proposed(site)

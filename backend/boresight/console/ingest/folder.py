@@ -176,4 +176,4 @@ def _free_name(target: int, name: str) -> str:
             os.stat(candidate, dir_fd=target, follow_symlinks=False)
         except FileNotFoundError:
             return candidate
-    raise UnavailableError(f"There are too many files named {name} in the folder; archive the older ones elsewhere.")
+    raise UnavailableError(f"There are too many files named {name} in the folder; move the older ones elsewhere.")

@@ -47,7 +47,7 @@ class Reason:
 
 
 @dataclass(frozen=True)
-class Judgement:
+class PolicyFinding:
     """What a policy finds in one calibration.
 
     `state`: as of a decision. `holds`, `forecast`: against the baseline and the line. `largest`: the parameter that moved most,
@@ -89,7 +89,7 @@ def reference_of(point: TrendPoint) -> Reference:
     return Reference(f"run {point.run_id}", point.names, make_epoch(point, point.names), None, point.run_id)
 
 
-def judge_newest(trend: Trend, run_id: int, rules: PolicyRules) -> Judgement:
+def judge_newest(trend: Trend, run_id: int, rules: PolicyRules) -> PolicyFinding:
     """Judge the calibration of a run against the baseline, and the line through those before it."""
     point, reference = trend.of_run(run_id), make_reference(trend)
     if reference is None:
@@ -109,7 +109,7 @@ def judge_newest(trend: Trend, run_id: int, rules: PolicyRules) -> Judgement:
     return judge(point, before, reference, rules)
 
 
-def judge(point: TrendPoint, before: Sequence[TrendPoint], reference: Reference, rules: PolicyRules) -> Judgement:
+def judge(point: TrendPoint, before: Sequence[TrendPoint], reference: Reference, rules: PolicyRules) -> PolicyFinding:
     """Judge one calibration; `before`: those since the reference, by time."""
     if (refusal := _refuse(point, reference, rules)) is not None:
         return refusal
@@ -127,7 +127,7 @@ def judge(point: TrendPoint, before: Sequence[TrendPoint], reference: Reference,
     forecast = None if line is None else tests.baseline_test(epoch, line, rules.false_alarm_rate)
     worth = (epoch.value - base.value) / np.sqrt(np.diag(epoch.covariance + base.covariance))
     most = int(np.argmax(np.abs(worth)))
-    found = Judgement("WITHIN FORECAST", (), reference, holds, forecast, (names[most], float(worth[most])))
+    found = PolicyFinding("WITHIN FORECAST", (), reference, holds, forecast, (names[most], float(worth[most])))
     if not holds.rejects:
         return replace(found, reasons=(Reason("HOLDS", _said(point, reference, holds, "agrees with")),))
     in_row = 1 + _outside_in_row(before, base, names, rules)
@@ -137,7 +137,7 @@ def judge(point: TrendPoint, before: Sequence[TrendPoint], reference: Reference,
     )
 
 
-def _refuse(point: TrendPoint, reference: Reference, rules: PolicyRules) -> Judgement | None:
+def _refuse(point: TrendPoint, reference: Reference, rules: PolicyRules) -> PolicyFinding | None:
     """Return why a calibration cannot be judged, None where it can."""
     if point.left_out:
         return _not_judged("LEFT OUT", f"Run {point.run_id} does not count: {point.left_out}.")
@@ -156,8 +156,8 @@ def _refuse(point: TrendPoint, reference: Reference, rules: PolicyRules) -> Judg
     return None
 
 
-def _not_judged(code: str, sentence: str) -> Judgement:
-    return Judgement("NOT JUDGED", (Reason(code, sentence),))
+def _not_judged(code: str, sentence: str) -> PolicyFinding:
+    return PolicyFinding("NOT JUDGED", (Reason(code, sentence),))
 
 
 def _outside_in_row(before: Sequence[TrendPoint], base: Epoch, names: tuple[str, ...], rules: PolicyRules) -> int:
@@ -178,7 +178,7 @@ def _said(point: TrendPoint, reference: Reference, test: ChiSquareTest, verb: st
     return f"Run {point.run_id} {verb} {reference.name} ({limit})."
 
 
-def _reasons(point: TrendPoint, found: Judgement, rules: PolicyRules) -> list[Reason]:
+def _reasons(point: TrendPoint, found: PolicyFinding, rules: PolicyRules) -> list[Reason]:
     """Say why a set is outside the baseline, the headline first."""
     reference, holds, largest = found.reference, found.holds, found.largest
     if reference is None or holds is None or largest is None:

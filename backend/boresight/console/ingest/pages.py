@@ -63,7 +63,7 @@ router = APIRouter(dependencies=[Depends(csrf)])
 
 DECISIONS = Table(
     "ingest-decisions",
-    "What was made of new telemetry, questions first",
+    "What was made of new telemetry",
     (
         TableColumn("state", "State", "state", "nowrap", csv=("state", "answer")),
         TableColumn("decision", "Decision", "-decision", "nowrap", head=True, csv=("decision",)),
@@ -73,7 +73,7 @@ DECISIONS = Table(
         TableColumn("received", "Received", "", "tight", csv=("received_utc", "decided_utc", "answered_utc")),
     ),
     {"state": accept_one(DECISION_STATES), "sensor": is_number, "sensor_name": is_text, "q": is_text},
-    "attention",
+    "-decision",
     kind="dense",
     path="/ingest",
 )
@@ -100,7 +100,9 @@ STEPS = {
 
 
 class Watcher(Protocol):
-    """What pages read of the watcher of this server."""
+    """What pages read of the watcher of this server; `fault`: what is wrong with its folder."""
+
+    fault: str
 
     @property
     def folder(self) -> str | None:
@@ -125,7 +127,7 @@ class PolicyLine:
 
 @router.get("/ingest", response_class=HTMLResponse)
 def ingest_page(request: Request, session: Reading, watcher: ServerWatcher) -> HTMLResponse:
-    """Show the policies in force, and what was made of each file, questions first."""
+    """Show the policies in force, and what was made of each file."""
     view = read_view(request, DECISIONS)
     found = read_page(session, view)
     in_force = rows.list_policies_in_force(session)
@@ -148,6 +150,7 @@ def ingest_page(request: Request, session: Reading, watcher: ServerWatcher) -> H
         last=found.last,
         lines=lines,
         folder=watcher.folder,
+        fault=watcher.fault,
         sensor=sensor,
         choices=sensors.list_choices(session, keep=[sensor] if sensor else []),
         states=DECISION_STATES,

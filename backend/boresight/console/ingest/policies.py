@@ -82,7 +82,7 @@ def record_rehearsal(
     row = session.get_known(IngestPolicy, policy_id)
     require_seen(session, row, seen_version)
     if row.state == "OFF":
-        raise ConflictError(f"Policy {row.number} is OFF; draft a new version and rehearse that.")
+        raise ConflictError(f"Policy {row.number} is OFF; write a new version and rehearse that.")
     row.rehearsal, row.rehearsed_utc = dict(found), utc_now()
     told = {name: found[name] for name in ("sets", "asked", "held", "unconfirmed", "not_judged")}
     move(session, actor, row, row.state, "rehearsed", **told)
@@ -96,7 +96,7 @@ def enable(session: Session, actor: Actor, policy_id: int, seen_version: int | N
     row = session.get_known(IngestPolicy, policy_id)
     require_seen(session, row, seen_version)
     if row.state != "DRAFT":
-        raise ConflictError(f"Policy {row.number} is {row.state}, not a DRAFT; draft a new version to enable.")
+        raise ConflictError(f"Policy {row.number} is {row.state}, not a DRAFT; write a new version to enable.")
     if row.rehearsal is None:
         raise ConflictError(f"Policy {row.number} was not rehearsed; see what it would have asked in the past first.")
     _refuse_unknown(session, read_rules(row))
@@ -132,7 +132,7 @@ def pause_by_person(
     row = session.get_known(IngestPolicy, policy_id)
     require_seen(session, row, seen_version)
     if row.state != "ACTIVE":
-        raise ConflictError(f"Policy {row.number} is {row.state}; only an ACTIVE one can be paused.")
+        raise ConflictError(f"Policy {row.number} is {row.state}; choose an ACTIVE one to pause.")
     _pause(session, actor, row, "PERSON", _said(reason, "why it is paused"))
     return row
 
@@ -144,7 +144,7 @@ def resume(session: Session, actor: Actor, policy_id: int, reason: str, seen_ver
     row = session.get_known(IngestPolicy, policy_id)
     require_seen(session, row, seen_version)
     if row.state != "PAUSED":
-        raise ConflictError(f"Policy {row.number} is {row.state}; only a PAUSED one can be resumed.")
+        raise ConflictError(f"Policy {row.number} is {row.state}; choose a PAUSED one to resume.")
     said = _said(reason, "why it can go on")
     row.resumed_utc = utc_now()
     row.pause_code = row.pause_reason = row.paused_utc = None

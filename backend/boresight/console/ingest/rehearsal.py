@@ -12,7 +12,7 @@ from datetime import datetime
 from typing import Any
 
 from boresight.console.fleet.trend import Trend, TrendPoint
-from boresight.console.ingest.judgement import Judgement, Reference, judge, make_reference, reference_of
+from boresight.console.ingest.judgement import PolicyFinding, Reference, judge, make_reference, reference_of
 from boresight.console.ingest.rules import PolicyRules
 
 YEAR_D = 365.25
@@ -43,9 +43,9 @@ def rehearse(trend: Trend, rules: PolicyRules) -> dict[str, Any]:
 STATES = {"held": "WITHIN FORECAST", "unconfirmed": "UNCONFIRMED", "asked": "ASKED", "not_judged": "NOT JUDGED"}
 
 
-def _walk(points: Sequence[TrendPoint], trend: Trend, rules: PolicyRules) -> list[tuple[TrendPoint, Judgement]]:
+def _walk(points: Sequence[TrendPoint], trend: Trend, rules: PolicyRules) -> list[tuple[TrendPoint, PolicyFinding]]:
     reference, since = _first_reference(points, trend), 0
-    walked: list[tuple[TrendPoint, Judgement]] = []
+    walked: list[tuple[TrendPoint, PolicyFinding]] = []
     for place, point in enumerate(points):
         if reference is None or point.run_id == reference.run_id:
             reference, since = reference or reference_of(point), place + 1
@@ -80,7 +80,7 @@ def _per_year(points: Sequence[TrendPoint], rules: PolicyRules) -> float | None:
     return None if span_d <= 0 else rules.false_alarm_rate * (len(points) - 1) / span_d * YEAR_D
 
 
-def _line(point: TrendPoint, found: Judgement) -> dict[str, Any]:
+def _line(point: TrendPoint, found: PolicyFinding) -> dict[str, Any]:
     return {
         "run_id": point.run_id,
         "telemetry": point.telemetry,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -69,9 +68,8 @@ class Intake:
 
 
 def _sent(upload: Upload) -> SentFile:
-    with upload.file().open("rb") as file:
-        sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-    return SentFile("REST", upload.file_name, sha256, upload.file().stat().st_size)
+    path = upload.file()
+    return SentFile("REST", upload.file_name, service.compute_sha256_of_file(path), path.stat().st_size)
 
 
 def _take_in(
@@ -93,7 +91,7 @@ def _take_in(
         if not is_dry_run:
             with open_writing(engine) as session:
                 policies.pause(session, session.get_known(IngestPolicy, policy.id), "TOO MANY SETS", flood)
-        raise ConflictError(f"{flood} The policy is paused until a person resumes it.")
+        raise ConflictError(f"{flood} The policy is paused; have a person resume it.")
     sent, images = _sent(upload), ImageUpload(upload.images, settings.image_limits, settings.image_seconds)
     with ExitStack() as stack:
         try:

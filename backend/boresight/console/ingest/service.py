@@ -10,6 +10,7 @@ submit nor sign nor promote: a person answers, and with SUBMIT is the first of t
 
 from __future__ import annotations
 
+import hashlib
 import logging
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -28,7 +29,7 @@ from boresight.console.fleet.tables import Sensor
 from boresight.console.fleet.trend import read_trend
 from boresight.console.ingest import policies
 from boresight.console.ingest import queries as rows
-from boresight.console.ingest.judgement import Judgement, Reason, judge_newest
+from boresight.console.ingest.judgement import PolicyFinding, Reason, judge_newest
 from boresight.console.ingest.rules import PolicyRules
 from boresight.console.ingest.tables import ANSWERS, IngestDecision, IngestPolicy
 from boresight.console.parameter_sets import queries as set_rows
@@ -78,17 +79,23 @@ class SentFile:
     size_bytes: int
 
 
+def compute_sha256_of_file(path: Path) -> str:
+    """Return the SHA-256 that the bytes of a file are known by."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 def get_active_policy(session: Session, sensor_id: int) -> IngestPolicy:
     """Return the policy of a sensor that takes files in; refuse where none does, and while the clock is in doubt."""
     sensor = session.get_known(Sensor, sensor_id)
     row = rows.find_policy_in_force(session, sensor_id)
     if row is None:
-        raise ConflictError(f"{sensor.name} has no ingest policy in force; draft one, rehearse it and have it enabled.")
+        raise ConflictError(f"{sensor.name} has no ingest policy in force; write one, rehearse it and have it enabled.")
     if row.state == "PAUSED":
         raise ConflictError(f"Ingest of {sensor.name} is paused: {row.pause_reason} Have a person resume it.")
     if is_held(session):
         raise ConflictError(
-            "The clock of this server jumped, so nothing is taken in; acknowledge the CLOCK alarm first."
+            "The clock of this server jumped, so nothing is taken in; have a person acknowledge its alarm."
         )
     return row
 
@@ -234,7 +241,7 @@ class Found:
     """What was found out about a decision whose run has ended, before the writing transaction."""
 
     decision_id: int
-    judgement: Judgement
+    judgement: PolicyFinding
     alternatives: tuple[Mapping[str, Any], ...] = ()
 
 
@@ -248,7 +255,7 @@ def examine(session: Session, decision_id: int) -> Found:
     summary = parse_run_summary(run.summary)
     if summary.status not in parameter_sets.USABLE_STATUSES:
         said = f"Run {run.id} ended {(summary.status or 'without a status').replace('_', ' ')}: {summary.advice or 'see its page.'}"
-        return Found(row.id, Judgement("NOT JUDGED", (Reason("UNUSABLE", said),)))
+        return Found(row.id, PolicyFinding("NOT JUDGED", (Reason("UNUSABLE", said),)))
     rules = policies.read_rules(policy)
     found = judge_newest(read_trend(session, row.sensor_id), run.id, rules)
     if found.state == "ASKED":
@@ -256,13 +263,13 @@ def examine(session: Session, decision_id: int) -> Found:
     return Found(row.id, found, _list_alternatives(found, run) if found.state == "ASKED" else ())
 
 
-def _of_failure(run: Run) -> Judgement:
-    return Judgement(
+def _of_failure(run: Run) -> PolicyFinding:
+    return PolicyFinding(
         "NOT JUDGED", (Reason("RUN", f"Run {run.id} {run.state.lower()}: {run.reason or 'no cause was recorded'}"),)
     )
 
 
-def _as_answered(session: Session, row: IngestDecision, found: Judgement) -> Judgement | None:
+def _as_answered(session: Session, row: IngestDecision, found: PolicyFinding) -> PolicyFinding | None:
     """Return why nothing is asked again although a set is outside the baseline: it waits for signatures, or was answered."""
     waiting = approval_rows.read_newest_open(session, [row.sensor_id]).get(row.sensor_id)
     if waiting is not None:
@@ -283,8 +290,8 @@ def _as_answered(session: Session, row: IngestDecision, found: Judgement) -> Jud
     )
 
 
-def _quiet(found: Judgement, code: str, sentence: str) -> Judgement:
-    return Judgement(
+def _quiet(found: PolicyFinding, code: str, sentence: str) -> PolicyFinding:
+    return PolicyFinding(
         "WITHIN FORECAST",
         (Reason(code, sentence), *found.reasons),
         found.reference,
@@ -295,7 +302,7 @@ def _quiet(found: Judgement, code: str, sentence: str) -> Judgement:
     )
 
 
-def _list_alternatives(found: Judgement, run: Run) -> tuple[Mapping[str, Any], ...]:
+def _list_alternatives(found: PolicyFinding, run: Run) -> tuple[Mapping[str, Any], ...]:
     """Write what a person may answer, each with its price in this case."""
     name = found.reference.name if found.reference else "the baseline"
     summary = parse_run_summary(run.summary)
@@ -312,7 +319,7 @@ def _list_alternatives(found: Judgement, run: Run) -> tuple[Mapping[str, Any], .
     return tuple({"answer": one, "sentence": said[one]} for one in ANSWERS)
 
 
-def recommend(found: Judgement, gate_report: Mapping[str, Any]) -> str:
+def recommend(found: PolicyFinding, gate_report: Mapping[str, Any]) -> str:
     """Return the answer that the findings speak for."""
     if found.forecast is not None and found.forecast.rejects:
         return "MORE DATA"
@@ -360,7 +367,7 @@ def conclude(session: Session, found: Found, assessment: GateAssessment | None =
     return row
 
 
-def _write_evidence(found: Judgement) -> dict[str, Any]:
+def _write_evidence(found: PolicyFinding) -> dict[str, Any]:
     tests = {"holds": found.holds, "forecast": found.forecast}
     return {
         "reasons": [{"code": one.code, "sentence": one.sentence} for one in found.reasons],
@@ -532,7 +539,7 @@ def hold_intake(
         except Exception as error:
             log.exception("%s could not be read", name)
             raise RefusedInputError(
-                f"{name} could not be read because of a defect; report it with the log of the server."
+                f"{name} could not be read because of a defect; send it with the log of the server to who maintains it."
             ) from error
         sources.blobs.send_ahead(prepared.original, prepared.table)
         yield prepared

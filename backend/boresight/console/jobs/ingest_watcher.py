@@ -44,6 +44,7 @@ class IngestWatcher:
         self._tell = tell
         watched = settings.watched_folder
         self._folder = None if watched is None else WatchedFolder(watched, settings.watch_settle_s)
+        self.fault = ""  # what is wrong with the watched folder
         self._thread = PeriodicThread("ingest", [self.look, self.decide], lambda: ROUND_S)
 
     def start(self) -> None:
@@ -65,7 +66,7 @@ class IngestWatcher:
 
     def look(self) -> None:
         """Take in the files that are complete, of sensors whose policy is active."""
-        if self._folder is None or not (complete := self._folder.list_complete()):
+        if self._folder is None or not (complete := self._list_complete(self._folder)):
             return
         with open_reading(self._database) as session:
             active = {row.sensor_id for row in rows.list_policies_in_force(session) if row.state == "ACTIVE"}
@@ -77,6 +78,18 @@ class IngestWatcher:
                 return
             if arrival.sensor in sensors:
                 self._thread.take(partial(self._take, self._folder, arrival, sensors[arrival.sensor]))
+
+    def _list_complete(self, folder: WatchedFolder) -> list[Arrival]:
+        """Look into the folder; what is wrong with it is logged once and shown on the page until it is mended."""
+        try:
+            complete = folder.list_complete()
+        except UnavailableError as error:
+            if str(error) != self.fault:
+                log.warning("%s", error)
+            self.fault = str(error)
+            return []
+        self.fault = ""
+        return complete
 
     def _take(self, folder: WatchedFolder, arrival: Arrival, sensor_id: int) -> None:
         """Take one file in; what stops the policy leaves the file where it is."""
