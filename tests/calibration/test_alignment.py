@@ -163,6 +163,19 @@ def test_a_trend_that_was_not_asked_for_fails_its_gate(trackers):
     assert found.verdict == "FAIL"
 
 
+def test_the_figure_draws_every_pair_and_the_line_of_the_alignment(found):
+    figure = found.draw()
+    assert [trace.name for trace in figure.data] == ["pairs", "alignment"] * 6
+    over_time, line, over_warmth = figure.data[0], figure.data[3], figure.data[2]
+    assert len(over_time.x) == len(over_warmth.x) == found.pairs
+    np.testing.assert_allclose(over_warmth.x, found.residuals.temperature_c)
+    slope = np.polyfit(line.x, line.y, 1)[0]
+    assert slope == pytest.approx(found.terms[0].value_arcsec[0], rel=1e-3)
+    assert over_time.error_y.array.min() > 0
+    wrong = replace(found, residuals=replace(found.residuals, kept=[False, *found.residuals.kept[1:]]))
+    assert [trace.name for trace in wrong.draw().data][:3] == ["pairs", "left out", "alignment"]
+
+
 def test_what_cannot_be_aligned_is_refused(trackers):
     (a, b), (first, second), _ = trackers
     later = replace(b, time_utc=b.time_utc + np.timedelta64(1, "D"))

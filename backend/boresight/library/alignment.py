@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from boresight.calibration.alignment import result
 from boresight.calibration.calibration import to_plain
@@ -14,6 +14,7 @@ from boresight.library.results import Summarised, Tabular
 from boresight.library.text import Summary, written
 
 if TYPE_CHECKING:
+    import plotly.graph_objects as go
     import pyarrow as pa
 
     from boresight.verdicts.gates import GateReport
@@ -52,6 +53,13 @@ class Alignment(Summarised, Tabular, result.Alignment):
     def save(self, path: str | Path) -> None:
         """Write the alignment JSON."""
         Path(path).write_text(json.dumps(self.to_dict(), indent=1) + "\n")
+
+    def draw(self, *, theme: Literal["light", "dark", "contrast"] = "light") -> go.Figure:
+        """Draw the angles of the pairs over time and temperature."""
+        from boresight.figures.alignment import draw
+        from boresight.figures.notebook import on_paper
+
+        return on_paper(draw(self), theme)
 
     def _columns(self) -> pa.Table:
         import pyarrow as pa

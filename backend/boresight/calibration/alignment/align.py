@@ -239,13 +239,14 @@ def _number(numbers: IntArray, place: int) -> int | None:
 def _residuals(pairs: Pairs, variation: Variation, found: Estimate) -> PairResiduals:
     fit = found.fit
     some = np.flatnonzero(_shown(found.keep))
-    sigma = np.sqrt(np.einsum("kii->ki", pairs.R + pairs.G @ np.swapaxes(pairs.G, 1, 2))[some]) * ARCSEC_PER_RAD
+    sigma = np.sqrt(np.einsum("kii->ki", pairs.R)[some]) * ARCSEC_PER_RAD
+    left = fit.residual - pairs.G @ fit.shared
     basis = variation.basis(fit.terms)[some, 1:]
     warmth = variation.temperature_c[some]
     return PairResiduals(
         time_utc=[time_of(one) for one in pairs.time_s[some]],
         temperature_c=[float(one) if np.isfinite(one) else None for one in warmth],
-        residual_arcsec=(fit.residual[some] * ARCSEC_PER_RAD).tolist(),
+        residual_arcsec=(left[some] * ARCSEC_PER_RAD).tolist(),
         sigma_arcsec=sigma.tolist(),
         variation_arcsec=(basis @ fit.beta[1:] * ARCSEC_PER_RAD).tolist(),
         probability=found.probability[some].tolist(),

@@ -84,8 +84,9 @@ class RemovedPair:
 
 @dataclass(frozen=True, kw_only=True)
 class PairResiduals:
-    """Residual angles of the pairs about the axes of B, one entry a pair: arcsec, with one sigma of each, and its chance.
+    """Residual angles of the pairs about the axes of B, one entry a pair: arcsec, with one sigma of its own, and its chance.
 
+    The cameras' error as the pairs tell it is taken off, and is not in the sigmas: it is the same in all of them.
     `variation_arcsec`: what the terms give at the pair, so that residual and variation together are the pair's own angles.
     """
 
