@@ -103,10 +103,12 @@ if TYPE_CHECKING:
         UnauthenticatedError,
         UnavailableError,
     )
+    from boresight.library.alignment import Alignment
     from boresight.library.choice import Choice
     from boresight.library.client import AsyncClient, Client
     from boresight.library.diagnosis import Diagnosis
     from boresight.library.functions import (
+        align,
         assess,
         calibrate,
         check,
@@ -145,6 +147,7 @@ __version__ = "0.1.0"
 #: Every name of the library, by the module that has it; a module is loaded when one of its names is first asked for.
 _PLACES = {
     "boresight.library.functions": (
+        "align",
         "assess",
         "calibrate",
         "check",
@@ -174,6 +177,7 @@ _PLACES = {
         "Quality",
         "Simulation",
     ),
+    "boresight.library.alignment": ("Alignment",),
     "boresight.library.choice": ("Choice",),
     "boresight.library.diagnosis": ("Diagnosis",),
     "boresight.library.pointings": ("PointingPlan",),
@@ -198,6 +202,7 @@ _PLACES = {
 _MODULES = {name: module for module, names in _PLACES.items() for name in names}
 
 __all__ = [
+    "Alignment",
     "Assessment",
     "AsyncClient",
     "BoresightError",
@@ -226,6 +231,7 @@ __all__ = [
     "Telemetry",
     "UnauthenticatedError",
     "UnavailableError",
+    "align",
     "assess",
     "calibrate",
     "check",

@@ -58,10 +58,11 @@ class Body:
 
     def series(self, t, own, shared, spread, mounting):
         rng, n = self.rng, len(t)
-        P = covariances(rng, n, own)
+        P, u = covariances(rng, n, own), rng.normal(size=3)
+        self.common = [*getattr(self, "common", []), shared * u]
         G = np.diag(shared) + spread * 0.2 * rng.normal(size=(n, 3, 3))
         true = mounting * Rotation.from_rotvec(self.rate * t[:, None] * self.axis) * self.first
-        error = np.einsum("nij,nj->ni", np.linalg.cholesky(P), rng.normal(size=(n, 3))) + G @ rng.normal(size=3)
+        error = np.einsum("nij,nj->ni", np.linalg.cholesky(P), rng.normal(size=(n, 3))) + G @ u
         C = (Rotation.from_rotvec(error) * true).as_matrix()
         return AttitudeSeries(t, C, P, G, 20.0 + self.warmth if len(t) == len(self.warmth) else np.full(n, np.nan))
 
@@ -227,6 +228,22 @@ def test_its_covariance_is_right_on_two_hundred_sets(choices):
     for hits, share in zip(inside, (0.6827, 0.9545), strict=True):
         for count in hits:
             assert binomtest(int(count), rounds, share).pvalue > 0.001
+
+
+def test_the_rotation_to_load_is_that_between_the_reported_attitudes():
+    """Its errors are chi-square with the cameras' error on board, where each exposure feels that error a little otherwise."""
+    nees, of_frames = [], []
+    for seed in range(150):
+        body, _, found = run(seed, n=40, per_pass=3e-5)
+        M = body.M.as_matrix()
+        reported = Rotation.from_rotvec(body.common[1] - M @ body.common[0]).as_matrix() @ M
+        loaded = Rotation.from_rotvec(found.fit.load[0]).as_matrix() @ found.fit.M
+        error = Rotation.from_matrix(loaded @ reported.T).as_rotvec()
+        nees.append(error @ np.linalg.solve(found.fit.covariance_to_load[:3, :3], error))
+        wrong = Rotation.from_matrix(found.fit.M @ reported.T).as_rotvec()
+        of_frames.append(wrong @ np.linalg.solve(found.fit.covariance_to_load[:3, :3], wrong))
+    assert_chi_square(nees, 3)
+    assert np.mean(of_frames) > np.mean(nees)
 
 
 def test_what_the_cameras_share_does_not_average_down():

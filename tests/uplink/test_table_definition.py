@@ -19,7 +19,15 @@ from boresight.uplink import cfe
 from boresight.uplink.camera_files import camera_files
 from boresight.uplink.parameter_files import alignment_json
 from boresight.uplink.parameter_service import application_data, type_code
-from boresight.uplink.table_definition import crc_told, decode, encode, parse_definition, quantised, table_crc
+from boresight.uplink.table_definition import (
+    alignment_numbers,
+    crc_told,
+    decode,
+    encode,
+    parse_definition,
+    quantised,
+    table_crc,
+)
 from boresight.uplink.table_files import table_files
 from tests.effort import effort
 from tests.uplink.packages import INITIAL, definitions, make_definition, make_sensor, make_set
@@ -476,3 +484,37 @@ def test_only_a_turn_against_the_replaced_set_is_given_and_another_withheld_with
     assert withheld["alignment"] is None
     assert "not those of PS-FM1-1" in withheld["sentence"]
     assert unknown["sentence"].startswith("No attitude was compared")
+
+
+def _aligned(*names):
+    document = make_definition()
+    begin = document["length_bytes"]
+    fields = [
+        {"name": f"TURN_{name.upper()}", "alignment": name, "offset_bytes": begin + 8 * place, "type": "float64"}
+        for place, name in enumerate(names)
+    ]
+    return {**document, "length_bytes": begin + 8 * len(names), "fields": [*document["fields"], *fields]}
+
+
+def test_a_table_may_hold_an_alignment_beside_the_parameters():
+    quaternion = np.array([0.1, -0.2, 0.3, 0.9]) / np.linalg.norm([0.1, -0.2, 0.3, 0.9])
+    numbers = alignment_numbers(quaternion)
+    definition = _definition(_aligned("q_x", "q_y", "q_z", "q_w", "c_12", "c_31"))
+    assert definition.is_aligned
+    image = encode(definition, PINHOLE, numbers)
+    held = {one.field.alignment: one.value for one in decode(definition, image).fields if one.field.alignment}
+    assert held == {name: numbers[name] for name in held}
+    assert len(held) == 6
+    x, y, z, w = quaternion
+    assert held["c_12"] == pytest.approx(2 * (x * y - z * w))
+    assert decode(definition, image).values == quantised(definition, PINHOLE)
+
+
+def test_a_table_that_holds_an_alignment_is_not_written_without_one():
+    with pytest.raises(RefusedInputError):
+        encode(_definition(_aligned("q_x")), PINHOLE)
+    twice = _aligned("q_x")
+    twice["fields"][-1]["constant"] = 1
+    for wrong in (twice, _aligned("q_v")):
+        with pytest.raises(RefusedInputError):
+            _definition(wrong)

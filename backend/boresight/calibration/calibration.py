@@ -1410,12 +1410,20 @@ def read_calibration(path: str | Path) -> Calibration:
     return parse_calibration(text, str(path))
 
 
+def schema_of(kind: type[Any], name: str) -> dict[str, Any]:
+    """Return the JSON Schema (2020-12) of a dataclass; `name` is the schema's."""
+    adapter: TypeAdapter[Any] = _adapter(kind)  # type: ignore[arg-type]  # every class can be hashed
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": name,
+        **adapter.json_schema(mode="validation"),
+    }
+
+
 def compute_json_schema() -> dict[str, Any]:
     """Return the JSON Schema of the calibration JSON; of one on its way (`running`) only the status is required."""
     return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "$id": SCHEMA,
-        **_adapter(Calibration).json_schema(mode="validation"),
+        **schema_of(Calibration, SCHEMA),
         "if": {"properties": {"status": {"const": "running"}}},
         "else": {"required": list(REQUIRED)},
     }

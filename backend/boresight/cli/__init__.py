@@ -13,6 +13,7 @@ import click
 
 import boresight
 from boresight.cli.administration import certificates, migrate, user, webhook
+from boresight.cli.align import align
 from boresight.cli.assess import assess
 from boresight.cli.audit import audit, backup, restore
 from boresight.cli.calibrate import calibrate
@@ -65,6 +66,7 @@ for command in (
     check,
     import_telemetry,
     simulate,
+    align,
     plan,
     report,
     schema,

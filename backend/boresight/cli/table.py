@@ -76,11 +76,13 @@ def table() -> None:
 @click.argument("parameters", type=INPUT_FILE)
 @SENSOR
 @DEFINITION
+@click.option("--alignment", type=INPUT_FILE, help="Alignment JSON, for a table that holds one; made with PARAMETERS.")
 @click.option("--out", "file", metavar="FILE", required=True, help="The image to write; - is standard output.")
-def encode(parameters: Path, sensor_file: Path, definition_file: Path, file: str) -> None:
+def encode(parameters: Path, sensor_file: Path, definition_file: Path, alignment: Path | None, file: str) -> None:
     """Write PARAMETERS, a calibration JSON or names and values, into the table."""
     check_writable(file, "")
-    from boresight.calibration.parameter_file import read_parameters
+    from boresight.calibration.alignment.result import check_alignment_of, parse_alignment
+    from boresight.calibration.parameter_file import read_document, read_parameters
     from boresight.cameras import CAMERA_MODELS
     from boresight.telemetry.sensors import read_sensor
     from boresight.uplink import table_definition
@@ -89,7 +91,12 @@ def encode(parameters: Path, sensor_file: Path, definition_file: Path, file: str
     definition = table_definition.read_definition(definition_file, sensor)
     camera = CAMERA_MODELS[sensor.camera_model]
     values = dict(zip(camera.parameter_names, read_parameters(parameters, sensor)[0].tolist(), strict=True))
-    image = table_definition.encode(definition, values)
+    turn = None
+    if alignment is not None:
+        found = parse_alignment(read_document(alignment, "an alignment"), alignment.name)
+        check_alignment_of(found, sensor.name, values)
+        turn = table_definition.alignment_numbers(found.to_load.quaternion)
+    image = table_definition.encode(definition, values, turn)
     held = table_definition.quantised(definition, values)
     effect = table_definition.quantisation_effect(camera, sensor, values, held)
     write_bytes(image, file)

@@ -26,8 +26,8 @@ of their distance (outside of [0, 1] as far as `tolerance_s`). With ψ = log(C_2
     C(t) = C(s ψ) C_1,      θ(t) = W_1 θ_1 + W_2 θ_2,      W_2 = s J_l(s ψ) J_l(ψ)^-1,     W_1 = C(s ψ) - W_2 C(ψ),
 
 where the last holds because J_r(ψ)^-1 = J_l(ψ)^-1 C(ψ). Neighbouring pairs then share an attitude, so that R = cov(Σ W ε) is
-banded, not block-diagonal; taking it for block-diagonal claims up to half of the variance. Where an attitude has no neighbour, the rate is
-unknown: one within the tolerance is taken as it is with the error (`rate_sigma` Δt)^2 I besides.
+banded, not block-diagonal; taking it for block-diagonal claims up to half of the variance. Where an attitude has no neighbour, the
+rate is unknown: one within the tolerance is taken as it is with the error (`rate_sigma` Δt)^2 I besides.
 
 Temperature and time
 --------------------
@@ -50,8 +50,18 @@ Gauss-Newton on β and u with the prior u ~ N(0, I): with X = [E, G], E_k = J_r(
     [X^T R^-1 X + diag(0, I)] (dβ, u) = X^T R^-1 r          covariance of β: its block of the inverse.
 
 This is the least squares over all attitudes, M and both cameras with the attitudes eliminated, to the last digit of the linearised
-problem. Its chi-square is r^T R^-1 r + u^T u with 3 K less the number of β degrees of freedom. The same with u held at 0 is the
-covariance for whoever loads these very parameters together with M: what the cameras have in common is then the same on board.
+problem. Its chi-square is r^T R^-1 r + u^T u with 3 K less the number of β degrees of freedom.
+
+To be loaded
+------------
+Whoever loads these very parameters together with M has the cameras' common error on board as well, and wants the rotation between
+the attitudes that are reported, not between the frames: u held at 0. With N = E^T R^-1 E
+
+    β_load = β + N^-1 E^T R^-1 G u          cov = N^-1 + (1/K) mean_k (G_k - G_mean) (C_uu + u u^T) (G_k - G_mean)^T,
+
+the second part because other exposures, with other stars, turn a little otherwise under the same parameters. The two rotations
+differ by what the pairs tell of the cameras' error, and their sigmas by far more: (m0, a2) and (n0, a1) turn a frame and leave the
+arcs alone.
 
 Outliers
 --------
@@ -212,7 +222,7 @@ class Pairs:
 
     def whitened(self, rows: FloatArray) -> FloatArray:
         """R^-1 times rows (K, 3, n)."""
-        from scipy.linalg import cho_solve_banded  # noqa: PLC0415
+        from scipy.linalg import cho_solve_banded  # noqa: PLC0415 - as above
 
         return np.asarray(cho_solve_banded(self.factor, rows.reshape(3 * len(self), -1))).reshape(rows.shape)
 
@@ -425,7 +435,9 @@ class Fit:
     covariance
         (3 + 3 n_terms, 3 + 3 n_terms) of beta in that order: noise and shared errors.
     covariance_of_noise
-        The same with the shared errors held: for whoever uses M with these very parameters.
+        The same with the shared errors held.
+    load, covariance_to_load
+        (1 + n_terms, 3) what to add to beta, and (3 + 3 n_terms, 3 + 3 n_terms) the covariance, for whoever loads these parameters.
     residual
         (K, 3) log(M_k D_k^T) of every pair, taking part or not, rad.
     pair_chi2
@@ -441,6 +453,8 @@ class Fit:
     beta: FloatArray
     covariance: FloatArray
     covariance_of_noise: FloatArray
+    load: FloatArray
+    covariance_to_load: FloatArray
     residual: FloatArray
     pair_chi2: FloatArray
     shared: FloatArray
@@ -492,12 +506,17 @@ def fit(pairs: Pairs, keep: BoolArray, variation: Variation, terms: tuple[Term, 
     chi2 = float(np.einsum("ki,ki->", of_fit, taking.whitened(of_fit[:, :, None])[:, :, 0]) + u @ u)
     back = np.kron(1 / scale, np.ones(3))
     noise = np.linalg.inv(A[:n, :n])
+    G_away = taking.G - taking.G.mean(axis=0)
+    others = np.zeros((n, n))
+    others[:3, :3] = np.einsum("kip,pq,kjq->ij", G_away, C[n:, n:] + np.outer(u, u), G_away) / len(taking) ** 2
     return Fit(
         M=M_0,
         terms=terms,
         beta=beta / scale[:, None],
         covariance=C[:n, :n] * np.outer(back, back),
         covariance_of_noise=noise * np.outer(back, back),
+        load=(noise @ A[:n, n:] @ u).reshape(beta.shape) / scale[:, None],
+        covariance_to_load=(noise + others) * np.outer(back, back),
         residual=r,
         pair_chi2=_chi2_of_pairs(pairs.R, X, C, left, keep),
         shared=u,

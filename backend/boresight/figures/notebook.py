@@ -46,7 +46,11 @@ def draw(source: Source | Mapping[str, Source], name: str, *, theme: str = "ligh
     """
     if theme not in TEMPLATES:
         raise RefusedInputError(f"There is no theme {theme}; choose from {', '.join(TEMPLATES)}.")
-    figure = _figure(name).draw(_traces(source))
+    return on_paper(_figure(name).draw(_traces(source)), theme)
+
+
+def on_paper(figure: go.Figure, theme: str) -> go.Figure:
+    """Give a figure the look of a theme, to stand alone."""
     surface = TOKENS[theme]["surface-1"]
     figure.update_layout(template=TEMPLATES[theme], paper_bgcolor=surface, plot_bgcolor=surface, meta=None)
     return figure

@@ -29,9 +29,17 @@ if TYPE_CHECKING:
     from boresight.calibration.exports import ExposureAttitude
     from boresight.calibration.options import Choices
     from boresight.calibration.telemetry_pieces import TelemetryFile
+    from boresight.library.alignment import Alignment
     from boresight.library.choice import Choice
     from boresight.library.diagnosis import Diagnosis
-    from boresight.library.inputs import ParameterSource, ProfileSource, SensorSource, TelemetrySource, TelemetrySources
+    from boresight.library.inputs import (
+        ParameterSource,
+        ProfileSource,
+        ReferenceSource,
+        SensorSource,
+        TelemetrySource,
+        TelemetrySources,
+    )
     from boresight.library.pointings import PointingPlan
     from boresight.library.results import (
         Assessment,
@@ -701,6 +709,91 @@ def assess(
         gates=report.gates,
         document={**to_plain(report), "sensor": described.name},
     )
+
+
+@_on_kernels
+def align(  # noqa: PLR0913 - two sides, each with its own
+    a: TelemetrySource,
+    b: TelemetrySource | None = None,
+    *,
+    sensor_a: SensorSource,
+    sensor_b: SensorSource | None = None,
+    parameters_a: ParameterSource | None = None,
+    parameters_b: ParameterSource | None = None,
+    reference: ReferenceSource | None = None,
+    reference_profile: ProfileSource | None = None,
+    reference_sigma_arcsec: float | None = None,
+    reference_bias_arcsec: float = 0.0,
+    profile: Mapping[str, Any] | None = None,
+    progress: Wanted = None,
+    **options: Any,
+) -> Alignment:
+    """Estimate the constant rotation from tracker A to tracker B, or to a reference, from what both saw at the same times.
+
+    Parameters
+    ----------
+    a, b
+        Telemetry of the two trackers, as `calibrate`; `b` is left out where there is a reference.
+    sensor_a, sensor_b
+        Their sensors.
+    parameters_a, parameters_b
+        Their calibrations, with covariance; left out, the sensor's own parameters at their typical spread.
+    reference
+        Attitudes of a gyro, payload or body in place of `b`, ICRS to it: an AEM, a table with `time_utc`, `q_x`, `q_y`, `q_z`,
+        `q_w` and perhaps `sigma_arcsec` (or one an axis, `sigma_x_arcsec` and so on) and `temperature_c`, or telemetry, whose
+        quaternions are taken. The rotation is then C_SD, S being the reference's frame.
+    reference_profile
+        Mapping profile that names other columns and conventions of time and quaternion.
+    reference_sigma_arcsec, reference_bias_arcsec
+        One sigma of each attitude where the table does not say it, 10 where nobody does, and of an error that all of them share.
+    profile
+        Limits of the gates, by name, instead of the default ones.
+    progress
+        As `calibrate`.
+    options
+        `tolerance_s`, `longest_gap_s`, `rate_deg_s`, `temperature_of`, `reference_temperature_c`, `temperature`, `drift`,
+        `robust`, as `boresight align --help` tells them.
+
+    Raises
+    ------
+    RefusedInputError
+        When no attitudes are at the same time, or one side has none.
+    """
+    from boresight.calibration.alignment.align import AlignmentOptions, align_sides
+    from boresight.library.alignment import Alignment
+    from boresight.library.inputs import read_any_reference, read_any_sensor, read_camera_parameters
+    from boresight.verdicts.gates.alignment import judge_alignment, parse_alignment_profile
+
+    if unknown := set(options) - {one.name for one in fields(AlignmentOptions)}:
+        raise RefusedInputError(f"An alignment has no {min(unknown)!r}: choose an option that `help(align)` lists.")
+    if (b is None) == (reference is None):
+        raise RefusedInputError("Two frames are aligned: give the telemetry of B, or a reference, and not both.")
+    if b is not None and sensor_b is None:
+        raise RefusedInputError("The sensor of B is missing: give `sensor_b` (--sensor-b).")
+    chosen, limits = AlignmentOptions(**options), parse_alignment_profile(profile)
+    with _prepared(progress, "reading the telemetry") as prepared:
+        from boresight.calibration.alignment.sides import camera_of, tracker_side
+
+        def tracker(telemetry: TelemetrySource, source: SensorSource, known: ParameterSource | None) -> Any:
+            described = read_any_sensor(source)
+            camera = camera_of(described, None if known is None else read_camera_parameters(known, described))
+            stars, _, catalogue = read_set(telemetry, described, prepared)
+            prepared.report(f"matching the stars of {described.name}", None)
+            settings = CalibrationSettings(match="rematch")
+            return tracker_side(stars, described, camera, catalogue, settings, prepared.settings.catalogue_folder)
+
+        side_a = tracker(a, sensor_a, parameters_a)
+        side_b = (
+            read_any_reference(
+                cast("Any", reference), reference_profile, reference_sigma_arcsec, reference_bias_arcsec,
+                prepared.settings.telemetry_limits,
+            )
+            if b is None
+            else tracker(b, cast("Any", sensor_b), parameters_b)
+        )  # fmt: skip
+        prepared.report("aligning", None)
+        found = align_sides(side_a, side_b, chosen)
+    return Alignment.of(found, judge_alignment(found, limits))
 
 
 @_on_kernels

@@ -16,6 +16,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from boresight.arrays import FloatArray
+from boresight.calibration.alignment.sides import BESIDE, COLUMNS, Side, reference_side
 from boresight.calibration.calibration import Calibration, parse_calibration
 from boresight.calibration.joint.passes import JointTelemetry, NamedTelemetry, join_sets
 from boresight.calibration.joint.prior import PriorSource
@@ -24,8 +26,10 @@ from boresight.calibration.telemetry_pieces import TelemetryFile
 from boresight.disks import compute_digest
 from boresight.errors import RefusedInputError
 from boresight.telemetry.imports.builtin import BUILT_IN
-from boresight.telemetry.imports.mapping import Imported
+from boresight.telemetry.imports.ephemerides import Attitudes
+from boresight.telemetry.imports.mapping import Imported, SourceFile, attitudes_of_table, read_attitudes
 from boresight.telemetry.imports.profile import Profile, parse_profile, read_profile
+from boresight.telemetry.imports.tables import SourceTable
 from boresight.telemetry.read.formats import FormFaults, Tables
 from boresight.telemetry.read.limits import Limits
 from boresight.telemetry.read.readers import iterate_chunks
@@ -35,7 +39,6 @@ from boresight.telemetry.sensors import Sensor, parse_sensor, read_sensor
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from boresight.arrays import FloatArray
 
 #: Rows of tables in memory are counted as their indices are.
 FIRST_ROW = 0
@@ -78,6 +81,8 @@ SensorSource = str | os.PathLike[str] | Mapping[str, Any] | Sensor
 ParameterSource = str | os.PathLike[str] | Mapping[str, Any] | Calibration
 
 
+#: Attitudes over time: a file, a table, or telemetry with quaternions.
+ReferenceSource = TelemetrySource
 #: The name of a built-in mapping profile, a file, what such a file says, or a profile of this library.
 ProfileSource = str | os.PathLike[str] | Mapping[str, Any] | Profile
 
@@ -222,6 +227,50 @@ def read_any_sensor(source: SensorSource) -> Sensor:
 def read_any_parameters(source: ParameterSource, sensor: Sensor) -> tuple[FloatArray, FloatArray | None]:
     """Read parameters and, where there is one, their covariance, as `parameter_file.read_parameters` does."""
     return parse_parameters(read_parameter_document(source), sensor, describe_source(source))
+
+
+def read_camera_parameters(source: ParameterSource, sensor: Sensor) -> tuple[FloatArray, FloatArray | None]:
+    """Read parameters with the covariance to decide by: a calibration's with misfit."""
+    document = read_parameter_document(source)
+    misfit = document.get("misfit")
+    if isinstance(misfit, Mapping) and isinstance(misfit.get("covariance"), Mapping):
+        document = {**document, "covariance": misfit["covariance"]}
+    return parse_parameters(document, sensor, describe_source(source))
+
+
+def read_any_reference(
+    source: ReferenceSource,
+    profile: ProfileSource | None,
+    sigma_arcsec: float | None,
+    bias_arcsec: float,
+    limits: Limits,
+) -> Side:
+    """Read the attitudes of a reference; of telemetry its own quaternions."""
+    if isinstance(source, Telemetry | Imported):
+        found, beside = _attitudes_of(read_in_memory(source, limits)), dict[str, FloatArray]()
+    else:
+        named = COLUMNS if profile is None else read_any_profile(profile)
+        if isinstance(source, str | os.PathLike):
+            file = SourceFile(Path(source), Path(source).name)
+            if not file.path.is_file():
+                raise RefusedInputError(f"There is no file {file.name}: check the name of the reference.")
+            found, beside = read_attitudes(file, named, limits, BESIDE)
+        else:
+            name, table = _open_table(source)
+            rows = np.arange(table.num_rows)
+            columns = {column: table[column].combine_chunks() for column in table.column_names}
+            found, beside = attitudes_of_table(SourceTable(name, columns, rows, rows), named, BESIDE)
+    return reference_side(found.name, found, beside, sigma_arcsec=sigma_arcsec, bias_arcsec=bias_arcsec)
+
+
+def _attitudes_of(telemetry: Telemetry) -> Attitudes:
+    """Take the quaternions that telemetry has, one a time."""
+    if telemetry.quaternion is None or telemetry.time_utc is None:
+        raise RefusedInputError("This telemetry has no quaternions with times: give a table that has both.")
+    usable = np.flatnonzero(~np.isnat(telemetry.time_utc) & np.isfinite(telemetry.quaternion).all(axis=1))
+    first = usable[np.unique(telemetry.time_utc[usable], return_index=True)[1]]
+    none = np.zeros(len(first), np.int64)
+    return Attitudes("the reference", telemetry.time_utc[first], telemetry.quaternion[first], none)
 
 
 def read_parameter_document(source: ParameterSource) -> Mapping[str, Any]:

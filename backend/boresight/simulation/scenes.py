@@ -385,7 +385,9 @@ class _Stars:
     star_id: IntArray
 
 
-def simulate(scenario: Scenario, rng: np.random.Generator, catalogue: Catalogue) -> Telemetry:
+def simulate(
+    scenario: Scenario, rng: np.random.Generator, catalogue: Catalogue, exposures: SimulatedExposures | None = None
+) -> Telemetry:
     """Simulate one telemetry set.
 
     Parameters
@@ -396,6 +398,8 @@ def simulate(scenario: Scenario, rng: np.random.Generator, catalogue: Catalogue)
         Source of all randomness; for the scenario's own set give `np.random.default_rng(scenario.seed)`.
     catalogue
         Stars at least 0.6 mag fainter than the scenario's limit.
+    exposures
+        What is exposed instead of the motion's own, as by a second tracker on the same body.
 
     Returns
     -------
@@ -407,7 +411,7 @@ def simulate(scenario: Scenario, rng: np.random.Generator, catalogue: Catalogue)
     RefusedInputError
         When the motion shows too little usable sky for so many frames, or no star at all.
     """
-    exposures = expose(scenario)
+    exposures = expose(scenario) if exposures is None else exposures
     true = _true_stars(scenario, exposures, catalogue, rng)
     false = _false_stars(scenario, len(exposures.frame), rng)
     if len(true.index) + len(false.index) == 0:

@@ -47,6 +47,7 @@ class Field:
     scale: float = 1.0
     offset: float = 0.0
     constant: float | None = None
+    alignment: str | None = None
 
     @property
     def bits(self) -> int:

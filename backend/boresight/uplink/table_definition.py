@@ -25,6 +25,10 @@ A mission's table definition: one JSON object, every entry of it checked, so tha
 `offset_bits` may stand for `offset_bytes`; `byte_order` may stand in a field; `crc`, `cfe` and `pus` may be left out. A CRC of
 another name gives `width`, `poly`, `init`, `refin`, `refout` and `xorout`, and may give `check` to be held to.
 
+A field may name a number of the sensor's alignment instead, `"alignment": "q_x"`: one of the quaternion q_x q_y q_z q_w that turns
+vectors of the detector into those of the other frame, or of its matrix c_11 ... c_33, row by row; then C_SD goes in the same image
+as the parameters that it belongs to.
+
 What the number format on board does to the camera: the same star, seen with and without rounding.
 
 At each place p of a grid over the detector, corners included, the camera has a direction s(x, p). The parameters x' that the
@@ -40,7 +44,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from dataclasses import field as attribute
 from pathlib import Path
@@ -50,6 +54,7 @@ import numpy as np
 
 from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.errors import RefusedInputError
+from boresight.estimation.attitude import to_matrix
 from boresight.telemetry.read.checks import Faults
 from boresight.telemetry.read.formats import read_json
 from boresight.telemetry.sensors import Sensor
@@ -103,8 +108,12 @@ KEYS = (
     "pus",
 )
 FIELD_KEYS = (
-    "name", "parameter", "constant", "offset_bytes", "offset_bits", "type", "byte_order", "scale", "offset",
+    "name", "parameter", "alignment", "constant", "offset_bytes", "offset_bits", "type", "byte_order", "scale", "offset",
 )  # fmt: skip
+#: Numbers of an alignment: the quaternion, and the matrix row by row.
+ALIGNMENT_NAMES = ("q_x", "q_y", "q_z", "q_w", *(f"c_{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)))
+#: What a field may hold, with its article.
+SOURCES = (("a", "parameter"), ("an", "alignment"), ("a", "constant"))
 MOST_FIELDS = 512
 ORDERS = ("big", "little")
 WHOLE = (8, 16, 32, 64)
@@ -126,6 +135,11 @@ class TableDefinition:
     cfe: CfeHeaders | None
     pus: ParameterService | None
     document: Mapping[str, Any] = attribute(repr=False)
+
+    @property
+    def is_aligned(self) -> bool:
+        """Whether the table holds an alignment too."""
+        return any(field.alignment is not None for field in self.fields)
 
 
 def read_definition(path: Path, sensor: Sensor) -> TableDefinition:
@@ -180,9 +194,11 @@ def _field(document: Any, place: str, little: bool, sensor: Sensor, faults: Faul
     entries = Entries(document, place, FIELD_KEYS, faults)
     kind = entries.kind("type")
     parameter = entries.optional_word("parameter", CAMERA_MODELS[sensor.camera_model].parameter_names)
-    constant = entries.constant("constant") if parameter is None else None
-    if parameter is not None and entries.has("constant"):
-        faults.add(f"{place} names a parameter and a constant: leave one of them out")
+    alignment = entries.optional_word("alignment", ALIGNMENT_NAMES)
+    constant = entries.constant("constant") if parameter is None and alignment is None else None
+    named = [f"{article} {key}" for article, key in SOURCES if entries.has(key)]
+    if len(named) > 1:
+        faults.add(f"{place} names {' and '.join(named)}: leave all but one of them out")
     field = Field(
         name=entries.name("name"),
         parameter=parameter,
@@ -192,6 +208,7 @@ def _field(document: Any, place: str, little: bool, sensor: Sensor, faults: Faul
         scale=entries.number("scale", 1.0),
         offset=entries.number("offset", 0.0),
         constant=constant,
+        alignment=alignment,
     )
     if field.scale == 0:
         faults.add(f"{place}.scale is 0: give the step of one raw unit")
@@ -283,14 +300,31 @@ class Decoded:
     stored_crc: int | None
 
 
-def encode(definition: TableDefinition, parameters: Mapping[str, float]) -> bytes:
+def alignment_numbers(quaternion: Sequence[float]) -> dict[str, float]:
+    """Return the numbers of an alignment by the names of fields, from its quaternion x, y, z, w."""
+    matrix = to_matrix(np.array(quaternion, np.float64))
+    return dict(zip(ALIGNMENT_NAMES, [*map(float, quaternion), *map(float, matrix.ravel())], strict=True))
+
+
+def encode(
+    definition: TableDefinition, parameters: Mapping[str, float], alignment: Mapping[str, float] | None = None
+) -> bytes:
     """Lay parameters into the table.
 
-    `parameters`: Number of each parameter of the camera model, SI. Returns (length_bytes,) bytes, the CRC in its place.
+    `parameters`: Number of each parameter of the camera model, SI. `alignment`: as `alignment_numbers` gives them, for a table that
+    holds one. Returns (length_bytes,) bytes, the CRC in its place.
     """
+    if definition.is_aligned and alignment is None:
+        raise RefusedInputError(
+            f"The table {definition.table_id} holds an alignment: give one of `boresight align`, made with these parameters."
+        )
     image = int.from_bytes(bytes([definition.fill]) * definition.length_bytes, "big")
     for field in definition.fields:
-        number = field.constant if field.parameter is None else parameters[field.parameter]
+        number = field.constant
+        if field.parameter is not None:
+            number = parameters[field.parameter]
+        elif field.alignment is not None and alignment is not None:
+            number = alignment[field.alignment]
         image = _with_bits(definition, image, field, field.pack(number or 0))
     if definition.crc_field is not None:
         crc = table_crc(definition, image.to_bytes(definition.length_bytes, "big")) or 0
@@ -328,7 +362,7 @@ def _decoded(definition: TableDefinition, content: bytes, field: Field) -> Decod
 
 def quantised(definition: TableDefinition, parameters: Mapping[str, float]) -> dict[str, float]:
     """Return the parameters as the table holds them, in the order given."""
-    held = decode(definition, encode(definition, parameters)).values
+    held = decode(definition, encode(definition, parameters, alignment_numbers((0.0, 0.0, 0.0, 1.0)))).values
     return {name: held[name] for name in parameters if name in held}
 
 

@@ -161,14 +161,21 @@ def sensitivity(problem: Problem, x: FloatArray, sigma_rad: FloatArray) -> Float
     """
     arcs = problem.arcs.whole()
     chosen, starts = _spread(arcs)
-    s, ds = problem.camera.directions_and_jacobian(x, arcs.row_px[chosen], arcs.col_px[chosen], arcs.pitch)
-    s, ds = triad(s, problem.sensor.parity), np.swapaxes(triad(np.swapaxes(ds, 1, 2), problem.sensor.parity), 1, 2)
-    weight = 1 / sigma_rad[chosen] ** 2
+    each, covariance = sensitivity_of_exposures(arcs, chosen, starts, x, sigma_rad[chosen], problem.sensor.parity)
+    return np.average(each, axis=0, weights=1 / np.trace(covariance, axis1=1, axis2=2))
+
+
+def sensitivity_of_exposures(
+    arcs: ArcSet, stars: NDArray[np.int64], starts: NDArray[np.int64], x: FloatArray, sigma_rad: FloatArray, parity: int
+) -> tuple[FloatArray, FloatArray]:
+    """J_k (n_exposures, 3, n_parameters) and covariances (n_exposures, 3, 3) of the attitudes of stars that begin at `starts`."""
+    s, ds = arcs.camera.directions_and_jacobian(x, arcs.row_px[stars], arcs.col_px[stars], arcs.pitch)
+    s, ds = triad(s, parity), np.swapaxes(triad(np.swapaxes(ds, 1, 2), parity), 1, 2)
+    weight = 1 / sigma_rad**2
     across = weight[:, None, None] * (np.eye(3) - s[:, :, None] * s[:, None, :])
     torque = weight[:, None, None] * np.cross(s[:, :, None], ds, axis=1)
     covariance = np.linalg.inv(np.add.reduceat(across, starts, axis=0))
-    each = covariance @ np.add.reduceat(torque, starts, axis=0)
-    return np.average(each, axis=0, weights=1 / np.trace(covariance, axis1=1, axis2=2))
+    return covariance @ np.add.reduceat(torque, starts, axis=0), covariance
 
 
 def _spread(arcs: ArcSet) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

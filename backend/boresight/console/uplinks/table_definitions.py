@@ -50,6 +50,11 @@ def parse_for(session: Session, sensor_id: int, document: Mapping[str, Any]) -> 
     """Read a definition that is not stored, as `set_definition` would."""
     sensor = session.get_known(Sensor, sensor_id)
     definition = table_definition.parse_definition(document, parse_sensor(sensor.document))
+    if definition.is_aligned:
+        raise RefusedInputError(
+            "Packages hold camera parameters and no alignment: leave the fields with `alignment` out here, and write such a table "
+            "with `boresight table encode --alignment`."
+        )
     if len(canonical(document)) > LARGEST_DOCUMENT:
         raise RefusedInputError(f"The table definition has more than {LARGEST_DOCUMENT:,} characters: shorten it.")
     return definition

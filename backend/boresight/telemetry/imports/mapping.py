@@ -271,29 +271,57 @@ def _absent_like(example: NDArray[Any], rows: int) -> NDArray[Any]:
 
 def _read_attitude(file: SourceFile, profile: Profile, limits: Limits) -> Attitudes:
     """Read the attitudes of a file of its own, ICRS to detector."""
+    return read_attitudes(file, profile, limits)[0]
+
+
+def read_attitudes(
+    file: SourceFile, profile: Profile, limits: Limits, beside: Sequence[str] = ()
+) -> tuple[Attitudes, dict[str, FloatArray]]:
+    """Read the attitudes of a file, and those of the columns `beside` them that it has, (n,) each, NaN where empty."""
     turned = profile.quaternion or Quaternion()
     if is_aem(file.path):
         found = read_aem(file.path, file.name, turned.longest_gap_s)
-        return replace(found, quaternion=_mounted(found.quaternion, turned))
+        return replace(found, quaternion=_mounted(found.quaternion, turned)), {}
     if not turned.columns or profile.time is None or profile.time.column is None:
         raise RefusedInputError(
             f"{file.name} is not an AEM, and the profile {profile.name} names no columns of time and quaternion: name them."
         )
     layout = replace(profile.layout, where={})
     table = read_source(file.path, file.name, layout, (*turned.columns, profile.time.column), limits)
-    faults = Faults(file.name, places=lambda entry, column: (int(table.row[entry]), column))
-    names = [table.find(column) for column in turned.columns]
-    values = np.column_stack([floats(pa.chunked_array([table.columns[name]]), name, faults)[0] for name in names])
+    return attitudes_of_table(table, profile, beside)
+
+
+def attitudes_of_table(
+    table: SourceTable, profile: Profile, beside: Sequence[str] = ()
+) -> tuple[Attitudes, dict[str, FloatArray]]:
+    """The same of a table whose columns of time and quaternion a profile names."""
+    turned = profile.quaternion or Quaternion()
+    faults = Faults(table.name, places=lambda entry, column: (int(table.row[entry]), column))
+
+    def read(column: str) -> FloatArray:
+        name = table.find(column)
+        return np.asarray(floats(pa.chunked_array([table.columns[name]]), name, faults)[0], np.float64)
+
+    values = np.column_stack([read(column) for column in turned.columns])
+    further = {column: read(column) for column in beside if table.has(column)}
     moments = _times(table, profile, faults)
     faults.refuse()
-    return _packets(file.name, moments, _of_detector(values, turned, faults), turned.longest_gap_s)
+    order = _in_order(moments, values)
+    found = _packets(table.name, moments, _of_detector(values, turned, faults), turned.longest_gap_s)
+    faults.refuse()
+    return found, {column: cells[order] for column, cells in further.items()}
+
+
+def _in_order(moments: TimeArray, quaternion: FloatArray) -> IntArray:
+    """Rows that have a time and a quaternion, in order of time, of equal times the first."""
+    usable = np.flatnonzero(~np.isnat(moments) & np.all(np.isfinite(quaternion), axis=1))
+    return np.asarray(usable[np.unique(moments[usable], return_index=True)[1]])
 
 
 def _packets(name: str, moments: TimeArray, quaternion: FloatArray, longest_gap_s: float) -> Attitudes:
     """Return attitudes of packets, in order of time, of equal times the first."""
-    usable = ~np.isnat(moments) & np.all(np.isfinite(quaternion), axis=1)
-    known, first = np.unique(moments[usable], return_index=True)
-    return Attitudes(name, known, quaternion[usable][first], np.zeros(len(known), np.int64), longest_gap_s)
+    order = _in_order(moments, quaternion)
+    return Attitudes(name, moments[order], quaternion[order], np.zeros(len(order), np.int64), longest_gap_s)
 
 
 def _of_detector(values: FloatArray, turned: Quaternion, faults: Faults | None = None) -> FloatArray:

@@ -30,7 +30,7 @@ from typing import Any
 
 from boresight.calibration.calibration import parse_part
 from boresight.errors import RefusedInputError
-from boresight.verdicts.gates.measurements import GATES, Ends, Measurement
+from boresight.verdicts.gates.measurements import GATES, Ends, Gate, Measurement
 from boresight.verdicts.gates.profile import Profile, Threshold
 from boresight.verdicts.numbers import MINUS, MISSING, NARROW_SPACE, number, percent
 
@@ -84,10 +84,12 @@ def parse_report(document: Mapping[str, Any]) -> GateReport:
     return parse_part(GateReport, document, RefusedInputError)
 
 
-def judge(profile: Profile, measurements: Mapping[str, Measurement]) -> GateReport:
-    """Answer every gate of a profile."""
+def judge(profile: Profile, measurements: Mapping[str, Measurement], gates: Mapping[str, Gate] = GATES) -> GateReport:
+    """Answer every gate of a profile; `gates`: those that it names."""
     nothing = Measurement(None, "This was not measured.")
-    return _sum_up([_answer(one, measurements.get(one.name, nothing)) for one in profile.thresholds], 0)
+    return _sum_up(
+        [_answer(gates[one.name], one, measurements.get(one.name, nothing)) for one in profile.thresholds], 0
+    )
 
 
 def summarise(report: GateReport, waived: Collection[str], ever_waived: Collection[str]) -> GateReport:
@@ -133,8 +135,7 @@ def _passed_by(answer: GateAnswer) -> bool:
     return answer.waived and answer.waivable
 
 
-def _answer(threshold: Threshold, measured: Measurement) -> GateAnswer:
-    gate = GATES[threshold.name]
+def _answer(gate: Gate, threshold: Threshold, measured: Measurement) -> GateAnswer:
     status = _status(threshold, measured)
     return GateAnswer(
         name=gate.name,
@@ -228,7 +229,7 @@ def _margin(threshold: Threshold, measured: Measurement) -> float | None:
     return limit - value if threshold.direction == "below" else value - limit
 
 
-SHARES = ("of frames", "of regions")
+SHARES = ("of frames", "of regions", "of pairs")
 
 
 @dataclass(frozen=True)
@@ -260,18 +261,18 @@ MET = {"PASS": "met", "MARGINAL": "nearly met", "FAIL": "not met"}
 
 
 def _row(answer: GateAnswer, blocking: bool) -> GateRow:
-    name = answer.name
+    unit = answer.unit
     return GateRow(
-        name=name,
+        name=answer.name,
         title=answer.title,
         status=answer.status,
-        value=in_unit(name, answer.value) if answer.met is None else MET[answer.met],
-        interval=_between(name, answer.interval or answer.bounds),
-        limit=threshold_text(name, answer.limit),
-        marginal=threshold_text(name, answer.marginal),
-        incumbent=in_unit(name, answer.incumbent),
-        margin=in_unit(name, answer.margin),
-        unit="" if GATES[name].unit in SHARES else GATES[name].unit,
+        value=in_unit(unit, answer.value) if answer.met is None else MET[answer.met],
+        interval=_between(unit, answer.interval or answer.bounds),
+        limit=threshold_text(answer, answer.limit),
+        marginal=threshold_text(answer, answer.marginal),
+        incumbent=in_unit(unit, answer.incumbent),
+        margin=in_unit(unit, answer.margin),
+        unit="" if unit in SHARES else unit,
         sentence=answer.sentence,
         notes=tuple(_notes(answer)),
         blocking=blocking,
@@ -292,29 +293,29 @@ def _notes(answer: GateAnswer) -> list[str]:
     ]
 
 
-def in_unit(name: str, value: float | None) -> str:
+def in_unit(unit: str, value: float | None) -> str:
     """Write a gate's number in its unit, without it; a share as a percentage."""
     if value is None:
         return MISSING
-    return percent(value) if GATES[name].unit in SHARES else number(value, 3)
+    return percent(value) if unit in SHARES else number(value, 3)
 
 
-def _between(name: str, interval: Sequence[float | None] | None) -> str:
+def _between(unit: str, interval: Sequence[float | None] | None) -> str:
     """Write an interval; an unknown end is unbounded."""
     if interval is None:
         return MISSING
     low, high = interval
-    left = f"{MINUS}∞" if low is None else in_unit(name, low)
-    return f"{left} to {'∞' if high is None else in_unit(name, high)}"
+    left = f"{MINUS}∞" if low is None else in_unit(unit, low)
+    return f"{left} to {'∞' if high is None else in_unit(unit, high)}"
 
 
-def threshold_text(name: str, value: float | None) -> str:
+def threshold_text(answer: GateAnswer, value: float | None) -> str:
     """Write a threshold with the side that is good."""
-    direction = GATES[name].direction
+    direction = answer.direction
     if direction == "met":
         return MISSING
     if value is None:
         return "none"
     if direction == "around":
         return f"{number(1 / value, 3)} to {number(value, 3)}"
-    return f"{'≤' if direction == 'below' else '≥'}{NARROW_SPACE}{in_unit(name, value)}"
+    return f"{'≤' if direction == 'below' else '≥'}{NARROW_SPACE}{in_unit(answer.unit, value)}"

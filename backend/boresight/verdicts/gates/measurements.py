@@ -502,7 +502,7 @@ class Gate:
     title: str
     question: str
     direction: str
-    measure: Callable[[GateInputs], Measurement] = field(kw_only=True)
+    measure: Callable[[Any], Measurement] = field(kw_only=True)
     unit: str = ""
     lowest: float = 0.0
     highest: float = 1e15

@@ -57,7 +57,8 @@ class Profile:
         return {"schema": SCHEMA, "gates": [asdict(threshold) for threshold in self.thresholds]}
 
 
-def _default(gate: Gate) -> dict[str, Any]:
+def default_thresholds(gate: Gate) -> dict[str, Any]:
+    """Return what a gate allows where no profile says it."""
     return {
         "name": gate.name,
         "limit": gate.limit,
@@ -70,41 +71,41 @@ def _default(gate: Gate) -> dict[str, Any]:
     }
 
 
-DEFAULT_PROFILE: dict[str, Any] = {"schema": SCHEMA, "gates": [_default(gate) for gate in GATES.values()]}
+DEFAULT_PROFILE: dict[str, Any] = {"schema": SCHEMA, "gates": [default_thresholds(gate) for gate in GATES.values()]}
 
 
-def parse_profile(document: Mapping[str, Any]) -> Profile:
-    """Read a profile; gates and keys that are left out are as in `DEFAULT_PROFILE`."""
+def parse_profile(document: Mapping[str, Any], gates: Mapping[str, Gate] = GATES) -> Profile:
+    """Read a profile of some gates; gates and keys that are left out are as by default."""
     for key in document:
         if key not in {"schema", "gates"}:
             raise RefusedInputError(f"A gate profile has no key {key!r}: give `gates`, a list.")
     if document.get("schema", SCHEMA) != SCHEMA:
         raise RefusedInputError(f"The profile's schema is {document['schema']!r}: write {SCHEMA!r}, or leave it out.")
-    given = _by_name(document.get("gates", []))
-    return Profile(tuple(_threshold(entry, given.get(entry["name"], {})) for entry in DEFAULT_PROFILE["gates"]))
+    given = _by_name(document.get("gates", []), gates)
+    return Profile(tuple(_threshold(gate, given.get(name, {})) for name, gate in gates.items()))
 
 
-def _by_name(entries: Any) -> dict[str, Mapping[str, Any]]:
+def _by_name(entries: Any, gates: Mapping[str, Gate]) -> dict[str, Mapping[str, Any]]:
     if not isinstance(entries, list) or not all(isinstance(entry, Mapping) for entry in entries):
         raise RefusedInputError("`gates` is not a list of objects: give one object per gate, with its name.")
     given: dict[str, Mapping[str, Any]] = {}
     for entry in entries:
         name = entry.get("name")
-        if not isinstance(name, str) or name not in GATES:
-            raise RefusedInputError(f"There is no gate {name!r}; choose from {', '.join(GATES)}.")
+        if not isinstance(name, str) or name not in gates:
+            raise RefusedInputError(f"There is no gate {name!r}; choose from {', '.join(gates)}.")
         if name in given:
             raise RefusedInputError(f"The gate {name} is given twice: give it once.")
         given[name] = entry
     return given
 
 
-def _threshold(default: Mapping[str, Any], given: Mapping[str, Any]) -> Threshold:
+def _threshold(gate: Gate, given: Mapping[str, Any]) -> Threshold:
     """Join what is given with the default, and check it."""
+    default = default_thresholds(gate)
     for key in given:
         if key not in default:
-            raise RefusedInputError(f"Gate {default['name']} has no key {key!r}; choose from {', '.join(default)}.")
+            raise RefusedInputError(f"Gate {gate.name} has no key {key!r}; choose from {', '.join(default)}.")
     threshold = Threshold(**{**default, **given})
-    gate = GATES[threshold.name]
     _check_fixed(gate, threshold)
     for key in FLAGS:
         if not isinstance(getattr(threshold, key), bool):

@@ -1,0 +1,309 @@
+"""An alignment from its two sides: pairs, estimate, and the result in arcseconds with its advice."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from boresight.arrays import BoolArray, FloatArray, IntArray
+from boresight.calibration.alignment.result import (
+    AXES,
+    AlignedSide,
+    Alignment,
+    AlignmentTerm,
+    AlignmentTermTest,
+    PairResiduals,
+    PairTest,
+    RemovedPair,
+    RotationToLoad,
+    quaternion_of,
+)
+from boresight.calibration.alignment.sides import Side, time_of
+from boresight.calibration.evaluation.alignment import ARCSEC_PER_RAD
+from boresight.errors import RefusedInputError
+from boresight.estimation.alignment import (
+    HIGHEST_POWER,
+    Estimate,
+    Fit,
+    PairingRule,
+    Pairs,
+    Term,
+    Variation,
+    estimate,
+    exp_of,
+    make_pairs,
+    variation_of,
+)
+from boresight.estimation.statistics.special import chdtri
+
+#: Pairs whose residuals are kept, evenly spread, beside those that were removed; and removed ones that are listed.
+MOST_RESIDUALS, MOST_REMOVED = 2000, 200
+
+TemperatureOf = Literal["a", "b", "difference"]
+TEMPERATURES: tuple[TemperatureOf, ...] = ("a", "b", "difference")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlignmentOptions:
+    """The choices of an alignment.
+
+    `tolerance_s`: how far an attitude may be carried beyond its neighbours. `longest_gap_s`: between two that are interpolated.
+    `rate_deg_s`: one sigma of a rate that no neighbour tells. `temperature_of`: whose temperature counts; left out, A's where it is
+    known, else B's. `reference_temperature_c`: where the rotation is told, else at the mean. `temperature`: highest power of the
+    temperature, 0 for none. `drift`: a change a day, or none. Evidence chooses where neither is said; where one is, the other is
+    none. `robust`: leave out pairs that are too far off.
+    """
+
+    tolerance_s: float = 0.5
+    longest_gap_s: float = 10.0
+    rate_deg_s: float = 0.1
+    temperature_of: TemperatureOf | None = None
+    reference_temperature_c: float | None = None
+    temperature: int | None = None
+    drift: bool | None = None
+    robust: bool = True
+
+    def __post_init__(self) -> None:
+        """Refuse choices that make no sense, naming the first."""
+        limits = {
+            "tolerance_s": (0.0, 60.0),
+            "longest_gap_s": (0.0, 3600.0),
+            "rate_deg_s": (0.0, 100.0),
+            "reference_temperature_c": (-273.15, 400.0),
+            "temperature": (0, HIGHEST_POWER + 1),
+        }
+        for name, (low, high) in limits.items():
+            value = getattr(self, name)
+            if value is not None and not low <= value <= high:
+                raise RefusedInputError(f"{name} is {value:g}: choose {low:g} to {high:g}.")
+        if self.temperature_of not in {None, *TEMPERATURES}:
+            raise RefusedInputError(f"temperature_of is {self.temperature_of!r}: choose {', '.join(TEMPERATURES)}.")
+
+    @property
+    def rule(self) -> PairingRule:
+        """How attitudes are paired."""
+        return PairingRule(self.tolerance_s, self.longest_gap_s, float(np.radians(self.rate_deg_s)))
+
+    def choose_terms(self) -> tuple[Term, ...] | None:
+        """Return the terms that were asked for; None where evidence chooses."""
+        if self.temperature is None and self.drift is None:
+            return None
+        powers = tuple(Term("temperature", power) for power in range(1, (self.temperature or 0) + 1))
+        return powers + ((Term("time", 1),) if self.drift else ())
+
+
+def align_sides(a: Side, b: Side, options: AlignmentOptions = AlignmentOptions()) -> Alignment:
+    """Estimate the rotation from A to B; refuses sides that were never looked at together."""
+    pairs = make_pairs(a.series, b.series, options.rule)
+    if not len(pairs):
+        raise RefusedInputError(_never(a, b, options))
+    which, warmth = _temperature(pairs, options)
+    variation = variation_of(pairs, warmth, options.reference_temperature_c)
+    wanted = options.choose_terms()
+    if wanted and not _can_have(variation, wanted):
+        raise RefusedInputError(
+            f"{len(pairs)} pairs do not tell the terms that were asked for: temperature or time is unknown or hardly changes; "
+            "leave them out, or give a longer set."
+        )
+    found = estimate(pairs, variation, wanted=wanted, robust=options.robust)
+    return _write(a, b, pairs, variation, which, found)
+
+
+def _can_have(variation: Variation, wanted: tuple[Term, ...]) -> bool:
+    return all(variation.can_tell(term, wanted[:place]) for place, term in enumerate(wanted))
+
+
+def _never(a: Side, b: Side, options: AlignmentOptions) -> str:
+    spans = [f"{one.name} from {time_of(one.series.time_s[0])} to {time_of(one.series.time_s[-1])}" for one in (a, b)]
+    return (
+        f"No attitudes of the two frames are at the same time within {options.tolerance_s:g} s: {' and '.join(spans)}. Give sets "
+        "of the same hours, or allow a longer tolerance or gap."
+    )
+
+
+def _temperature(pairs: Pairs, options: AlignmentOptions) -> tuple[TemperatureOf | None, FloatArray]:
+    """Whose temperature the rotation may depend on, and it (K,)."""
+    of_a, of_b = pairs.temperature_c.T
+    which = options.temperature_of
+    if which is None:
+        which = "a" if np.isfinite(of_a).all() else "b" if np.isfinite(of_b).all() else None
+    value = {"a": of_a, "b": of_b, "difference": of_a - of_b, None: np.full(len(pairs), np.nan)}[which]
+    return which if np.isfinite(value).any() else None, value
+
+
+def _write(
+    a: Side, b: Side, pairs: Pairs, variation: Variation, which: TemperatureOf | None, found: Estimate
+) -> Alignment:
+    fit = found.fit
+    P = fit.covariance_with_misfit
+    known = variation.temperature_c[np.isfinite(variation.temperature_c)]
+    bounds = None if fit.dof < 1 else [float(chdtri(fit.dof, p)) / fit.dof for p in (0.975, 0.025)]
+    return Alignment(
+        a=_told(a),
+        b=_told(b),
+        quaternion=quaternion_of(fit.M),
+        matrix=[[float(one) for one in row] for row in fit.M],
+        sigma_arcsec=_sigmas(fit.covariance)[:3],
+        sigma_with_misfit_arcsec=_sigmas(P)[:3],
+        covariance_rad2=[[float(one) for one in row] for row in P],
+        to_load=_to_load(fit),
+        reference_temperature_c=variation.reference_c if len(known) else None,
+        temperature_of=which,
+        temperature_range_c=[float(known.min()), float(known.max())] if len(known) else None,
+        reference_utc=time_of(variation.middle_s),
+        terms=[
+            _term(term, fit.beta[place], _sigmas(P)[3 * place : 3 * place + 3])
+            for place, term in enumerate(fit.terms, 1)
+        ],
+        tests=[AlignmentTermTest(name=one.term.name, fall=one.fall, p=one.p, needed=one.needed) for one in found.tests],
+        pairs=len(pairs),
+        pairs_used=int(found.keep.sum()),
+        interpolated=int((pairs.offset_s > 0).sum()),
+        test=PairTest(
+            chi2=fit.chi2,
+            dof=fit.dof,
+            ratio=fit.ratio if fit.dof > 0 else None,
+            lower=None if bounds is None else bounds[0],
+            upper=None if bounds is None else bounds[1],
+        ),
+        removed=_removed(a, b, pairs, found),
+        residuals=_residuals(pairs, variation, found),
+        sentence=_sentence(a, b, found, P),
+        advice=list(_advice(a, b, found)),
+    )
+
+
+def _to_load(fit: Fit) -> RotationToLoad:
+    """Return the rotation for whoever loads these parameters, widened by the scatter of the pairs."""
+    M = exp_of(fit.load[0]) @ fit.M
+    P = fit.covariance_to_load + max(fit.ratio - 1.0, 0.0) * fit.covariance_of_noise
+    return RotationToLoad(
+        quaternion=quaternion_of(M),
+        matrix=[[float(one) for one in row] for row in M],
+        sigma_arcsec=_sigmas(P)[:3],
+        covariance_rad2=[[float(one) for one in row] for row in P],
+        terms_arcsec=((fit.beta + fit.load)[1:] * ARCSEC_PER_RAD).tolist(),
+    )
+
+
+def _sigmas(P: FloatArray) -> list[float]:
+    return [float(one) for one in np.sqrt(np.diag(P)) * ARCSEC_PER_RAD]
+
+
+def _told(side: Side) -> AlignedSide:
+    return AlignedSide(
+        name=side.name,
+        parameters=side.parameters,
+        values=side.values,
+        exposures=side.exposures,
+        attitudes=len(side.series),
+        start_utc=time_of(side.series.time_s[0]),
+        end_utc=time_of(side.series.time_s[-1]),
+    )
+
+
+def _term(term: Term, beta: FloatArray, sigma: list[float]) -> AlignmentTerm:
+    unit = "day" if term.kind == "time" else "°C" if term.power == 1 else f"°C^{term.power}"
+    value = [float(one) for one in beta * ARCSEC_PER_RAD]
+    return AlignmentTerm(
+        name=term.name, kind=term.kind, power=term.power, unit=unit, value_arcsec=value, sigma_arcsec=sigma
+    )
+
+
+def _removed(a: Side, b: Side, pairs: Pairs, found: Estimate) -> list[RemovedPair]:
+    """The pairs that were left out, least likely first."""
+    out = np.flatnonzero(~found.keep)
+    listed = out[np.argsort(-found.fit.pair_chi2[out], kind="stable")][:MOST_REMOVED]
+    return [
+        RemovedPair(
+            time_utc=time_of(pairs.time_s[k]),
+            frame_a=_number(a.frame, pairs.place[k, 0]),
+            exposure_a=_number(a.exposure, pairs.place[k, 0]),
+            frame_b=_number(b.frame, pairs.place[k, 1]),
+            exposure_b=_number(b.exposure, pairs.place[k, 1]),
+            angle_arcsec=float(np.linalg.norm(found.fit.residual[k]) * ARCSEC_PER_RAD),
+            chi2=float(found.fit.pair_chi2[k]),
+            probability=float(found.probability[k]),
+        )
+        for k in listed
+    ]
+
+
+def _number(numbers: IntArray, place: int) -> int | None:
+    return None if numbers[place] < 0 else int(numbers[place])
+
+
+def _residuals(pairs: Pairs, variation: Variation, found: Estimate) -> PairResiduals:
+    fit = found.fit
+    some = np.flatnonzero(_shown(found.keep))
+    sigma = np.sqrt(np.einsum("kii->ki", pairs.R)[some]) * ARCSEC_PER_RAD
+    left = fit.residual - pairs.G @ fit.shared
+    basis = variation.basis(fit.terms)[some, 1:]
+    warmth = variation.temperature_c[some]
+    return PairResiduals(
+        time_utc=[time_of(one) for one in pairs.time_s[some]],
+        temperature_c=[float(one) if np.isfinite(one) else None for one in warmth],
+        residual_arcsec=(left[some] * ARCSEC_PER_RAD).tolist(),
+        sigma_arcsec=sigma.tolist(),
+        variation_arcsec=(basis @ fit.beta[1:] * ARCSEC_PER_RAD).tolist(),
+        probability=found.probability[some].tolist(),
+        kept=found.keep[some].tolist(),
+    )
+
+
+def _shown(keep: BoolArray) -> BoolArray:
+    """Which residuals are kept: all of few; of many evenly spread ones, and those that were removed first."""
+    if len(keep) <= MOST_RESIDUALS:
+        return np.ones(len(keep), np.bool_)
+    shown = np.zeros(len(keep), np.bool_)
+    shown[np.linspace(0, len(keep) - 1, MOST_RESIDUALS - MOST_REMOVED).astype(np.int64)] = True
+    shown[np.flatnonzero(~keep)[:MOST_REMOVED]] = True
+    return shown
+
+
+def _sentence(a: Side, b: Side, found: Estimate, P: FloatArray) -> str:
+    """Answer first: how well the rotation is known, to load and of the body, and what it depends on."""
+    load = _to_load(found.fit).sigma_arcsec
+    known = ", ".join(f"{axis} ± {3 * value:.3g}" for axis, value in zip(AXES, load, strict=True))
+    body = ", ".join(f"{axis} ± {3 * value:.3g}" for axis, value in zip(AXES, _sigmas(P)[:3], strict=True))
+    words = (
+        f"The rotation from {a.name} to {b.name} is known to {known} arcsec (3 sigma) from {found.keep.sum():,} pairs, to be "
+        f"loaded with these parameters; between the frames themselves, whatever the cameras' error, to {body} arcsec"
+    )
+    depends = [
+        f"{'temperature' if term.kind == 'temperature' else 'time'}, {np.linalg.norm(found.fit.beta[place]) * ARCSEC_PER_RAD:.3g} "
+        f"arcsec a {'day' if term.kind == 'time' else 'degree' if term.power == 1 else f'degree to the power of {term.power}'}"
+        for place, term in enumerate(found.fit.terms, 1)
+    ]
+    with_terms = f"; it depends on {', and on '.join(depends)}" if depends else ""
+    return f"{words}{with_terms}."
+
+
+def _advice(a: Side, b: Side, found: Estimate) -> Iterator[str]:
+    """Say what to know and do."""
+    for side in (a, b):
+        if side.parameters == "typical":
+            yield (
+                f"No calibration of {side.name} was given: its camera is taken to be off by the typical spread; give one, and the "
+                "sigmas shrink."
+            )
+        if side.parameters == "none":
+            yield f"The parameters of {side.name} have no covariance, so its share is missing in the sigmas: give a calibration."
+    removed = int((~found.keep).sum())
+    if removed:
+        yield (
+            f"{removed:,} of {len(found.keep):,} pairs were left out as too far off: look at their times and frames; matches, time "
+            "stamps or a fast turn cause that."
+        )
+    fit = found.fit
+    if fit.dof > 0 and fit.ratio > float(chdtri(fit.dof, 0.025)) / fit.dof:
+        yield (
+            f"The pairs scatter {np.sqrt(fit.ratio):.3g} times as much as stars and reference say, and the sigmas were widened: "
+            "check time stamps, the reference's sigma, and jitter between the frames."
+        )
+    names = {one.term.kind for one in found.tests}
+    if "temperature" not in names and not any(one.kind == "temperature" for one in fit.terms):
+        yield "Temperature is unknown or hardly changed, so nothing is known of its effect: include passes at other temperatures."
