@@ -18,7 +18,7 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "declared",
-    "external_scripts",
+    "finish",
     "formulas",
     "notebooks",
 ]

@@ -1,4 +1,4 @@
-"""The documentation as its readers get it: built without a warning, every link leads somewhere, and nothing comes from elsewhere."""
+"""The documentation as readers get it: built without a warning, every link leads somewhere, and nothing comes from elsewhere."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from urllib.parse import unquote, urlsplit
 import pytest
 
 from boresight.console.alarms.tables import ALARM_KINDS
-from boresight.platform.web import static_files
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -90,7 +89,9 @@ def test_every_link_leads_to_a_file_of_the_site_and_every_place_in_it_stands_the
 
 
 def test_a_page_loads_nothing_from_elsewhere_and_holds_no_script_or_style_of_its_own(pages, site):
-    loaded = [(path.name, one) for path, page in pages.items() for tag, one in page.addresses if tag != "a" and "//" in one]
+    loaded = [
+        (path.name, one) for path, page in pages.items() for tag, one in page.addresses if tag != "a" and "//" in one
+    ]
     sheets = "".join(path.read_text(encoding="utf-8") for path in site.rglob("*.css"))
     assert loaded == []
     assert {path.name: page.inline for path, page in pages.items() if page.inline} == {}
@@ -112,7 +113,9 @@ def test_no_formula_is_left_as_it_was_typed(site):
 
 
 def test_every_document_of_the_folder_is_a_page(site):
-    sources = [path.relative_to(DOCS).with_suffix(".html") for path in DOCS.rglob("*") if path.suffix in {".md", ".ipynb"}]
+    sources = [
+        path.relative_to(DOCS).with_suffix(".html") for path in DOCS.rglob("*") if path.suffix in {".md", ".ipynb"}
+    ]
     assert [str(name) for name in sources if not (site / name).is_file()] == []
 
 
@@ -122,45 +125,23 @@ def test_every_alarm_has_its_place_in_the_guide(pages, site):
 
 
 def test_the_words_are_spelled_as_they_are():
-    words = [sys.executable, "-m", "codespell_lib", "--ignore-words-list", "ans,nd,ue,te,vis,fo,crate"]
+    words = [sys.executable, "-m", "codespell_lib", "--ignore-words-list", "nees,tung"]
     sources = [str(path) for path in (*DOCS.rglob("*.md"), *DOCS.rglob("*.ipynb"), ROOT / "README.md")]
     done = subprocess.run([*words, *sources], capture_output=True, text=True, check=False)
     assert done.stdout == ""
 
 
-@pytest.fixture
-def shelf(tmp_path, monkeypatch):
-    """A folder in place of the built site."""
-    (tmp_path / "documentation" / "how-to").mkdir(parents=True)
-    (tmp_path / "secret.html").write_text("secret")
-    for name in ("index.html", "how-to/index.html"):
-        (tmp_path / "documentation" / name).write_text(f"<title>{name}</title>")
-    monkeypatch.setattr(static_files, "folder", lambda name: tmp_path / name)
-    return tmp_path
-
-
-@pytest.mark.usefixtures("shelf")
-@pytest.mark.parametrize(
-    ("address", "title"),
-    [("/docs", "index.html"), ("/docs/", "index.html"), ("/docs/how-to/", "how-to/index.html")],
-)
-def test_the_console_shows_it_to_everybody(house, address, title):
-    answer = house.anybody().get(address, follow_redirects=True)
-    assert (answer.status_code, answer.text) == (200, f"<title>{title}</title>")
-    assert answer.headers["content-type"] == "text/html; charset=utf-8"
-
-
-@pytest.mark.usefixtures("shelf")
-@pytest.mark.parametrize("name", ["nothing.html", "..%2fsecret.html", "how-to", "%00"])
-def test_what_is_no_page_of_it_is_not_found(house, name):
-    assert house.anybody().get(f"/docs/{name}").status_code == 404
-
-
-def test_where_it_was_not_built_a_sentence_says_how_to_get_it(house, monkeypatch):
-    def refuse(name):
-        raise FileNotFoundError(name)
-
-    monkeypatch.setattr(static_files, "folder", refuse)
-    answer = house.anybody().get("/docs/")
-    assert answer.status_code == 404
-    assert "make docs" in answer.text
+def test_what_a_tutorial_tells_to_press_stands_on_the_pages():
+    """A word in bold of the two tutorials in the browser is a label: a button, or a place in the side bar."""
+    sources = [
+        *(ROOT / "frontend" / "templates").rglob("*.html"),
+        *(ROOT / "backend" / "boresight" / "console").rglob("*.py"),
+    ]
+    said = "".join(path.read_text(encoding="utf-8") for path in sources)
+    told = [
+        label
+        for name in ("browser.md", "first-week.md")
+        for label in re.findall(r"\*\*([A-Z][^*:.]*)\*\*", (DOCS / "tutorials" / name).read_text(encoding="utf-8"))
+    ]
+    assert len(told) > 20
+    assert [label for label in told if label not in said] == []

@@ -170,7 +170,9 @@ def test_what_tests_keep_beside_the_packages_is_locked_at_the_same_versions():
     assert {name: beside[name] for name in beside if name != "pandas"}.items() <= tests.items()
 
 
-@pytest.mark.parametrize("name", ["requirements.lock", "requirements-dev.lock", "requirements-docs.lock", "requirements-pandas.lock"])
+@pytest.mark.parametrize(
+    "name", ["requirements.lock", "requirements-dev.lock", "requirements-docs.lock", "requirements-pandas.lock"]
+)
 def test_every_locked_package_has_a_hash(name):
     entries = re.findall(r"^[a-z0-9-]+==\S+ (?:; [^\\\n]+ )?(.*)\n +(\S+)", (ROOT / name).read_text(), re.MULTILINE)
     assert len(entries) == len(_locked(name))

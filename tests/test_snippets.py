@@ -1,13 +1,12 @@
-"""Every command and example of the documentation: each is one that there is, and what can run is run, page by page, as a reader would.
+"""Every command and example of the documentation: each is one that there is, and what can run is run, as a reader would.
 
-A page's blocks run in their order in a folder of the page's own: `sh` by a shell, or in this process where a line is nothing but a
-command of ours, and `python` in one namespace. Blocks of other kinds (`console`, `json`, `yaml`, `text`) are only shown; of the commands in
-them the names and options are checked. `docs/deployment.md` and `docs/library.md` are run by tests of their own.
+A page's blocks run in their order in a folder of the page's own: `sh` by a shell, or in this process where a line is nothing but
+a command of ours, and `python` in one namespace. Blocks of other kinds (`console`, `json`, `yaml`, `text`) are only shown; of the
+commands in them names and options are checked. `docs/deployment.md` and `docs/library.md` are run by tests of their own.
 """
 
 from __future__ import annotations
 
-import io
 import os
 import re
 import shlex
@@ -25,7 +24,10 @@ from boresight.cli import main
 from tests.stores import environment_in
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md"))}
+PAGES = {
+    path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8")
+    for path in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md"))
+}
 BLOCK = re.compile(r"^( *)```([a-z]*)([^\n]*)\n(.*?)^\1```$", re.MULTILINE | re.DOTALL)
 RUN = ("docs/tutorials/", "docs/how-to/", "docs/explanation/")
 #: Pages that run in a few seconds; the others under --full.
@@ -66,26 +68,31 @@ INLINE = [(name, found) for name, text in PAGES.items() for found in re.findall(
 
 @pytest.mark.parametrize(("page", "words"), COMMANDS, ids=lambda one: one if isinstance(one, str) else " ".join(one))
 def test_every_command_of_a_page_is_one_with_options_that_there_are(page, words, monkeypatch, tmp_path):
-    command, rest = main, words[1:]
+    assert page in PAGES
+    command, rest = main, ["table.csv" if word == "-" else word for word in words[1:]]  # nobody types at a test
     while isinstance(command, click.Group):
         command, rest = command.commands[rest[0]], rest[1:]
     for one in command.params:
         if isinstance(one.type, click.Path):
             monkeypatch.setattr(one.type, "exists", False)  # the page's files
-    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO()))  # of those that read `-`
     monkeypatch.chdir(tmp_path)
     command.make_context(" ".join(words), list(rest))  # refuses an unknown option, or a value that it cannot take
 
 
 @pytest.mark.parametrize(("page", "text"), INLINE, ids=str)
 def test_every_command_within_a_sentence_names_a_command_and_options_that_there_are(page, text):
+    assert page in PAGES
     command, rest = main, text.replace("\\|", "|").split()[1:]
     while isinstance(command, click.Group) and rest:
         name, *rest = rest
         if "|" in name or name.isupper() or name == "...":
             return
         command = command.commands[name]
-    known = {name for one in command.params for name in (*one.opts, *one.secondary_opts)} | {"--help", "--version", "--debug"}
+    known = {name for one in command.params for name in (*one.opts, *one.secondary_opts)} | {
+        "--help",
+        "--version",
+        "--debug",
+    }
     assert [word for word in rest if word.startswith("--") and word.split("=")[0] not in known] == []
 
 

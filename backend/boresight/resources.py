@@ -13,4 +13,6 @@ def folder(name: str) -> Path:
     for candidate in (_PACKAGE / name, top / name, top / "build" / name):
         if candidate.is_dir():
             return candidate
-    raise FileNotFoundError(f"Expected the folder {name!r} inside the package, or at the top or in build of the checkout")
+    raise FileNotFoundError(
+        f"Expected the folder {name!r} inside the package, or at the top or in build of the checkout"
+    )

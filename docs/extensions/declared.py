@@ -62,10 +62,19 @@ def _walk(group: click.Group, words: tuple[str, ...]) -> Iterator[tuple[str, cli
 
 
 def _parameter(one: click.Parameter) -> tuple[str, str, str, str]:
-    names = ", ".join(f"`{name}`" for name in (*one.opts, *one.secondary_opts)) if isinstance(one, click.Option) else _code(one.human_readable_name)
+    names = (
+        ", ".join(f"`{name}`" for name in (*one.opts, *one.secondary_opts))
+        if isinstance(one, click.Option)
+        else _code(one.human_readable_name)
+    )
     values = "" if isinstance(one, click.Option) and one.is_flag else _values(one.type)
     plain = isinstance(one.default, str | int | float) and not isinstance(one.default, bool)
-    return names, values, _code(one.default if plain else ""), getattr(one, "help", None) or ("required" if one.required else "")
+    return (
+        names,
+        values,
+        _code(one.default if plain else ""),
+        getattr(one, "help", None) or ("required" if one.required else ""),
+    )
 
 
 def _values(kind: click.ParamType) -> str:
@@ -83,10 +92,9 @@ def commands() -> str:
         context = click.Context(command, info_name=name)
         usage = " ".join((name, *command.collect_usage_pieces(context)))
         shown = [one for one in command.params if not getattr(one, "hidden", False)]
-        help_text = re.sub(r"^(\b)$", "", inspect.cleandoc(command.help or ""), flags=re.MULTILINE).replace("\b\n", "").replace("\f", "")
-        parts.append(
-            f"## `{name}`\n\n```text\n{usage}\n```\n\n{help_text}\n\n{table(('Option', 'Values', 'Default', 'What'), map(_parameter, shown))}"
-        )
+        said = inspect.cleandoc(command.help or "").replace("\b\n", "").replace("\f", "")
+        rows = table(("Option", "Values", "Default", "What"), map(_parameter, shown))
+        parts.append(f"## `{name}`\n\n```text\n{usage}\n```\n\n{said}\n\n{rows}")
     return "\n\n".join(parts)
 
 
@@ -120,7 +128,10 @@ def operations() -> str:
         for method, one in methods_of_path.items():
             rows[one.get("tags", ["others"])[0]].append((f"`{method.upper()}`", f"`{path}`", one.get("summary", "")))
     sentences = {tag["name"]: tag.get("description", "") for tag in document["tags"]}
-    parts = (f"### {tag}\n\n{sentences.get(tag, '')}\n\n{table(('Method', 'Path', 'What'), found)}" for tag, found in rows.items())
+    parts = (
+        f"### {tag}\n\n{sentences.get(tag, '')}\n\n{table(('Method', 'Path', 'What'), found)}"
+        for tag, found in rows.items()
+    )
     return "\n\n".join(parts)
 
 
@@ -161,7 +172,9 @@ def causes() -> str:
         sentence = one.sentence.replace("{size}", "…")
         own = [known[name] for name in one.tests if name == one.name and name in known]
         own_test = f" Its own test is *{own[0]}*." if own else ""
-        parts.append(f"(cause-{one.name})=\n### `{one.name}`\n\n> {sentence}.\n\n**What to do:** {one.remedy}.{own_test}")
+        parts.append(
+            f"(cause-{one.name})=\n### `{one.name}`\n\n> {sentence}.\n\n**What to do:** {one.remedy}.{own_test}"
+        )
     return "\n\n".join(parts)
 
 
@@ -173,7 +186,9 @@ def alarms() -> str:
     for kind, level, text in rows:
         for name, member in told.items():
             text = text.replace(f"`{name}`", f"{getattr(rules, member):g} {'days' if member == 'OLD_DAYS' else 's'}")  # noqa: PLW2901 - the same text
-        parts.append((f"[`{kind}`](../how-to/respond-to-an-alarm.md#{kind.lower()})", level, re.sub(r" \(`[\w.]+`\)", "", text)))
+        parts.append(
+            (f"[`{kind}`](../how-to/respond-to-an-alarm.md#{kind.lower()})", level, re.sub(r" \(`[\w.]+`\)", "", text))
+        )
     return table(("Alarm", "Level", "Raised when"), parts)
 
 
@@ -204,7 +219,10 @@ def cameras() -> str:
 
 def declarations() -> str:
     """Write what is declared in a sensor file because no data show it."""
-    rows = ((f"`{one.name}`", one.title, "; ".join(f"`{word}`: {meaning}" for word, meaning in one.words.items())) for one in DECLARATIONS.values())
+    rows = (
+        (f"`{one.name}`", one.title, "; ".join(f"`{word}`: {meaning}" for word, meaning in one.words.items()))
+        for one in DECLARATIONS.values()
+    )
     return table(("Name", "Title", "Words"), rows)
 
 
@@ -219,19 +237,23 @@ def _schema_rows(schema: dict[str, Any]) -> Iterator[tuple[str, str, str]]:
 
 
 def _schema_type(one: dict[str, Any]) -> str:
-    if "$ref" in one:
-        return f"[{one['$ref'].rpartition('/')[2]}](#{one['$ref'].rpartition('/')[2].lower()})"
-    if "anyOf" in one:
-        return " or ".join(_schema_type(other) for other in one["anyOf"])
-    if "enum" in one:
-        return ", ".join(f"`{json.dumps(value)}`" for value in one["enum"])
-    if "const" in one:
-        return f"`{json.dumps(one['const'])}`"
-    if one.get("type") == "array":
-        return f"list of {_schema_type(one['items'])}" if isinstance(one.get("items"), dict) else "list"
-    if one.get("type") == "object" and isinstance(one.get("additionalProperties"), dict):
-        return f"object of {_schema_type(one['additionalProperties'])}"
-    return str(one.get("type", "any"))
+    match one:
+        case {"$ref": str(place)}:
+            name = place.rpartition("/")[2]
+            found = f"[{name}](#{name.lower()})"
+        case {"anyOf": others}:
+            found = " or ".join(map(_schema_type, others))
+        case {"enum": values}:
+            found = ", ".join(f"`{json.dumps(value)}`" for value in values)
+        case {"const": value}:
+            found = f"`{json.dumps(value)}`"
+        case {"type": "array", "items": dict(inner)}:
+            found = f"list of {_schema_type(inner)}"
+        case {"type": "object", "additionalProperties": dict(inner)}:
+            found = f"object of {_schema_type(inner)}"
+        case _:
+            found = str(one.get("type", "any"))
+    return found
 
 
 def _schema(name: str) -> str:
@@ -265,7 +287,11 @@ def library() -> str:
     parts = []
     for name in boresight.__all__:
         value = getattr(boresight, name)
-        kind = ("autoexception" if issubclass(value, BaseException) else "autoclass") if inspect.isclass(value) else "autofunction"
+        kind = (
+            ("autoexception" if issubclass(value, BaseException) else "autoclass")
+            if inspect.isclass(value)
+            else "autofunction"
+        )
         members = "\n   :members:\n   :inherited-members: BaseException, tuple" if kind == "autoclass" else ""
         parts.append(f"## `bs.{name}`\n\n```{{eval-rst}}\n.. {kind}:: boresight.{name}{members}\n```")
     return "\n\n".join(parts)

@@ -9,7 +9,7 @@ import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -101,12 +101,18 @@ def _copy_style(app: Sphinx, error: Exception | None) -> None:
     """Put KaTeX's style and fonts beside the pages."""
     if error is None and app.builder.format == "html":
         place = Path(app.outdir) / "_static" / "katex"
-        shutil.copytree(KATEX / "fonts", place / "fonts", dirs_exist_ok=True, ignore=lambda _, names: [name for name in names if not name.endswith(".woff2")])
+        shutil.copytree(
+            KATEX / "fonts",
+            place / "fonts",
+            dirs_exist_ok=True,
+            ignore=lambda _, names: [name for name in names if not name.endswith(".woff2")],
+        )
         shutil.copy(KATEX / "katex.min.css", place)
 
 
-def _add_style(app: Sphinx, page: str, template: str, context: Mapping[str, Any], doctree: nodes.document | None) -> None:  # noqa: ARG001 - the event's
+def _add_style(app: Sphinx, *of_page: Any) -> None:
     """Ask for the style on pages that have formulas."""
+    doctree = of_page[-1]
     if doctree is not None and any(doctree.findall(lambda node: isinstance(node, nodes.math | nodes.math_block))):
         app.add_css_file("katex/katex.min.css")
 

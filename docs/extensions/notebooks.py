@@ -42,7 +42,8 @@ def show(value: object) -> str:
         return ""
     if hasattr(value, "to_plotly_json"):
         text = value.to_json().replace("</", r"<\/")  # type: ignore[attr-defined]  # every Plotly figure has it
-        drawing = f'<div class="drawing" role="img" aria-label="The figure that this cell returned"><script type="application/json">{text}</script></div>'
+        data = f'<script type="application/json">{text}</script>'
+        drawing = f'<div class="drawing" role="group" aria-label="The figure that this cell returned">{data}</div>'
         return f"\n``````{{raw}} html\n{drawing}\n``````\n"
     if hasattr(value, "_repr_html_"):
         return f'\n``````{{raw}} html\n<div class="output" tabindex="0">{value._repr_html_()}</div>\n``````\n'
@@ -75,11 +76,14 @@ class NotebookParser(MystParser):
 
     def parse(self, inputstring: str, document: nodes.document) -> None:
         """Execute the notebook and parse what came of it."""
-        super().parse(to_markdown(json.loads(inputstring), execute=bool(document.settings.env.config.execute_notebooks)), document)
+        super().parse(
+            to_markdown(json.loads(inputstring), execute=bool(document.settings.env.config.execute_notebooks)), document
+        )
 
 
-def _add_drawings(app: Sphinx, page: str, template: str, context: Mapping[str, Any], doctree: nodes.document | None) -> None:  # noqa: ARG001 - the event's
+def _add_drawings(app: Sphinx, *of_page: Any) -> None:
     """Ask for Plotly on pages that draw."""
+    doctree = of_page[-1]
     if doctree is not None and any('class="drawing"' in node.astext() for node in doctree.findall(nodes.raw)):
         app.add_js_file("plotly.min.js", loading_method="defer")
         app.add_js_file("drawings.js", loading_method="defer")

@@ -82,7 +82,7 @@ def _draw_changes(found: Calibration) -> str:
             f'<line x1="{left:.1f}" y1="{y:.1f}" x2="{right:.1f}" y2="{y:.1f}" stroke="currentColor" stroke-width="2"/>'
             f'<circle cx="{middle + scale * change:.1f}" cy="{y:.1f}" r="4"/>'
         )
-    return _svg(height, parts)
+    return _svg("Change of each parameter, with its sigmas", height, parts)
 
 
 def _draw_rms(found: Calibration) -> str:
@@ -96,6 +96,7 @@ def _draw_rms(found: Calibration) -> str:
     top = max(values)
     points = " ".join(f"{x:.1f},{y:.1f}" for x, y in _places(values, top))
     return _svg(
+        "RMS arc error over the iterations or frames",
         HEIGHT,
         [
             f'<polyline points="{points}" fill="none" stroke="currentColor" stroke-width="2"/>',
@@ -115,6 +116,6 @@ def _places(values: Sequence[float], top: float) -> list[tuple[float, float]]:
     ]
 
 
-def _svg(height: float, parts: Sequence[str]) -> str:
+def _svg(label: str, height: float, parts: Sequence[str]) -> str:
     size = f'width="{WIDTH}" height="{height:.0f}" viewBox="0 0 {WIDTH} {height:.0f}"'
-    return f'<svg {size} fill="currentColor" role="img">{"".join(parts)}</svg>'
+    return f'<svg {size} fill="currentColor" role="img" aria-label="{label}">{"".join(parts)}</svg>'

@@ -28,7 +28,7 @@ SHIPPED = {
     "swagger-ui-bundle.js": SWAGGER / "swagger-ui-bundle.js",
     "swagger-ui.css": SWAGGER / "swagger-ui.css",
 }
-NO_DOCUMENTATION = "The documentation was not built here, or not yet: run make docs in the checkout; its sources are in the folder docs."
+NO_DOCUMENTATION = "The documentation was not built here, or not yet: run make docs in the checkout."
 COMPRESS_FROM_BYTES = 1024
 CACHED = "public, no-cache"  # the browser caches it, but revalidates
 TYPES = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".woff2": "font/woff2"}
