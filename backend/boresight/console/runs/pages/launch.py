@@ -139,7 +139,7 @@ class TypedForm:
         return any(self[name] != DEFAULTS[name] for name in FIELDS if OPTIONS[name].group in OF_ONE_RUN)
 
     @property
-    def start(self) -> dict[str, int]:
+    def start(self) -> dict[str, Any]:
         """The calibration that the run starts from, as the service names it."""
         kind, _, number = self.prior.partition("-")
         if not self.prior:
