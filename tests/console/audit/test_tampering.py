@@ -83,6 +83,7 @@ def _go_the_whole_way(engine: Engine, people: Mapping[str, Actor], row: Paramete
             box = SecretBox(Path(folder) / "webhooks.key")
             webhooks.create_webhook(session, people["root"], box, label="desk", url="https://example.org/hook")
         note = notes.add_note(session, people["ana"], "sensors", row.sensor_id, "The focus moved.")
+        blobs.put(b"12:00 safe mode")
         attach(session, people["ana"], blobs, note.id, check_file("pass.log", b"12:00 safe mode"))
         notes.annotate(session, people["ana"], row.sensor_id, NOW, "The focus moved.")
         rules.update_installation_alarms(session, {rules.CHAIN: check_chain("broken", "For the sake of an alarm.")})
