@@ -64,6 +64,7 @@ log = logging.getLogger(__name__)
 
 AHEAD_S = 3600.0  # that the times of telemetry may be ahead of this clock
 QUIET_DAYS = 7.0
+OF_VALIDATION = ("validation", "availability", "matched-stars")  # gates on frames that may be older than a change
 MOST_QUIET_DAYS = 90.0
 LONGEST_REASON = 2000
 LONGEST_NAME = 200
@@ -309,12 +310,13 @@ def _list_alternatives(found: PolicyFinding, run: Run) -> tuple[Mapping[str, Any
     before, after = summary.rms_initial_arc_rad, summary.rms_final_arc_rad
     price = f"Arcs of this set are off by {urad(before)} µrad with {name}" if before is not None else f"{name} stays"
     gain = f", and by {urad(after)} µrad with this set" if before is not None and after is not None else ""
-    more, sets = found.in_row + 1, "set" if found.in_row == 1 else "sets"
+    more, sets = found.in_row + 1, "this set" if found.in_row == 1 else f"the {found.in_row} sets since then together"
     said = {
         "SUBMIT": f"Ask that this set become the baseline: an approver signs, an operator promotes. {price}{gain}.",
         "WAIT": f"{name} stays, and the same change is not asked again for the days that you give; a jump is. {price}.",
-        "MORE DATA": f"{name} stays, and the next set asks again: {more} in a row, with sigmas smaller by √{more} together.",
-        "RECALIBRATE": f"Calibrate the {found.in_row} {sets} since then together, or a longer pass, and submit what that finds.",
+        "MORE DATA": f"{name} stays, and the next set asks again: {more} in a row, with sigmas smaller by √{more} together. "
+        "Where the gates are judged on older validation frames, upload some that were taken since.",
+        "RECALIBRATE": f"Calibrate {sets} with other settings, or a longer pass, and submit what that finds.",
     }
     return tuple({"answer": one, "sentence": said[one]} for one in ANSWERS)
 
@@ -326,8 +328,8 @@ def recommend(found: PolicyFinding, gate_report: Mapping[str, Any]) -> str:
     if not gate_report["blocking"]:
         return "SUBMIT"
     judged = {one["name"]: one["status"] for one in gate_report["gates"]}
-    lacking = all(judged[name] == "NO-DATA" for name in gate_report["blocking"])
-    return "MORE DATA" if lacking else "RECALIBRATE"
+    held_apart = all(judged[name] == "NO-DATA" or name.startswith(OF_VALIDATION) for name in gate_report["blocking"])
+    return "MORE DATA" if held_apart else "RECALIBRATE"
 
 
 def prepare_set(session: Session, blobs: BlobStore, decision_id: int) -> ParameterSet:
