@@ -13,6 +13,7 @@ from boresight.calibration.options import (
     GROUPS,
     METHODS,
     OPTIONS,
+    USUAL_DRIFT,
     CalibrationSettings,
     schema,
 )
@@ -24,7 +25,7 @@ from boresight.telemetry.sensors import parse_sensor, sensor_document
 
 CHOICES = {name: tuple(option.words) for name, option in OPTIONS.items() if option.kind == "word"}
 #: A choice that only some methods have is tried with one of them.
-METHOD_WITH = {"gain_form": {"method": "angular"}}
+METHOD_WITH = {"gain_form": {"method": "angular"}, "process_noise_per": {"method": "sqrf"}}
 
 
 @pytest.mark.parametrize(("name", "word"), [(name, word) for name, words in CHOICES.items() for word in words])
@@ -90,7 +91,7 @@ def test_what_cannot_be_is_refused_in_one_sentence(document, sentence):
 def test_no_refit_is_q_with_the_baseline_s_matches_and_methods_and_bounds_are_the_estimators():
     no_refit = CalibrationSettings(method="sqrf", variant="no-refit", match_parameters="latest")
     assert no_refit.matched_with == "baseline"
-    assert no_refit.process_noise == no_refit.process_noise_sigma > 0
+    assert no_refit.process_noise == USUAL_DRIFT
     assert CalibrationSettings(method="sqrf", variant="q").matched_with == "latest"
     assert CalibrationSettings(method="sqrf").process_noise == 0
     assert list(FILTERS) == list(filters.FILTERS)

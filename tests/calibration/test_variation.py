@@ -8,12 +8,13 @@ import pytest
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.estimate import Parameters, never
 from boresight.calibration.joint.passes import NamedTelemetry, join_sets
-from boresight.calibration.joint.variation import fit_passes, fit_variation, make_link, places_of
+from boresight.calibration.joint.passes_fit import fit_passes, places_of
+from boresight.calibration.joint.variation import fit_variation, make_link
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem
 from boresight.calibration.telemetry_pieces import TelemetryFile
 from boresight.errors import RefusedInputError
-from boresight.estimation.block_bordered import Linked
+from boresight.estimation.block_bordered import Linked, Regressed
 from boresight.estimation.statistics.consistency import chi_square, nees
 from tests.calibration.conftest import telemetry
 from tests.calibration.sets import differences, written
@@ -65,12 +66,13 @@ def test_the_fit_of_passes_is_the_dense_stacked_problem_within_1e_9_sigma(sensor
     problem, passes = problem_of(moved(STEPS, days=days, warm=warm), sensor, catalogue)
     settings = CalibrationSettings(vary=("f_m", "b2_per_m2"), vary_as=how, walk_sigma=0.3)
     own, ends = np.array([0, 4]), places_of(problem, passes)
-    link = make_link(passes, own, settings)
+    t = warm - warm.mean()
+    by_temperature = Regressed(own, np.tile(t[:, None], (1, 2)))
+    link = by_temperature if how == "temperature" else make_link(passes, own, settings)
     fitted = fit_passes(problem, ends, PARAMETERS, GROUND, link, never)
     assert fitted.converged
     z = (fitted.states - GROUND) / SCALE
     if how == "temperature":
-        t = warm - warm.mean()
         B = np.concatenate([np.tile(np.eye(8), (4, 1, 1)), t[:, None, None] * np.eye(8)[:, own]], axis=2)
         links = residuals = []
     else:
@@ -125,6 +127,91 @@ def test_a_slope_in_temperature_is_found_with_its_sigma(sensor, catalogue):
     assert abs(found.slope["f_m"] - slope * SCALE[0]) < 4 * found.slope_sigma["f_m"]
     assert found.reference_temperature_c == pytest.approx(warm.mean())
     assert found.test.p_value < 1e-9
+
+
+WARM = np.array([-20.0, -12.0, -5.0, 0.0, 6.0, 11.0, 17.0, 25.0])
+
+
+def test_the_degree_in_temperature_is_what_the_evidence_of_each_parameter_says(sensor, catalogue):
+    curve = 0.05 * WARM + 0.004 * WARM**2
+    found = run(
+        moved(curve, warm=WARM, frames=15),
+        sensor,
+        catalogue,
+        vary=("f_m", "m0_px"),
+        vary_as="temperature",
+        degree="auto",
+    ).variation
+    assert found.degree == {"f_m": 2, "m0_px": 0}
+    reference = found.reference_temperature_c
+    truth = np.array([0.05 + 0.008 * reference, 0.004]) * SCALE[0]
+    assert np.abs((np.array(found.coefficients["f_m"]) - truth) / found.coefficient_sigma["f_m"]).max() < 4
+    assert found.tests["f_m"].dof == 2
+    assert found.tests["f_m"].p_value < 1e-9
+    assert found.coefficients["m0_px"] == []
+    at = [one.parameters["f_m"] for one in found.states]
+    sigma = [one.sigma["f_m"] for one in found.states]
+    assert np.abs((at - TRUTH[0] - curve * SCALE[0]) / sigma).max() < 4
+
+
+def test_a_stated_degree_is_kept_and_one_that_the_temperatures_do_not_tell_is_refused(sensor, catalogue):
+    found = run(
+        moved(0.2 * WARM, warm=WARM, frames=15), sensor, catalogue, vary=("f_m",), vary_as="temperature", degree="3"
+    )
+    assert found.variation.degree == {"f_m": 3}
+    assert found.variation.slope["f_m"] == found.variation.coefficients["f_m"][0]
+    with pytest.raises(RefusedInputError, match="give more passes, or a lower --degree"):
+        run(moved([0, 0], warm=[1.0, 5.0]), sensor, catalogue, vary=("f_m",), vary_as="temperature", degree="2")
+
+
+def test_drift_a_day_is_found_with_its_test(sensor, catalogue):
+    days = [0, 10, 25, 40, 80]
+    found = run(
+        moved(0.02 * np.array(days), days=days), sensor, catalogue, vary=("f_m", "n0_px"), vary_as="drift"
+    ).variation
+    assert abs(found.slope["f_m"] - 0.02 * SCALE[0]) < 4 * found.slope_sigma["f_m"]
+    assert found.tests["f_m"].p_value < 1e-6
+    assert found.tests["n0_px"].p_value > 1e-3
+    assert found.reference_utc.startswith("2026-02-01")
+
+
+def stepped(sizes, gaps, seed=70):
+    """Ten passes three days apart whose focal length steps in some gaps."""
+    k = np.arange(10)
+    steps = sum(size * (k > gap) for size, gap in zip(sizes, gaps, strict=True)) + np.zeros(10)
+    return moved(steps, seed=seed, frames=15, days=(3 * k).tolist())
+
+
+def test_a_step_is_proposed_with_its_size_and_an_interval_for_its_date(sensor, catalogue):
+    found = run(stepped([1.0], [5]), sensor, catalogue, vary=("f_m", "m0_px"), vary_as="step").variation
+    (step,) = found.steps
+    assert step.parameter == "f_m"
+    assert abs(step.step - SCALE[0]) < 4 * step.sigma
+    assert step.p_value < 1e-6
+    assert np.datetime64(step.from_utc[:-1]) <= BEGIN + 15 * DAY + DAY // 100
+    assert np.datetime64(step.to_utc[:-1]) >= BEGIN + 18 * DAY
+    assert step.sentence.startswith("f stepped by +")
+    assert "ppm between 2026-01-" in step.sentence
+    assert [one.parameters["f_m"] for one in found.states[:6]] == [found.states[0].parameters["f_m"]] * 6
+
+
+def test_two_steps_are_found_and_none_where_nothing_stepped(sensor, catalogue):
+    two = run(stepped([1.5, -2.0], [2, 6]), sensor, catalogue, vary=("f_m",), vary_as="step").variation
+    assert len(two.steps) == 2
+    assert sorted(np.sign([one.step for one in two.steps]).tolist()) == [-1.0, 1.0]
+    still = run(stepped([], []), sensor, catalogue, vary=("f_m",), vary_as="step")
+    assert still.variation.steps == []
+    assert still.status == "converged"
+    assert still.variation.test is None
+
+
+def test_steps_at_events_are_those_that_are_beyond_chance(sensor, catalogue):
+    events = ["2026-01-08T00:00:00Z", "2026-01-17T12:00:00Z"]
+    found = run(stepped([1.0], [5]), sensor, catalogue, vary=("f_m",), vary_as="step", events=events).variation
+    (step,) = found.steps
+    assert step.event_utc == events[1]
+    assert abs(step.step - SCALE[0]) < 4 * step.sigma
+    assert step.sentence.endswith(f"at {events[1]}")
 
 
 def test_a_walk_lies_between_one_camera_and_one_for_each_pass(sensor, catalogue):
@@ -194,6 +281,10 @@ def test_errors_of_the_last_pass_are_spread_as_its_covariance_says(sensor, catal
         ({"vary": ("f_m",), "robust": "huber"}, "set error to 'arclength' and robust to 'none'"),
         ({"vary": ("f_m",), "vary_as": "temperature"}, "add the column"),
         ({"vary": ("f_m",), "vary_as": "walk"}, "add time_utc"),
+        ({"vary": ("f_m",), "vary_as": "drift"}, "add time_utc"),
+        ({"vary": ("f_m",), "vary_as": "step"}, "add time_utc"),
+        ({"vary": ("f_m",), "degree": "2"}, "leave --degree out"),
+        ({"vary": ("f_m",), "events": ("2026-01-01",)}, "leave --events out"),
     ],
 )
 def test_what_cannot_vary_is_refused(sensor, catalogue, settings, said):

@@ -183,10 +183,11 @@ CHANGED = {
     "method": "sqrf", "variant": "q", "free": ["f_m", "m0_px"], "match": "given", "match_parameters": "baseline",
     "match_rule": "flight", "flight_tolerance_urad": 300.0, "noise_model": "from-data", "leave_out_doubles": True,
     "leave_out_stars": [71681, 71683],
-    "vary": ["f_m", "m0_px"], "vary_as": "walk", "walk_sigma": 0.3,
+    "vary": ["f_m", "m0_px"], "vary_as": "walk", "walk_sigma": 0.3, "degree": "auto", "events": ["2026-03-02T10:00:00Z"],
     "prior_covariance": "noise", "prior_inflation": 2.0, "prior_drift_sigma": 0.1, "prior_age_days": 30.0,
     "minimum_stars": 5, "max_iterations": 20, "error": "cosine", "robust": "huber", "huber_threshold": 2.0,
     "linearisations": 1, "process_noise_sigma": 0.5, "forgetting_factor": 0.9, "initial_sigma_scale": 3.0,
+    "process_noise_of": ["f_m=0.1"], "process_noise_per": "day", "smooth": True,
     "star_model": 2, "singular_values": [1, 3], "gain_form": "gain",
 }  # fmt: skip
 

@@ -68,7 +68,7 @@ def test_a_figure_names_the_axis_that_its_runs_were_moved_to_and_no_other_does(n
     figure = FIGURES[name].draw(aligned(traces, along))
     titles = [figure.layout[axis].title.text or "" for axis in figure.layout if axis.startswith("xaxis")]
     moved = [title for title in titles if title.startswith(ALIGNMENTS[along])]
-    if name in {"convergence", "rms", "innovations", "methods"}:
+    if name in {"convergence", "rms", "innovations", "methods", "smoothed"}:
         assert moved
         assert not any(title.startswith("frame") for title in titles)
     else:  # what is drawn is counted in frames whatever the runs are aligned by, and says so

@@ -33,6 +33,7 @@ from boresight.calibration.evaluation.pixel_residuals import FreeCovariance
 from boresight.calibration.evaluation.result_evaluation import evaluate_result, validate, with_advice
 from boresight.calibration.joint.drift import estimate_drift, shows_drift
 from boresight.calibration.joint.passes import JointTelemetry, passes_of
+from boresight.calibration.joint.passes_fit import judge_passes
 from boresight.calibration.joint.prior import (
     PriorSource,
     TakenPrior,
@@ -41,13 +42,7 @@ from boresight.calibration.joint.prior import (
     take_prior,
     without_held,
 )
-from boresight.calibration.joint.variation import (
-    OPEN_SIGMAS,
-    check_variation,
-    fit_variation,
-    judge_passes,
-    refuse_one_pass,
-)
+from boresight.calibration.joint.variation import OPEN_SIGMAS, check_variation, fit_variation, refuse_one_pass
 from boresight.calibration.matching.match_report import CyclesEnd, Estimation
 from boresight.calibration.matching.matched import Dataset, Matched
 from boresight.calibration.matching.verification import advise

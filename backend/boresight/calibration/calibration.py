@@ -307,11 +307,30 @@ class WalkSigma:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ParameterStep:
+    """A step of a parameter, SI, at an event, or somewhere between two passes: a 95 % interval where the data propose the date.
+
+    `p_value`: of a step so large where there is none, counting all dates and parameters that were looked at.
+    """
+
+    parameter: str
+    step: float
+    sigma: float
+    event_utc: str | None = None
+    from_utc: str | None = None
+    to_utc: str | None = None
+    p_value: float
+    sentence: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
 class PassVariation:
     """What changes from pass to pass of a joint calibration.
 
-    `vary`: the parameters of a pass; `vary_as`: `pass`, `walk` (by `walk`) or `temperature` (by `slope`, SI a degree from
-    `reference_temperature_c`). `test`: None of a walk.
+    `vary`: the parameters of a pass; `vary_as`: `pass`, `walk` (by `walk`), `temperature`, `drift` or `step` (`steps`).
+    Polynomials in temperature or time have a `degree` by parameter, 0 where it does not change, and `coefficients` of the powers
+    from 1 on, SI a degree Celsius or a day from the reference; `slope` is the first of them, and `tests` has the evidence of each
+    parameter. `test`: of all together; None of a walk.
     """
 
     vary: list[str]
@@ -324,6 +343,12 @@ class PassVariation:
     chi2: float
     test: VariationTest | None = None
     sentence: str = ""
+    reference_utc: str | None = None
+    degree: dict[str, int] | None = None
+    coefficients: dict[str, Numbers] | None = None
+    coefficient_sigma: dict[str, Numbers] | None = None
+    tests: dict[str, VariationTest] | None = None
+    steps: list[ParameterStep] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

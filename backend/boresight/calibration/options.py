@@ -14,7 +14,7 @@ from typing import Any, Literal, TypedDict
 from boresight.errors import RefusedInputError
 from boresight.estimation import MINIMUM_STARS
 
-Kind = Literal["word", "whole", "number", "yes or no", "names", "numbers", "wholes", "stars"]
+Kind = Literal["word", "whole", "number", "yes or no", "names", "numbers", "times", "wholes", "stars"]
 
 
 @dataclass(frozen=True)
@@ -78,6 +78,7 @@ GROUPS = {
     "Of a prior": ALL,
     "Of the batch": BATCH,
     "Of the filters": FILTERS,
+    "Of process noise": FILTERS,
     "Of svd and angular": EITHER_FORM,
 }
 #: Headings of choices that the form of one run has by themselves; the runs of a campaign take one set each, without a prior.
@@ -140,6 +141,7 @@ class Option:
                 "yes or no": "yes or no",
                 "names": "parameter names",
                 "numbers": "parameter names with numbers",
+                "times": "times, UTC",
                 "wholes": "some of 1, 2, 3",
                 "stars": "Hipparcos numbers",
             }[self.kind]
@@ -159,6 +161,7 @@ class Option:
             "number": f"give a number from {self.range}",
             "yes or no": "give true or false",
             "numbers": f'give parameters with numbers from {self.lowest:g} to {self.highest:g}, as ["f_m=0.5"]',
+            "times": 'give at least one time, as ["2026-03-02T10:00:00Z"]',
             "wholes": "give some of 1, 2, 3, as [2, 3]",
             "stars": f"give at most {MOST_STARS_LEFT_OUT} Hipparcos numbers, as [71683, 71681]",
         }
@@ -175,8 +178,8 @@ class Option:
             )
         if not isinstance(value, list | tuple) or not (value or self.kind == "stars"):
             return False
-        if self.kind in ("names", "numbers"):
-            return all(isinstance(text, str) and (self.kind == "names" or self._names_number(text)) for text in value)
+        if self.kind in TEXTS:
+            return all(isinstance(text, str) and (self.kind != "numbers" or self._names_number(text)) for text in value)
         highest, most = (LAST_STAR, MOST_STARS_LEFT_OUT) if self.kind == "stars" else (3, 3)
         return all(type(k) is int and 1 <= k <= highest for k in value) and len(set(value)) == len(value) <= most
 
@@ -221,11 +224,7 @@ class Option:
             star = {"type": "integer", "minimum": 1, "maximum": LAST_STAR}
             said |= {"type": "array", "items": star, "maxItems": MOST_STARS_LEFT_OUT}
         else:
-            item = (
-                {"type": "string"}
-                if self.kind in ("names", "numbers")
-                else {"type": "integer", "minimum": 1, "maximum": 3}
-            )
+            item = {"type": "string"} if self.kind in TEXTS else {"type": "integer", "minimum": 1, "maximum": 3}
             said |= {"type": "array", "items": item, "minItems": 1}
         if self.default is None:
             said["type"] = [said["type"], "null"]
@@ -250,6 +249,8 @@ class Option:
 
 #: The last Hipparcos number, and most stars that are left out by number: with more it is the catalogue that is wrong.
 LAST_STAR, MOST_STARS_LEFT_OUT = 120_416, 200
+#: Kinds that are lists of texts.
+TEXTS = ("names", "numbers", "times")
 #: Drift of every parameter a frame where nobody states it and the data do not tell it, typical sigmas.
 USUAL_DRIFT = 0.02
 #: A whole number of more is none of ours.
@@ -347,8 +348,19 @@ class CalibrationSettings:
         words={
             "pass": "Each pass by itself",
             "walk": "A random walk from pass to pass",
-            "temperature": "Linear in the mean temperature of a pass",
+            "temperature": "By the mean temperature of a pass",
+            "drift": "By time",
+            "step": "In steps, at events or at dates that the data propose",
         },
+    )  # fmt: skip
+    degree: str = option(
+        "Of a joint calibration", "Degree", "Of temperature and drift: the polynomial's degree; auto is by evidence.",
+        default="1", flag="--degree",
+        words={"1": "Linear", "2": "Quadratic", "3": "Cubic", "auto": "Up to 3, by the evidence of each parameter; 0 is no change"},
+    )  # fmt: skip
+    events: tuple[str, ...] | None = option(
+        "Of a joint calibration", "Events", "Of step: when something happened, as 2026-03-02T10:00:00Z; sought if left out.",
+        default=None, kind="times", flag="--events",
     )  # fmt: skip
     walk_sigma: float | None = option(
         "Of a joint calibration", "Step of the walk",
@@ -416,12 +428,12 @@ class CalibrationSettings:
         hint="Not for No-Q. Empty: from the data where five passes show it, else 0.02.",
     )  # fmt: skip
     process_noise_of: tuple[str, ...] | None = option(
-        "Of the filters", "Drift by parameter", "Drift of single parameters in place of that, as f_m=0.05,b2_per_m2=0.",
-        default=None, kind="numbers", lowest=0.0, highest=10.0, unit="typical σ", flag="--process-noise-of",
+        "Of process noise", "Drift by parameter", "Drift of single parameters in place of that, as f_m=0.05,b2_per_m2=0.",
+        cell=(4, 1), default=None, kind="numbers", lowest=0.0, highest=10.0, unit="typical σ", flag="--process-noise-of",
     )  # fmt: skip
     process_noise_per: str = option(
-        "Of the filters", "Drift counts", "Whether drift is per frame, or per square root of a day by the times of frames.",
-        default="frame", flag="--process-noise-per",
+        "Of process noise", "Drift counts", "Whether drift is per frame, or per square root of a day by the times of frames.",
+        cell=(4, 2), default="frame", flag="--process-noise-per",
         words={"frame": "Per frame, however long the gap before it", "day": "Per square root of a day, by the time that passed"},
         elsewhere="Process noise is only for filters: choose a filter, or leave 'process_noise_per' out.",
     )  # fmt: skip
@@ -573,6 +585,8 @@ class Choices(TypedDict, total=False):
     minimum_stars: int
     vary: str | Sequence[str] | None
     vary_as: str
+    degree: str
+    events: str | Sequence[str] | None
     walk_sigma: float | None
     prior_covariance: str
     prior_inflation: float

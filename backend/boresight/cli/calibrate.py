@@ -25,7 +25,7 @@ from boresight.library.text import summary_lines
 
 OTHERS = "Files and output"
 _TYPES = {"whole": int, "number": float}
-_METAVARS = {"names": "NAMES", "numbers": "NAME=NUMBER", "wholes": "NUMBERS", "stars": "NUMBERS"}
+_METAVARS = {"names": "NAMES", "numbers": "NAME=NUMBER", "times": "TIMES", "wholes": "NUMBERS", "stars": "NUMBERS"}
 
 
 class Choice(click.Option):

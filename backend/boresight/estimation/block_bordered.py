@@ -15,14 +15,15 @@ Passes and walks. With r_k = p_k - p_{k-1} the normal equations of the stacked p
     [ E_2 -W_2    D_2  ...  ]        right side -b_k,p - W_k r_k + W_{k+1} r_{k+1}
 
 block tridiagonal with a border, solved in one sweep: L_k = D_k - W_k L_{k-1}^-1 W_k, the border reduced by S = C - E^T T^-1 E,
-where T is the tridiagonal part. Of the inverse only what belongs to one pass is needed: with Z_k the diagonal blocks of T^-1, which
-a sweep back gives as Z_k = L_k^-1 + L_k^-1 W_{k+1} Z_{k+1} W_{k+1} L_k^-1, and Y = T^-1 E,
+where T is the tridiagonal part. Of the inverse only what belongs to one pass is needed: with Z_k the diagonal blocks of T^-1,
+which a sweep back gives as Z_k = L_k^-1 + L_k^-1 W_{k+1} Z_{k+1} W_{k+1} L_k^-1, and Y = T^-1 E,
 
     cov(c) = S^-1      cov(p_k) = Z_k + Y_k S^-1 Y_k^T      cov(p_k, c) = -Y_k S^-1
 
 Without W this is the Schur complement of each pass by itself. With W alone it is the smoother of Rauch, Tung and Striebel.
 
-Regression. z_k = B_k (z, s) with B_k = [I, E_k], E_k the v_k of each parameter in its row, so A = sum_k B_k^T A_k B_k is as small as the parameters are few.
+Regression. z_k = B_k (z, s) with B_k = [I, E_k], E_k the v_k of each parameter in its row, so A = sum_k B_k^T A_k B_k is as small
+as the parameters are few.
 
 Each is the stacked least-squares problem itself, and no average of results: a pass that leaves a direction open says what it knows
 of the others. The steps are damped as in `batch`, with every pass linearised anew at its own state.

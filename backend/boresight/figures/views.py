@@ -82,7 +82,11 @@ def _without_innovations(trust: Trust) -> Trust:
 def _on_axis(result: Calibration, steps: FloatArray | None, placed: FloatArray | None) -> Calibration:
     """Put new steps in place of the frames of the history, and of the series of innovations; hours are not whole."""
     if steps is not None and result.history is not None:
+        frame = result.history.frame
         result = replace(result, history=replace(result.history, frame=steps.tolist()))
+        if result.smoothed is not None:
+            moved: Any = np.interp(result.smoothed.frame, frame, steps).tolist()
+            result = replace(result, smoothed=replace(result.smoothed, frame=moved))
     if placed is not None and result.trust is not None and result.trust.nis_over_time is not None:
         series = replace(result.trust.nis_over_time, frame=placed.tolist())
         result = replace(result, trust=replace(result.trust, nis_over_time=series))

@@ -17,7 +17,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar, Unpack, cast
 
-from boresight.calibration.options import OPTIONS, CalibrationSettings
+from boresight.calibration.options import OPTIONS, TEXTS, CalibrationSettings
 from boresight.errors import RefusedInputError
 from boresight.library.progress import Report, Wanted, reporting
 from boresight.settings import Settings, read_settings, use_kernel_folder
@@ -119,10 +119,10 @@ def parse_choices(choices: Mapping[str, Any]) -> CalibrationSettings:
 
 def _split(name: str, text: str) -> Any:
     kind = OPTIONS[name].kind if name in OPTIONS else "word"
-    if kind not in {"names", "numbers", "wholes", "stars"}:
+    if kind not in {*TEXTS, "wholes", "stars"}:
         return text
     parts = [part.strip() for part in text.split(",") if part.strip()]
-    return [int(part) if part.isdecimal() else part for part in parts] if kind not in {"names", "numbers"} else parts
+    return [int(part) if part.isdecimal() else part for part in parts] if kind not in TEXTS else parts
 
 
 @_on_kernels

@@ -15,7 +15,8 @@ import numpy as np
 
 from boresight.arrays import FloatArray
 from boresight.calibration.estimate import Asked, Drift, Parameters
-from boresight.calibration.joint.variation import FIRST_WALK, fit_passes, fit_walk
+from boresight.calibration.joint.passes_fit import PassesProblem
+from boresight.calibration.joint.variation import FIRST_WALK, fit_walk
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.process_noise import FEWEST_STRETCHES, GAP_HOURS
@@ -63,10 +64,9 @@ def estimate_drift(
         return None
     middles = np.array([np.nanmean(days[first:last]) for first, last in ends])
     own, between = np.arange(len(parameters.free)), np.diff(middles)
-    link = link_by_walk(own, between, np.full(len(own), FIRST_WALK))
+    of = PassesProblem(problem, (), parameters, x, settings, cancelled, ends)
     try:
-        fitted = fit_passes(problem, ends, parameters, x, link, cancelled, settings.max_iterations)
-        _, walk = fit_walk(problem, ends, between, parameters, x, own, fitted, cancelled, settings.max_iterations)
+        _, walk = fit_walk(of, between, own, of.fit(link_by_walk(own, between, np.full(len(own), FIRST_WALK))))
     except np.linalg.LinAlgError:  # all of them leave a direction open
         return None
     return Drift(walk.sigma, "day", "estimated", walk.low, walk.high, len(ends))

@@ -1,19 +1,22 @@
 """Filter and smoother beside each other: each free parameter over frames, as known at the time and as known in the end.
 
 The filter's estimate at a frame has seen the frames up to it, the smoother's all of them: its band is the narrower but at the end,
-where both are one. Drawn is the change from the run's initial parameters. The wide first bands of the filter are outside of the
-window, which holds the smoothed bands and the filter once it has taken in a part of the set.
+where both are one. A batch is what all frames say of a camera that rests: a level. Drawn is the change from the run's initial
+parameters. The wide first bands of the filter are outside of the window, which holds the smoothed bands and the filter once it has
+taken in a part of the set.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from boresight.arrays import FloatArray
 from boresight.calibration.calibration import Calibration
 from boresight.figures.chart import Figure, Table, Trace
 from boresight.figures.style import theme
@@ -23,15 +26,16 @@ from boresight.verdicts.history import History, free_names, parameter_names, rea
 from boresight.verdicts.numbers import change_label, quantity
 
 TITLE = "Filter and smoother"
-NONE = "Nothing was smoothed: run a filter with 'smooth' to see the parameters at every frame given all frames."
-POINT_BUDGET = 7000  # of all panels and curves together
+NONE = "No estimate yet: the curves appear when the run has ended."
+POINT_BUDGET = 5000  # of all panels and curves together
+MOST_FILTERS = 3  # runs whose filters are drawn beside what was smoothed
 LATER = 0.5  # of the filter's updates, which the window holds
 PANEL_HEIGHT_PX = 190
 
 
 def draw(traces: Sequence[Trace], most_columns: int = 4) -> go.Figure:
-    """Draw every free parameter of each run that was smoothed: the filter's way and the smoothed one, with their 3-sigma bands."""
-    drawn = [trace for trace in traces if read_smoothed(trace.result) is not None]
+    """Draw every free parameter of each run: the filter's way and the smoothed one with 3-sigma bands, and a batch as a level."""
+    drawn = [trace for trace in traces if trace.result.parameters]
     if not drawn:
         return theme.missing(TITLE, NONE)
     names = list(dict.fromkeys(name for trace in drawn for name in free_names(trace.result)))
@@ -40,16 +44,16 @@ def draw(traces: Sequence[Trace], most_columns: int = 4) -> go.Figure:
     figure = make_subplots(
         n_rows, columns, shared_xaxes="all", horizontal_spacing=0.24 / columns, vertical_spacing=0.16 / n_rows
     )
-    labels = [f"{trace.label} · {which}" for trace in drawn for which in ("filter", "smoothed")]
-    styles = theme.label_styles(labels if len(drawn) > 1 else ["filter", "smoothed"])
-    limit = max(40, POINT_BUDGET // (len(names) * len(styles)))
+    styles, ways = theme.run_styles(drawn), [_ways(trace.result, len(drawn) <= MOST_FILTERS) for trace in drawn]
+    known = [way.x for found in ways for way in found if len(way.x) > 1]
+    span = (min(x.min() for x in known), max(x.max() for x in known)) if known else (0.0, 1.0)
+    limit = max(20, POINT_BUDGET // (len(names) * sum(map(len, ways))))
     for number, name in enumerate(names):
         place = {"row": number // columns + 1, "col": number % columns + 1}
-        seen = [
-            reach
-            for k, trace in enumerate(drawn)
-            for reach in _draw_run(figure, place, trace.result, name, styles[2 * k : 2 * k + 2], limit)
-        ]
+        seen: list[float] = []
+        for trace, style, found in zip(drawn, styles, ways, strict=True):
+            for way in found:
+                seen += _draw_way(figure, place, trace.result, name, way.across(span), style, limit)
         low, high = (min(seen), max(seen)) if seen else (-1.0, 1.0)
         margin = 0.08 * (high - low) or 1.0
         label = change_label(quantity(name, drawn[0].result))
@@ -61,39 +65,74 @@ def draw(traces: Sequence[Trace], most_columns: int = 4) -> go.Figure:
 
 
 def _headline(drawn: Sequence[Trace]) -> str:
+    if len(drawn) > 1:
+        return f"Change since the initial parameters, {len(drawn)} runs, bands ±3σ"
     smoothed = drawn[0].result.smoothed
-    unsettled = "" if smoothed is None or smoothed.settled else ": it does not settle, so do not use it"
+    unsettled = "" if smoothed is None or smoothed.settled else ": the smoother does not settle, so do not use it"
     return f"Change since the initial parameters, at the time and given all frames, bands ±3σ{unsettled}"
 
 
-def _draw_run(
+@dataclass(frozen=True)
+class Way:
+    """One curve: what it is, its dash (the run's own where empty), and steps x (n,), values and sigmas (n, n_parameters), SI."""
+
+    what: str
+    dash: str
+    x: FloatArray
+    names: tuple[str, ...]
+    value: FloatArray
+    sigma: FloatArray
+
+    def across(self, span: tuple[float, float]) -> Way:
+        """Stretch a level over the frames of the others."""
+        if len(self.x) > 1:
+            return self
+        return replace(self, x=np.array(span), value=np.tile(self.value, (2, 1)), sigma=np.tile(self.sigma, (2, 1)))
+
+
+def _ways(result: Calibration, with_filter: bool) -> list[Way]:
+    """List what is known of a run over frames: its filter, what was smoothed, or the estimate of a batch as one step."""
+    history, smoothed, ways = read_history(result), read_smoothed(result), list[Way]()
+    if history is not None and history.axis == "frame" and (with_filter or smoothed is None):
+        ways.append(Way("filter", "dash", history.x, history.names, history.value, history.sigma))
+    if smoothed is not None:
+        ways.append(Way("smoothed", "", smoothed.x, smoothed.names, smoothed.value, smoothed.sigma))
+    if not ways:
+        names = parameter_names(result)
+        value, sigma = (
+            np.array([[numbers.get(name) for name in names]], np.float64)
+            for numbers in (result.parameters, result.sigma)
+        )
+        ways.append(Way("batch", "", np.zeros(1), names, value, sigma))
+    return ways
+
+
+def _draw_way(
     figure: go.Figure,
     place: dict[str, int],
     result: Calibration,
     name: str,
-    styles: Sequence[theme.RunStyle],
+    way: Way,
+    style: theme.RunStyle,
     limit: int,
 ) -> list[float]:
-    """Draw both curves of a parameter; returns what the window must hold."""
-    item, seen = quantity(name, result), list[float]()
-    origin = result.initial.get(name) or 0.0
-    for style, history in zip(styles, (read_history(result), read_smoothed(result)), strict=True):
-        if history is None or name not in history.names:
-            continue
-        column = history.names.index(name)
-        value = (history.value[:, column] - origin) * item.change_factor
-        reach = 3 * history.sigma[:, column] * item.change_factor
-        kept = keep_extremes([value, reach], limit)
-        x, value, reach = history.x[kept], value[kept], reach[kept]
-        shown = place == {"row": 1, "col": 1}
-        figure.add_trace(theme.band(style, x, value - reach, value + reach, showlegend=False), **place)
-        hover = f"%{{y:+.5g}} ±%{{customdata:.3g}} {item.change_unit}<extra>{style.label}</extra>"
-        settings = {"customdata": theme.short(reach), "hovertemplate": hover, "showlegend": shown}
-        figure.add_trace(theme.line(style, x, value, **settings), **place)
-        late = slice(int(LATER * len(x)) if style is styles[0] else 0, None)
-        ends = np.concatenate([value[late] - reach[late], value[late] + reach[late]])
-        seen += ends[np.isfinite(ends)].tolist()
-    return seen
+    """Draw a curve of one parameter with its band; returns what the window must hold."""
+    if name not in way.names:
+        return []
+    item, column = quantity(name, result), way.names.index(name)
+    value = (way.value[:, column] - (result.initial.get(name) or 0.0)) * item.change_factor
+    reach = 3 * way.sigma[:, column] * item.change_factor
+    kept = keep_extremes([value, reach], limit)
+    x, value, reach = way.x[kept], value[kept], reach[kept]
+    shown = place == {"row": 1, "col": 1}
+    drawn = replace(style, label=f"{style.label} · {way.what}", dash=way.dash or style.dash)
+    figure.add_trace(theme.band(drawn, x, value - reach, value + reach), **place)
+    hover = f"%{{y:+.5g}} ±%{{customdata:.3g}} {item.change_unit}<extra>{drawn.label}</extra>"
+    settings = {"customdata": theme.short(reach), "hovertemplate": hover, "showlegend": shown}
+    figure.add_trace(theme.line(drawn, x, value, **settings), **place)
+    late = slice(int(LATER * len(x)) if way.what == "filter" else 0, None)
+    ends = np.concatenate([value[late] - reach[late], value[late] + reach[late]])
+    return [float(end) for end in ends[np.isfinite(ends)]]
 
 
 def read_smoothed(result: Calibration) -> History | None:
@@ -111,10 +150,10 @@ def read_smoothed(result: Calibration) -> History | None:
 
 
 def table(result: Calibration) -> Table:
-    """List every kept frame: smoothed parameters and their sigmas in SI."""
+    """List every kept frame: smoothed parameters and their sigmas in SI; of a run that was not smoothed its estimate."""
     history = read_smoothed(result)
     if history is None:
-        return {}
+        return {name: [value] for name, value in result.parameters.items()}
     columns: Table = {"frame": [int(frame) for frame in history.x]}
     if history.time_utc:
         columns["time_utc"] = list(history.time_utc)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from boresight.calibration.calibration import Calibration, InputPass, PassState, PriorUse
+from boresight.calibration.joint.passes_fit import CHANGES
 from boresight.calibration.joint.prior import DISAGREE
-from boresight.calibration.joint.variation import CHANGES
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.estimation.statistics.special import chdtrc
