@@ -56,7 +56,8 @@ PLAIN = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)  # no TLS here, and reading who 
 
 def settings_in(folder: Path, **given: str) -> Settings:
     named = {f"BORESIGHT_{name.upper()}": value for name, value in given.items()}
-    own = {"BORESIGHT_DATA_FOLDER": str(folder), "BORESIGHT_WORKERS": "0", **environment_in(folder)}
+    own = {"BORESIGHT_DATA_FOLDER": str(folder), "BORESIGHT_WORKERS": "0", "BORESIGHT_ANCHOR_MINUTES": "0"}
+    own |= environment_in(folder)
     return read_settings({**own, **named})
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import errno
 import hashlib
 import os
+import tempfile
 import threading
 import time
 from collections import OrderedDict
+from contextlib import suppress
 from pathlib import Path
 
 from boresight.errors import StorageError
@@ -89,6 +91,24 @@ def refuse_unwritable(file: Path) -> None:
         found = os.statvfs(folder)
         if found.f_bavail * found.f_frsize < LEAST_FREE_BYTES:
             raise StorageError(full(file))
+
+
+def write_private(file: Path, text: str, *, replace: bool = True) -> None:
+    """Write a text file that its owner alone can read, whole or not at all; without `replace` an existing one stays."""
+    file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=".keys-", dir=file.parent)  # 0600 from the start
+    try:
+        with os.fdopen(handle, "w") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+        if replace:
+            Path(name).replace(file)
+        else:
+            with suppress(FileExistsError):  # another process was first: its file is the file
+                os.link(name, file)
+    finally:
+        Path(name).unlink(missing_ok=True)
 
 
 MOST_REMEMBERED = 100_000

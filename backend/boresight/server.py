@@ -29,6 +29,7 @@ from boresight.console import pages
 from boresight.console import routes as api_routes
 from boresight.console.access.credentials import Authentication, CredentialCache, LogInCookie, authenticate
 from boresight.console.access.password_checks import PasswordWorker
+from boresight.console.jobs.anchoring import Anchoring
 from boresight.console.jobs.broadcast import Broadcast
 from boresight.console.jobs.heartbeat import Heartbeat
 from boresight.console.jobs.ingest_watcher import IngestWatcher
@@ -153,7 +154,9 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.broadcast = Broadcast(state.engine)
     state.heartbeat = Heartbeat(state.engine, state.broadcast.nudge, settings.data_folder / "last-seen")
     external_head = ExternalHeadFile(settings.kept_head_file, 60.0 * settings.audit_head_minutes)
-    state.maintenance = Maintenance(state.engine, settings.session_limits, state.blobs, external_head)
+    state.own_key = settings.own_key
+    state.anchoring = Anchoring(state.engine, state.own_key, settings.time_stamps, 60.0 * settings.anchor_minutes)
+    state.maintenance = Maintenance(state.engine, settings.session_limits, state.blobs, external_head, state.anchoring)
     state.passwords = PasswordWorker(state.engine, settings.login_attempts)
     state.blobs.tell_corrupt = state.maintenance.suspect
     state.secret_box = settings.secret_box

@@ -21,6 +21,8 @@ from boresight.platform.web.targets import WebhookTargets, read_hosts
 from boresight.telemetry.read.limits import Limits
 
 if TYPE_CHECKING:
+    from boresight.platform.audit.signing import SigningKey
+    from boresight.platform.audit.time_stamps import TimeStampService
     from boresight.platform.db.secret_box import SecretBox
 
 log = logging.getLogger(__name__)
@@ -134,6 +136,18 @@ class Settings:
         "", "path", "File that gets each new head of the audit log, one per line; outside the data folder."
     )
     audit_head_minutes: float = _setting("5", "min", "How often the head is written there, and sent to webhooks.")
+    anchor_minutes: float = _setting(
+        "60", "min", "How often the head of the audit log is signed, where it has moved; 0 = on request only."
+    )
+    signing_key: str = _setting(
+        "", "path or PEM", "Ed25519 key that signs heads and uplink packages; empty = a file in the data folder."
+    )
+    timestamp_url: str = _setting(
+        "", "URL", "Time-stamp service (RFC 3161) for signed heads; empty = none.", read=_site
+    )
+    timestamp_certificates: str = _setting(
+        "", "path", "Certificates (PEM) of the authorities that its time-stamps must lead back to."
+    )
     secure_cookies: int = _setting("0", "0 or 1", "1 = the session cookie is sent over HTTPS only.")
 
     @property
@@ -188,6 +202,31 @@ class Settings:
         from boresight.platform.db.secret_box import SecretBox  # noqa: PLC0415 - cryptography is for servers
 
         return SecretBox(Path(self.webhook_key or self.data_folder / "webhooks.key").expanduser())
+
+    @property
+    def own_key(self) -> SigningKey:
+        """What signs in this installation's name."""
+        from boresight.platform.audit.signing import PEM_BEGINS, SigningKey  # noqa: PLC0415 - cryptography is for servers
+
+        if self.signing_key.startswith(PEM_BEGINS):
+            return SigningKey(self.signing_key)
+        return SigningKey(Path(self.signing_key or self.data_folder / "signing.key").expanduser())
+
+    @property
+    def time_stamps(self) -> TimeStampService | None:
+        """The time-stamp service; None where none is set."""
+        from boresight.platform.audit.time_stamps import TimeStampService, read_certificates  # noqa: PLC0415 - as above
+
+        if not self.timestamp_url:
+            return None
+        file = Path(self.timestamp_certificates).expanduser()
+        try:
+            return TimeStampService(self.timestamp_url, read_certificates(file.read_bytes(), file))
+        except OSError as error:
+            raise RefusedInputError(
+                f"BORESIGHT_TIMESTAMP_CERTIFICATES={self.timestamp_certificates!r} cannot be read ({error.strerror}): name the PEM "
+                "file of the time-stamp service's authorities."
+            ) from error
 
     @property
     def kept_head_file(self) -> Path | None:

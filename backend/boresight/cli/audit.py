@@ -22,20 +22,33 @@ def audit() -> None:
 
 @audit.command()
 @click.option("--head", metavar="HASH", help="A head from an earlier export, which must still be in the chain.")
+@click.option(
+    "--public-keys",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Public keys (PEM) that you kept; anchors by any other key count as forged. Without it the key file's own are used.",
+)
 @click.option("--no-blobs", is_flag=True, help="Skip the stored files; otherwise every one of them is read.")
 @click.pass_context
-def verify(context: click.Context, head: str | None, *, no_blobs: bool) -> None:
-    """Check the whole chain, every row that it seals and every stored file; exit code 1 when one is not as it was written.
+def verify(context: click.Context, head: str | None, public_keys: Path | None, *, no_blobs: bool) -> None:
+    """Check the chain, its anchors, every row that it seals and every stored file; exit code 1 when one is not as it was written.
 
     The head that the server stores in BORESIGHT_AUDIT_HEAD_FILE must exist and be in the chain.
     """
     import boresight.console  # noqa: F401 - the tables of all nouns, whose rows the log seals
     from boresight.platform.audit import log as chain
+    from boresight.platform.audit.anchors import Trust
     from boresight.platform.audit.external_head import read_head
+    from boresight.platform.audit.signing import read_public_keys
     from boresight.platform.blobs.opening import open_blobs
     from boresight.platform.db.sessions import open_engine, open_reading
 
     settings = read_settings()
+    service = settings.time_stamps
+    if public_keys is None:
+        keys, source = settings.own_key.list_public_keys(), settings.own_key.name
+    else:
+        keys, source = read_public_keys(public_keys.read_text(), public_keys), str(public_keys)
+    trust = Trust(keys, source, () if service is None else service.authorities)
     engine = open_engine(settings.database_url)
     try:
         _require_schema(engine)  # without migrating, which could fail on the very defects to be reported
@@ -43,7 +56,7 @@ def verify(context: click.Context, head: str | None, *, no_blobs: bool) -> None:
             file = settings.kept_head_file
             kept = None if file is None else read_head(file)
             blobs = None if no_blobs else open_blobs(settings.blob_place)
-            found = chain.verify(session, head, blobs, kept=kept, head_file=file)
+            found = chain.verify(session, head, blobs, kept=kept, head_file=file, trust=trust)
     finally:
         engine.dispose()
     if not found.ok:
@@ -94,6 +107,77 @@ def export(file: str) -> None:
         write_export(session, stream, form, settings.policy)
     if file != STANDARD_OUTPUT:
         click.echo(file)
+
+
+@audit.command()
+def anchor() -> None:
+    """Sign the newest head now, and have it time-stamped where a service is set."""
+    import boresight.console  # noqa: F401 - the tables of all nouns, whose rows the log seals
+    from boresight.console.audit.service import anchor_now
+    from boresight.console.jobs.anchoring import Anchoring
+    from boresight.platform.actors import COMMAND_LINE
+    from boresight.platform.audit import log as chain
+    from boresight.platform.db.sessions import open_reading, open_store, open_writing
+
+    settings = read_settings()
+    with open_store(settings.database_url) as engine:
+        anchoring = Anchoring(engine, settings.own_key, settings.time_stamps, 0.0)
+        with open_reading(engine) as session:
+            found = chain.verify(session, trust=anchoring.trust())
+        with open_writing(engine) as session:
+            anchor_now(session, COMMAND_LINE, anchoring.key, "" if found.ok else found.sentence)
+        anchoring.stamp()
+        with open_reading(engine) as session:
+            made = chain.list_anchors(session, limit=1)[0]
+    stamped = "" if made.stamped_utc is None else f", time-stamped {made.stamped_utc}"
+    click.echo(f"Anchor {made.id} signs record {made.record_id} with the key {made.key}{stamped}.\nhead {made.head}")
+
+
+@audit.command()
+@click.option("--out", "file", metavar="FILE", default=STANDARD_OUTPUT, help="The PEM file to write.")
+def keys(file: str) -> None:
+    """Write the public keys that verify anchors and uplink packages, the present one first; keep them where those are verified."""
+    own = read_settings().own_key
+    own.load()  # made, where nothing was signed yet: it can be given away before
+    with opened_for_writing(file) as stream:
+        stream.write("".join(key.pem for key in own.list_public_keys()).encode())
+
+
+@audit.command(name="rotate-key")
+def rotate_key() -> None:
+    """Make a new signing key; of the former one only the public half is kept, so what it signed still verifies."""
+    import boresight.console  # noqa: F401 - the tables of all nouns, whose rows the log seals
+    from boresight.platform.actors import COMMAND_LINE
+    from boresight.platform.audit import log as chain
+    from boresight.platform.db.sessions import open_store, open_writing
+
+    settings = read_settings()
+    own = settings.own_key
+    with open_store(settings.database_url) as engine, open_writing(engine) as session:
+        before = next((key.id for key in own.list_public_keys()), None)
+        made = own.rotate()
+        told = {"key": made.id, "public_key": made.text}
+        chain.append(session, COMMAND_LINE, "rotated", "signing-key", {"key": before}, told)
+    click.echo(
+        f"{own.name}: the key {made.id} signs from now on; give its public half, from `boresight audit keys`, to who verifies."
+    )
+
+
+@audit.command()
+@click.argument("public_key")
+def trust(public_key: str) -> None:
+    """Add PUBLIC_KEY, base64 as an anchor shows it, to the key file, so that what its lost private key signed verifies."""
+    from boresight.platform.audit.signing import PublicKey
+
+    own = read_settings().own_key
+    try:
+        key = PublicKey.decode(public_key)
+        own.trust(key)
+    except ValueError as error:
+        raise RefusedInputError(
+            f"{public_key!r} is no public key: give the 44 characters that an anchor shows."
+        ) from error
+    click.echo(f"{own.name}: what {key.id} signed is trusted; it signs nothing any more.")
 
 
 if TYPE_CHECKING:

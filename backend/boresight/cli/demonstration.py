@@ -45,6 +45,7 @@ from boresight.console.uplinks import packages, table_definitions
 from boresight.console.uplinks import service as uplinks
 from boresight.errors import BoresightError, NotFoundError
 from boresight.platform.actors import COMMAND_LINE, POLICY, Actor, Policy
+from boresight.platform.audit.signing import SigningKey
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing
 from boresight.simulation.scenes import Scenario, calibration_scenario, simulate, validation_scenario
@@ -119,10 +120,15 @@ def create_demonstration(
 
 
 def continue_demonstration(
-    engine: Engine, blobs: BlobStore, catalogue: Catalogue, report: Callable[[str], None], policy: Policy = POLICY
+    engine: Engine,
+    blobs: BlobStore,
+    catalogue: Catalogue,
+    report: Callable[[str], None],
+    policy: Policy = POLICY,
+    key: SigningKey | None = None,
 ) -> Iterator[None]:
     """Have the people of the demonstration go on with what has ended; yields each time that it waits for runs."""
-    fleet = _Fleet(engine, blobs, catalogue, _make_people(engine), policy)
+    fleet = _Fleet(engine, blobs, catalogue, _make_people(engine), policy, key)
     steps = [fleet.ask_for_approval(), fleet.send_half_way(), fleet.fly_a_year()]
     while steps:
         for step in list(steps):
@@ -179,6 +185,7 @@ class _Fleet:
     catalogue: Catalogue
     analyst: Actor
     policy: Policy = POLICY
+    key: SigningKey | None = None
 
     def register(self, number: int) -> None:
         """Register a simulated sensor that is missing."""
@@ -261,7 +268,7 @@ class _Fleet:
         if (row.ground_state, row.onboard_state) == ("BASELINE", "NOT SENT"):
             operator, _ = self._log_in("operator")
             with open_writing(self.engine) as session:
-                package = packages.build(session, operator, self.blobs, row.id, policy=self.policy)
+                package = packages.build(session, operator, self.blobs, row.id, policy=self.policy, key=self.key)
                 uplinks.record(session, operator, row.id, "SENT", "Simulated pass 1.", package_id=package.id)
         yield f"{row.name} is sent; nothing was read back yet."
         yield from self._judge_new_pass(SENT_NUMBER, "calibration")

@@ -127,7 +127,7 @@ def _populate(settings: Settings) -> None:
         catalogue, blobs = load_catalogue(settings.catalogue_folder), open_blobs(settings.blob_place)
         watched = max(0, settings.workers - 1)  # one is left to whoever visits
         create_demonstration(engine, blobs, catalogue, _say, watched)
-        for _ in continue_demonstration(engine, blobs, catalogue, _say, settings.policy):
+        for _ in continue_demonstration(engine, blobs, catalogue, _say, settings.policy, settings.own_key):
             time.sleep(REST_S)
     except Exception as error:  # noqa: BLE001 - a thread's last words; the server goes on
         click.echo(f"boresight: the demonstration could not be completed: {error}", err=True)

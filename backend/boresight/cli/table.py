@@ -54,6 +54,7 @@ def export(
             flight_software_version=flight_software,
             table_id=table_id,
             policy=settings.policy,
+            key=settings.own_key,
         )
         content = packages.read(session, blobs, package.id)
     write_bytes(content, file)

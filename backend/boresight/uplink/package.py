@@ -2,7 +2,7 @@
 
 ::
 
-    MANIFEST.json  SHA256SUMS  table_definition.json
+    MANIFEST.json  SHA256SUMS  SHA256SUMS.sig  verify_package.py  table_definition.json
     parameter_set.json  parameters.json  parameters.csv  c_sd.json  camera_files.txt ...  verification_sheet.html
     correction_table.json  correction_table.csv  where the camera model leaves a displacement
     table.bin  table.hex.txt  table.tbl  table_def.txt  table_report.csv  pus_st20.csv  quantisation.json
@@ -12,7 +12,8 @@
 The way back of a set that is not baseline yet is the current baseline; of the baseline it is the one before it, because the
 baseline itself is what may have to be taken back; a sensor's first baseline has none before it and is its own.
 
-`inputs` is one JSON document, kept with the package: no clock, no database and no setting is asked here.
+`inputs` is one JSON document, kept with the package: no clock, no database and no setting is asked here. Nor is a key: whoever has
+one signs SHA256SUMS (Ed25519), which covers every other file, and the signature is kept with the package too.
 
 The sheet that people take to the console: what changes, who said so, what to compare, and blanks for what was done.
 
@@ -24,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -32,20 +34,28 @@ from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
 from boresight.resources import folder
 from boresight.telemetry.sensors import Sensor, parse_sensor
+from boresight.uplink import verify_package
 from boresight.uplink.archive import archive, canonical_bytes, json_bytes, sums
 from boresight.uplink.camera_files import camera_files, why_not
 from boresight.uplink.correction_table import correction_files, describe_correction
 from boresight.uplink.parameter_files import alignment_json, changes, parameters_csv, parameters_json
 from boresight.uplink.table_definition import TableDefinition, parse_definition, quantisation_effect, quantised
 from boresight.uplink.table_files import held_by, table_facts, table_files
+from boresight.uplink.verify_package import SIGNATURE, SUMS
 
 SCHEMA = "boresight.uplink-package/1"
 SIMULATED = "SIMULATED: this sensor's telemetry is simulated; do not load this package into a spacecraft."
 Inputs = Mapping[str, Any]
 
 
-def build_package(inputs: Inputs) -> bytes:
-    """Build the ZIP."""
+def build_package(inputs: Inputs, signature: bytes | None = None) -> bytes:
+    """Build the ZIP, with the signature of its sums where there is one."""
+    files = make_files(inputs, signed=signature is not None)
+    return archive(files if signature is None else files | {SIGNATURE: signature})
+
+
+def make_files(inputs: Inputs, *, signed: bool) -> dict[str, bytes]:
+    """Make every file but the signature; a signed package brings the program that verifies it."""
     sensor = parse_sensor(inputs["sensor"])
     definition = _definition(inputs, sensor)
     subject, backout = inputs["subject"], inputs["backout"]
@@ -61,7 +71,9 @@ def build_package(inputs: Inputs) -> bytes:
     if definition is not None:
         files["table_definition.json"] = json_bytes(definition.document)
     files["MANIFEST.json"] = json_bytes(_manifest(inputs, sensor, tables))
-    return archive(files | {"SHA256SUMS": sums(files)})
+    if signed:
+        files["verify_package.py"] = Path(verify_package.__file__).read_bytes()
+    return files | {SUMS: sums(files)}
 
 
 def _definition(inputs: Inputs, sensor: Sensor) -> TableDefinition | None:

@@ -49,6 +49,7 @@ FORMS = {  # who sends which form to which page
     "/sensors/{sensor_id:int}/gates": ("adele", {"action": "set", "reason": "x"}),
     "/alarms/{alarm_id:int}/{step}": ("ada", {"text": "Seen.", "version": "1"}),
     "/sensors/{sensor_id:int}/table-definition": ("adele", {"action": "set", "document": "{}", "reason": "x"}),
+    "/audit/anchors": ("adele", {}),
     "/password": ("ada", {"current": PASSWORD, **FRESH}),
     "/runs/new": ("ada", {"intent": "queue", "sensor_id": "1", "telemetry_set_id": "1", "method": "batch"}),
     "/presets/{preset_id:int}/archive": ("ada", {}),

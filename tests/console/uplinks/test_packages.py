@@ -13,7 +13,9 @@ from boresight.console.uplinks import packages, table_definitions
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError, StaleError
 from boresight.platform.actors import Policy
 from boresight.platform.audit import log as audit
+from boresight.platform.audit.signing import SigningKey
 from boresight.platform.db.sessions import open_writing
+from boresight.uplink.verify_package import verify
 from tests.console.conftest import PASSWORD, SENSOR
 from tests.passwords import approve, proved
 
@@ -73,6 +75,27 @@ def test_built_again_it_is_the_package_that_exists_and_bytes_that_were_lost_are_
     assert (record.action, record.after["sha256"]) == ("exported", package.sha256)
     blobs.path(package.sha256).unlink()
     assert build(row)[1] == files
+
+
+def test_an_exported_package_is_signed_once_verifies_on_board_and_is_built_again_without_the_key(
+    engine, blobs, build, approved, tmp_path
+):
+    key, row = SigningKey(tmp_path / "signing.key"), approved()
+    unsigned = build(row)[0]
+    package = build(row, key=key)[0]
+    assert (package.id != unsigned.id, package.signature["key"]) == (True, key.load().public.id)
+    keys = key.list_public_keys()[0].pem.encode()
+    assert verify(blobs.path(package.sha256), keys) == package.signature["key"]
+    with pytest.raises(ValueError, match="not signed"):
+        verify(blobs.path(unsigned.sha256), keys)
+    key.rotate()
+    assert build(row, key=key)[0].id == package.id
+    blobs.path(package.sha256).unlink()
+    key.file.unlink()
+    assert build(row)[0].id == package.id  # what was signed is laid down again
+    with open_writing(engine) as session:
+        assert audit.find_last_change(session, f"packages/{package.id}").after["signed_by"] == package.signature["key"]
+        assert audit.verify(session, blobs=blobs).ok
 
 
 def test_the_way_back_of_an_approved_set_is_the_baseline_and_of_the_baseline_the_one_before(

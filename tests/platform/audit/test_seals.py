@@ -12,7 +12,7 @@ from boresight.console.saved_views.tables import SavedView
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.console.webhooks.tables import WebhookDelivery
 from boresight.platform.audit import chain, seals, verification
-from boresight.platform.audit.tables import AuditRecord, IdempotentResponse
+from boresight.platform.audit.tables import AuditAnchor, AuditRecord, IdempotentResponse
 from boresight.platform.blobs.tables import Blob
 from boresight.platform.db.declared import Base
 from boresight.platform.db.sessions import Engine, downgrade, mark_dry_run, migrate, open_reading, open_writing, utc_now
@@ -46,7 +46,7 @@ def _records(engine: Engine) -> list[AuditRecord]:
 
 def test_every_table_is_sealed_or_says_why_not() -> None:
     tables = {mapper.class_ for mapper in Base.registry.mappers}
-    unsealed = {LoginSession, Opening, RunEvent, WebhookDelivery, AuditRecord, IdempotentResponse, Blob}
+    unsealed = {LoginSession, Opening, RunEvent, WebhookDelivery, AuditAnchor, AuditRecord, IdempotentResponse, Blob}
     unsealed |= {ArchivedRun, UserPreference, SavedView}
     assert {*seals.list_sealed()} == tables - unsealed
     assert all(model.sealing.unsealed for model in unsealed)

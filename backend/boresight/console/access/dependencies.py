@@ -32,6 +32,7 @@ from boresight.errors import (
     UnauthenticatedError,
 )
 from boresight.platform.actors import Actor, Policy, require_person
+from boresight.platform.audit.signing import SigningKey
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.secret_box import SecretBox
 from boresight.platform.db.sessions import Engine, Session, mark_dry_run, open_reading, open_writing
@@ -283,6 +284,7 @@ MaybeSeenTag = Annotated[Seen, Depends(maybe_seen)]
 Blobs = Annotated[BlobStore, depend_on_server("blobs")]
 Database = Annotated[Engine, depend_on_server("engine")]
 ServerFigureCache = Annotated[FigureCache, depend_on_server("figure_cache")]
+OwnKey = Annotated[SigningKey, depend_on_server("own_key")]
 SecretKeeper = Annotated[SecretBox, depend_on_server("secret_box")]
 ServerPolicy = Annotated[Policy, depend_on_server("policy")]
 PasswordChecks = Annotated[PasswordWorker, depend_on_server("passwords")]

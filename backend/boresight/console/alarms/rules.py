@@ -7,7 +7,7 @@
 `MISMATCH` critical a read-back of one of the sensor's sets did not match what was sent
 `CHAIN`    critical the audit log, or a row that it seals, is not as it was written
 `CLOCK`    serious  the clock jumped by `JUMP_S`, or nobody ran for `AWAY_S`: nothing expires until somebody acknowledges it
-`HEAD`     serious  the head of the audit log cannot be written to where it is kept
+`HEAD`     serious  the head of the audit log cannot be written to where it is kept, or is overdue to be signed or time-stamped
 `FILES`    critical a stored file that rows name was altered on the disk, or is missing
 `INGEST`   serious  the sensor's policy for new telemetry was paused: a runaway was stopped, and a person resumes it
 ========== ======== ==========================================================================================
@@ -35,6 +35,7 @@ from boresight.platform.actors import SYSTEM
 from boresight.platform.blobs.files import BadFile
 from boresight.platform.db.sessions import Session, utc_now, utc_text
 
+ANCHOR = "audit/ANCHOR"
 CHAIN = "audit/CHAIN"
 FILES = "blobs/FILES"
 HEAD = "audit/HEAD"
@@ -90,6 +91,11 @@ def check_chain(state: str, sentence: str) -> AlarmCause | None:
 def check_head(fault: str) -> AlarmCause | None:
     """Return the alarm cause if the head of the audit log cannot be written; None otherwise."""
     return AlarmCause(HEAD, None, "HEAD", "serious", fault) if fault else None
+
+
+def check_anchors(overdue: str) -> AlarmCause | None:
+    """Return the alarm cause if the head of the audit log is overdue to be signed or time-stamped; None otherwise."""
+    return AlarmCause(ANCHOR, None, "HEAD", "serious", overdue) if overdue else None
 
 
 def check_files(bad: Sequence[BadFile]) -> AlarmCause | None:

@@ -10,16 +10,18 @@ import json
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.console.access.dependencies import KNOWN, Blobs, Reading
+from boresight.console.access.dependencies import KNOWN, Blobs, Reading, Who
 from boresight.console.audit.queries import name_objects
-from boresight.console.jobs.dependencies import ServerMaintenance
+from boresight.console.audit.service import anchor_now
+from boresight.console.jobs.dependencies import ServerAnchoring, ServerMaintenance
 from boresight.console.operation import Beside
-from boresight.console.pages.rendering import render
+from boresight.console.pages.rendering import make_change, render
 from boresight.console.pages.tables import (
     Table,
     TableColumn,
@@ -229,12 +231,14 @@ def make_audit_line(record: AuditRecord) -> AuditLine:
     return AuditLine(record, address, changes(record.before, record.after))
 
 
-@router.get("/audit", response_class=HTMLResponse, dependencies=[KNOWN])
+@router.get("/audit", response_class=HTMLResponse)
 def audit_page(
     request: Request,
+    actor: Who,
     session: Reading,
     files: Blobs,
     maintenance: ServerMaintenance,
+    anchoring: ServerAnchoring,
     verify: str = "",
 ) -> HTMLResponse:
     """Show a page of records and the state of the chain."""
@@ -255,10 +259,25 @@ def audit_page(
         last=found.last,
         refusal=refusal,
         words=audit.read_words(session),
-        chain=audit.verify(session, blobs=blobs, again=False) if short or verify else None,
+        chain=audit.verify(session, blobs=blobs, again=False, trust=anchoring.trust()) if short or verify else None,
+        anchor=next(iter(audit.list_anchors(session, limit=1)), None),
+        overdue=anchoring.find_overdue(session),
+        may_anchor="administrator" in actor.roles,
+        newest_id=newest[0].id if newest else 0,
         light=maintenance.light(),
         head=audit.head(session),
     )
+
+
+@router.post("/audit/anchors", response_class=HTMLResponse)
+async def anchor_log(
+    request: Request, actor: Who, anchoring: ServerAnchoring, maintenance: ServerMaintenance
+) -> Response:
+    """Sign the newest head."""
+    change = partial(anchor_now, actor=actor, key=anchoring.key, broken=maintenance.broken)
+    answer = await make_change(request, change, "/audit", "The head of the log is signed.")
+    maintenance.nudge()
+    return answer
 
 
 @router.get("/audit.csv", dependencies=[KNOWN])

@@ -1,4 +1,4 @@
-"""The audit log: read it, and have its chain verified."""
+"""The audit log: read it, have its chain verified, and its head signed."""
 
 from __future__ import annotations
 
@@ -11,14 +11,16 @@ from fastapi import Query
 from starlette.background import BackgroundTask
 from starlette.responses import FileResponse
 
-from boresight.console.access.dependencies import Blobs, Reading, ServerPolicy
+from boresight.console.access.dependencies import Blobs, Reading, ServerPolicy, Who, Writing
 from boresight.console.audit import schemas
+from boresight.console.audit.service import anchor_now
+from boresight.console.jobs.dependencies import ServerAnchoring, ServerMaintenance
 from boresight.console.operation import operations
 from boresight.platform.audit import export as audit_export
 from boresight.platform.audit import log as audit
 from boresight.platform.audit.log import ChainReport
-from boresight.platform.audit.tables import AuditRecord
-from boresight.platform.web.media import PythonFile
+from boresight.platform.audit.tables import AuditAnchor, AuditRecord
+from boresight.platform.web.media import PemFile, PythonFile
 from boresight.platform.web.paging import Listing, Page, Paged
 
 router = operations("/audit", tags=["audit"])
@@ -51,15 +53,38 @@ def list_audit(
 def verify_audit(
     session: Reading,
     stored: Blobs,
+    anchoring: ServerAnchoring,
     expected_head: Annotated[str | None, Query(description="A head from an earlier export.")] = None,
     blobs: Annotated[bool, Query(description="Whether to check the stored files too.")] = True,
 ) -> ChainReport:
-    """Check the whole chain, every row that it seals, and the stored files; say which are not as they were written.
+    """Check the whole chain, its anchors, every row that it seals, and the stored files; say which are not as they were written.
 
     A file that this server has checked is read again only if anything about it has changed; the server's maintenance
     reads all of them again, a few each minute.
     """
-    return audit.verify(session, expected_head, stored if blobs else None, again=False)
+    return audit.verify(session, expected_head, stored if blobs else None, again=False, trust=anchoring.trust())
+
+
+@router.get("/anchors", summary="List anchors", response_model=Page[schemas.Anchor])
+def list_anchors(session: Reading, page: Paged) -> Listing[AuditAnchor]:
+    """List the heads of the log that were signed, newest first."""
+    return page.cut(audit.list_anchors(session, before_id=page.last_id, limit=page.limit + 1))
+
+
+@router.post("/anchors", summary="Anchor the log now", status_code=201, response_model=schemas.Anchor)
+def make_anchor(
+    actor: Who, session: Writing, anchoring: ServerAnchoring, maintenance: ServerMaintenance
+) -> AuditAnchor:
+    """Sign the newest head; if an anchor covers it already, that one is the answer. For administrators."""
+    made = anchor_now(session, actor, anchoring.key, maintenance.broken)
+    maintenance.nudge()
+    return made
+
+
+@router.get("/keys", summary="The public keys", response_class=PemFile)
+def get_public_keys(anchoring: ServerAnchoring) -> PemFile:
+    """Return the public keys that verify anchors and uplink packages, the present one first; empty before the first signature."""
+    return PemFile("".join(key.pem for key in anchoring.key.list_public_keys()))
 
 
 @router.get(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from boresight.console.access.dependencies import depend_on_server
+from boresight.console.jobs.anchoring import Anchoring
 from boresight.console.jobs.broadcast import Broadcast
 from boresight.console.jobs.maintenance import Maintenance
 from boresight.console.jobs.webhook_sender import WebhookSender
@@ -12,3 +13,4 @@ from boresight.console.jobs.webhook_sender import WebhookSender
 Feed = Annotated[Broadcast, depend_on_server("broadcast")]
 ServerMaintenance = Annotated[Maintenance, depend_on_server("maintenance")]
 ServerWebhookSender = Annotated[WebhookSender, depend_on_server("webhook_sender")]
+ServerAnchoring = Annotated[Anchoring, depend_on_server("anchoring")]

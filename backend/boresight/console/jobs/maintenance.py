@@ -1,4 +1,4 @@
-"""Maintenance of a server: verifies the audit chain, updates alarms, rereads files, and records the use of keys and log-ins.
+"""Maintenance of a server: verifies and anchors the audit chain, updates alarms, rereads files, records uses of keys and log-ins.
 
 Between two walks of the chain it rests a minute, and at least `REST` times as long as the walk took. Files are read for
 `READ_S` a round; what a reader found corrupt is looked at now. The newest use of each key and log-in is kept in memory
@@ -16,14 +16,17 @@ from pathlib import Path
 from boresight.console.access import api_keys, sessions
 from boresight.console.alarms import rules
 from boresight.console.alarms.rules import (
+    ANCHOR,
     CHAIN,
     FILES,
     HEAD,
     AlarmCause,
+    check_anchors,
     check_chain,
     check_files,
     check_head,
 )
+from boresight.console.jobs.anchoring import READ_EACH_ROUND, Anchoring
 from boresight.console.webhooks import service as webhooks
 from boresight.errors import BoresightError
 from boresight.platform.actors import SessionLimits
@@ -70,12 +73,18 @@ class Maintenance:
     """The maintenance of one server."""
 
     def __init__(
-        self, database: Engine, limits: SessionLimits, blobs: BlobStore, kept: ExternalHeadFile | None = None
+        self,
+        database: Engine,
+        limits: SessionLimits,
+        blobs: BlobStore,
+        kept: ExternalHeadFile | None = None,
+        anchoring: Anchoring | None = None,
     ) -> None:
         self._database = database
         self._limits = limits
         self._blobs = blobs
         self._kept = kept or ExternalHeadFile(None, 0.0)
+        self._anchoring = anchoring
         self._head_kept_s = float("-inf")
         self._head_fault = ""
         self._suspects: set[str] = set()
@@ -94,6 +103,7 @@ class Maintenance:
                 self.tidy_sessions,
                 self._verify_when_due,
                 self.keep_head,
+                self.anchor,
                 self.read_files,
                 self.apply_alarm_rules,
             ],
@@ -153,13 +163,23 @@ class Maintenance:
         began_s = time.monotonic()
         with open_reading(self._database) as session:
             kept, file = self._read_head()
-            report = audit.verify(session, kept=kept, head_file=file)
+            trust = None if self._anchoring is None else self._anchoring.trust(READ_EACH_ROUND)
+            report = audit.verify(session, kept=kept, head_file=file, trust=trust)
         self._looked_s = time.monotonic()
         self._pause_s = max(ROUND_S, REST * (self._looked_s - began_s))
         state = "verified" if report.ok else "broken"
         if state != self._found.state and not report.ok:
             log.critical("The audit log is broken: %s", report.sentence)
         self._found = ChainStatus(state, report.last_id, utc_now(), report.sentence)
+
+    def anchor(self) -> None:
+        """Sign the head of a log that verifies, when due."""
+        if self._anchoring is not None and self._found.state == "verified":
+            self._anchoring.anchor()
+
+    def nudge(self) -> None:
+        """Begin the next round now."""
+        self._thread.nudge()
 
     def _read_head(self) -> tuple[ExternalHead | None, Path | None]:
         """Return the externally kept head and its file; an unreadable file is reported by an alarm."""
@@ -211,7 +231,7 @@ class Maintenance:
             is_new = sha256 not in self._suspects
             self._suspects.add(sha256)
         if is_new:
-            self._thread.nudge()
+            self.nudge()
 
     def read_files(self) -> None:
         """Reread stored files: the suspected ones, and some others from where the last round ended."""
@@ -261,6 +281,8 @@ class Maintenance:
             if (what := files.wrong_with(self._blobs, sha256, size, again=False)) is not None
         ]
         found = {FILES: check_files(wrong), HEAD: check_head(self._head_fault)}
+        if self._anchoring is not None:
+            found[ANCHOR] = check_anchors(self._anchoring.find_overdue(session))
         if self._found.state in {"verified", "broken"}:
             found[CHAIN] = check_chain(self._found.state, self._found.sentence)
         return found
@@ -273,6 +295,11 @@ class Maintenance:
                 "stale", found.last_id, found.at_utc, f"{found.sentence} It has not been verified since."
             )
         return found
+
+    @property
+    def broken(self) -> str:
+        """What the last verification found wrong with the log; empty for nothing."""
+        return self._found.sentence if self._found.state == "broken" else ""
 
     def _verify_when_due(self) -> None:
         """Verify the chain at the start, and again after a pause in proportion to how long that took."""

@@ -6,6 +6,7 @@ the same definition, signatures and way back is the package that exists already,
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Mapping
 from typing import Any
 
@@ -30,9 +31,11 @@ from boresight.console.uplinks.tables import Package, TableDefinition
 from boresight.errors import ConflictError, CorruptFileError, NotFoundError, RefusedInputError
 from boresight.platform.actors import POLICY, Actor, Policy, require_role, require_scope
 from boresight.platform.audit import log as audit
+from boresight.platform.audit.signing import Signer, SigningKey
 from boresight.platform.blobs.store import BlobStore, register_blob
 from boresight.platform.db.sessions import Session, utc_now
-from boresight.uplink.package import build_package
+from boresight.uplink.package import build_package, make_files
+from boresight.uplink.verify_package import SUMS
 
 SIGNED = ("printed_name", "decision", "meaning", "comment", "signed_utc", "shown_sha256", "console")
 WAIVED = ("gate", "code", "reason", "printed_name", "made_utc", "expires_utc")
@@ -186,8 +189,9 @@ def build(
     flight_software_version: str | None = None,
     table_id: str | None = None,
     policy: Policy = POLICY,
+    key: SigningKey | None = None,
 ) -> Package:
-    """Build the package of a set, or return the one that exists."""
+    """Build the package of a set, signed where there is a key, or return the one that exists."""
     require_role(actor, "operator", "analyst")
     require_scope(actor, "uplinks")
     row = session.get_known(ParameterSet, parameter_set_id)
@@ -200,11 +204,16 @@ def build(
     definition = rows.find_definition_in_force(session, row.sensor_id)
     _refuse_other_versions(session, row, definition, flight_software_version, table_id)
     inputs = _gather_inputs(session, row, definition, policy)
-    existing = _find_existing(session, row, inputs)
+    existing = _find_existing(session, row, inputs, signed=key is not None)
     if existing is not None:
         return _keep(session, blobs, existing)
     inputs["first_built"] = {"at_utc": utc_now(), "audit_head": audit.head(session)}
-    return _store(session, actor, blobs, row, definition, inputs)
+    signature = None if key is None else _sign(key.load(), make_files(inputs, signed=True)[SUMS])
+    return _store(session, actor, blobs, row, definition, inputs, signature)
+
+
+def _sign(signer: Signer, content: bytes) -> dict[str, str]:
+    return {"key": signer.public.id, "public_key": signer.public.text, "signature": signer.sign(content)}
 
 
 def _refuse_unsigned(session: Session, actor: Actor, row: ParameterSet) -> None:
@@ -271,8 +280,11 @@ def _gather_inputs(
     }
 
 
-def _find_existing(session: Session, row: ParameterSet, inputs: Mapping[str, Any]) -> Package | None:
+def _find_existing(session: Session, row: ParameterSet, inputs: Mapping[str, Any], *, signed: bool) -> Package | None:
+    """Return the package of the same inputs; one without a signature is none where packages are signed."""
     for package in lists.list_newest(session, Package, set=row.id):
+        if signed and package.signature is None:
+            continue
         if {key: value for key, value in package.inputs.items() if key != "first_built"} == inputs:
             return package
     return None
@@ -283,7 +295,7 @@ def _keep(session: Session, blobs: BlobStore, package: Package) -> Package:
     try:
         blobs.path(package.sha256)
     except (NotFoundError, CorruptFileError):
-        if blobs.put(rebuild(package.inputs)) != package.sha256:
+        if blobs.put(rebuild(package.inputs, package.signature)) != package.sha256:
             raise
         register_blob(session, blobs, package.sha256, MEDIA_TYPE)
     return package
@@ -296,9 +308,10 @@ def _store(
     row: ParameterSet,
     definition: TableDefinition | None,
     inputs: dict[str, Any],
+    signature: dict[str, str] | None,
 ) -> Package:
-    """Build the package and store it with its inputs."""
-    sha256 = register_blob(session, blobs, blobs.put(rebuild(inputs)), MEDIA_TYPE).sha256
+    """Build the package and store it with its inputs and its signature."""
+    sha256 = register_blob(session, blobs, blobs.put(rebuild(inputs, signature)), MEDIA_TYPE).sha256
     package = Package(
         parameter_set_id=row.id,
         table_definition_id=None if definition is None else definition.id,
@@ -306,6 +319,7 @@ def _store(
         sha256=sha256,
         created_utc=inputs["first_built"]["at_utc"],
         created_by=actor.user_id,
+        signature=signature,
     )
     session.put(package)
     after = {
@@ -315,14 +329,15 @@ def _store(
         "table_definition_id": package.table_definition_id,
         "backout": inputs["backout"]["name"],
         "audit_head": inputs["first_built"]["audit_head"],
+        "signed_by": None if signature is None else signature["key"],
     }
     audit.append(session, actor, "exported", f"packages/{package.id}", None, after)
     return package
 
 
-def rebuild(inputs: Mapping[str, Any]) -> bytes:
-    """Build the bytes of a package from its inputs; they hash to the `sha256` of its row."""
-    return build_package(inputs)
+def rebuild(inputs: Mapping[str, Any], signature: Mapping[str, str] | None = None) -> bytes:
+    """Build the bytes of a package from its inputs and its signature; they hash to the `sha256` of its row."""
+    return build_package(inputs, None if signature is None else base64.b64decode(signature["signature"]))
 
 
 def read(session: Session, blobs: BlobStore, package_id: int) -> bytes:

@@ -19,6 +19,7 @@ from boresight.console.access.dependencies import (
     Blobs,
     Database,
     IsDryRun,
+    OwnKey,
     Reading,
     SeenVersion,
     ServerPolicy,
@@ -272,11 +273,12 @@ def export_parameter_set(
     policy: ServerPolicy,
     session: Writing,
     blobs: Blobs,
+    key: OwnKey,
     export: Export | None = None,
 ) -> Package:
-    """Build the package for an approved set or the baseline; the same inputs give the existing one."""
+    """Build the signed package for an approved set or the baseline; the same inputs give the existing one."""
     said = {} if export is None else export.model_dump()
-    return packages.build(session, actor, blobs, parameter_set_id, policy=policy, **said)
+    return packages.build(session, actor, blobs, parameter_set_id, policy=policy, key=key, **said)
 
 
 @package_router.get("/packages", summary="List packages", response_model=Page[schemas.Package])

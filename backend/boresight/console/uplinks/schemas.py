@@ -123,6 +123,7 @@ class Package(Row):
     backout: str = Field(description="The set that it goes back to, in the folder `backout/`.")
     four_eyes: str = Field(description="Whether a second person approved the set.")
     audit_head: str = Field(description="Head of the audit log when the package was first built.")
+    signed_by: str | None = Field(description="Id of the key that signed its SHA256SUMS; the key is at `/audit/keys`.")
     created_utc: str
     created_by: int | None
 
@@ -140,6 +141,7 @@ class Package(Row):
             "backout": row.inputs["backout"]["name"],
             "four_eyes": row.inputs["four_eyes"]["sentence"],
             "audit_head": row.inputs["first_built"]["audit_head"],
+            "signed_by": None if row.signature is None else row.signature["key"],
         }
 
 

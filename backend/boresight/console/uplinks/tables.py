@@ -58,3 +58,6 @@ class Package(Base):
     sha256: Mapped[str] = mapped_column(sa.ForeignKey("blobs.sha256"))
     created_utc: Mapped[str] = mapped_column(sa.Text)
     created_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
+    signature: Mapped[dict[str, str] | None] = mapped_column(
+        JsonText
+    )  # of SHA256SUMS in it: key, public_key, signature

@@ -18,8 +18,9 @@ from boresight.errors import NotFoundError
 from boresight.platform.actors import Actor
 from boresight.platform.audit import chain, verification
 from boresight.platform.audit import queries as rows
+from boresight.platform.audit.anchors import AnchorFindings, Trust, tell_coverage, verify_anchors
 from boresight.platform.audit.external_head import ExternalHead
-from boresight.platform.audit.tables import AuditRecord
+from boresight.platform.audit.tables import AuditAnchor, AuditRecord
 from boresight.platform.audit.verification import RowMismatch, VerificationFindings
 from boresight.platform.blobs import files
 from boresight.platform.blobs.store import BlobStore
@@ -46,6 +47,10 @@ class ChainReport:
     last_id: int = 0
     files: int = 0
     bad_files: tuple[str, ...] = ()
+    anchors: int = 0
+    time_stamped: int = 0
+    anchored_id: int = 0
+    anchored_utc: str | None = None
 
 
 def append(
@@ -120,6 +125,11 @@ def list_records(
     return list_newest_rows(session, rows.RECORDS, before_id=before_id, limit=limit, **(sought or {"object": subject}))
 
 
+def list_anchors(session: Session, *, before_id: int | None = None, limit: int | None = None) -> Sequence[AuditAnchor]:
+    """Return a page of anchors, newest first."""
+    return list_newest_rows(session, rows.ANCHORS, before_id=before_id, limit=limit)
+
+
 def get_record(session: Session, record_id: int) -> AuditRecord:
     """Return a record."""
     record = rows.record(session, record_id)
@@ -163,27 +173,34 @@ def verify(
     kept: ExternalHead | None = None,
     head_file: Path | None = None,
     again: bool = True,
+    trust: Trust | None = None,
 ) -> ChainReport:
-    """Verify the whole chain, every sealed row, journal and stored file, and report the first that was altered."""
+    """Verify the whole chain, every sealed row, journal, anchor and stored file, and report the first that was altered."""
     found = verification.verify(session, expected_head, None if kept is None else kept.hash)
     looked_at = [] if blobs is None else list(files.bad_files(session, blobs, again=again))
     bad = [str(one) for one in looked_at if one is not None]
     misfit = found.misfit or next(iter(found.guards), None) if found.broken_id is None else None
     absent = head_file if kept is None else None
     is_lost = absent is not None and head_was_kept(session, absent)
+    anchored = AnchorFindings() if trust is None else verify_anchors(session, trust)
     broken_id = found.broken_id if misfit is None else misfit.record_id
     return ChainReport(
-        ok=found.ok and not bad and not is_lost,
+        ok=found.ok and not bad and not is_lost and not anchored.fault,
         records=found.records,
         head=found.head,
         first_broken_id=broken_id,
         sentence=_sentence(found, kept, None if blobs is None else len(looked_at), bad)
-        + ("" if absent is None else _absence(absent, is_lost=is_lost)),
+        + ("" if absent is None else _absence(absent, is_lost=is_lost))
+        + ("" if trust is None else f" {tell_coverage(anchored, found.last_id, some=trust.newest is not None)}"),
         rows=found.rows,
         first_broken_row=None if misfit is None else misfit.row,
         last_id=found.last_id,
         files=len(looked_at),
         bad_files=tuple(bad[:BAD_FILES_NAMED]),
+        anchors=anchored.anchors,
+        time_stamped=anchored.stamped,
+        anchored_id=anchored.record_id,
+        anchored_utc=anchored.at_utc,
     )
 
 

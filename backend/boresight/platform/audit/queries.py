@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import closing
 from typing import Any
 
 import sqlalchemy as sa
 
 from boresight.platform.audit import chain
-from boresight.platform.audit.tables import AuditRecord, IdempotentResponse
+from boresight.platform.audit.tables import AuditAnchor, AuditRecord, IdempotentResponse
 from boresight.platform.db.lists import List, equals
 from boresight.platform.db.sessions import Session
 
@@ -28,6 +28,9 @@ RECORDS = List(
         "until_utc": lambda time_utc: AuditRecord.at_utc < time_utc,
     },
 )
+
+ANCHORS = List(AuditAnchor, {}, {})
+ANCHORS_AT_A_TIME = 100
 
 
 def find_last_change(session: Session, subject: str) -> AuditRecord | None:
@@ -84,6 +87,32 @@ def walk(session: Session) -> Generator[dict[str, Any], None, None]:
     with closing(session.execute(query, execution_options={"yield_per": RAW_AT_A_TIME})) as found:
         for row in found:
             yield dict(zip(chain.COLUMNS, row, strict=True))
+
+
+def find_newest_anchor(session: Session) -> AuditAnchor | None:
+    """Return the newest anchor."""
+    return session.scalar(sa.select(AuditAnchor).order_by(AuditAnchor.id.desc()).limit(1))
+
+
+def find_first_after(session: Session, record_id: int) -> AuditRecord | None:
+    """Return the first record after a number."""
+    return session.scalar(sa.select(AuditRecord).where(AuditRecord.id > record_id).order_by(AuditRecord.id).limit(1))
+
+
+def find_first_unstamped(session: Session) -> AuditAnchor | None:
+    """Return the oldest anchor after the newest one with a time-stamp."""
+    stamped = sa.select(sa.func.max(AuditAnchor.id)).where(AuditAnchor.time_stamp.is_not(None)).scalar_subquery()
+    query = sa.select(AuditAnchor).where(AuditAnchor.id > sa.func.coalesce(stamped, 0))
+    return session.scalar(query.order_by(AuditAnchor.id).limit(1))
+
+
+def iterate_anchors(session: Session, newest: int | None = None) -> Iterator[tuple[AuditAnchor, str | None]]:
+    """Yield every anchor, or the newest ones, in their order, each with the hash that its record has now."""
+    first = 0 if newest is None else (session.scalar(sa.select(sa.func.max(AuditAnchor.id))) or 0) - newest
+    query = sa.select(AuditAnchor, AuditRecord.hash).outerjoin(AuditRecord, AuditRecord.id == AuditAnchor.record_id)
+    query = query.where(AuditAnchor.id > first).order_by(AuditAnchor.id)
+    with closing(session.execute(query, execution_options={"yield_per": ANCHORS_AT_A_TIME})) as found:
+        yield from found
 
 
 def find_response(session: Session, key: str, actor: str) -> IdempotentResponse | None:

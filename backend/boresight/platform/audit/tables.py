@@ -1,4 +1,4 @@
-"""The audit log, and the answers kept for Idempotency-Keys."""
+"""The audit log, its anchors, and the answers kept for Idempotency-Keys."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
-from boresight.platform.db.declared import STRICT, Base, Sealing
+from boresight.platform.audit.signing import PublicKey
+from boresight.platform.db.declared import STRICT, Base, Journal, Sealing
 from boresight.platform.db.documents import JsonText
 
 
@@ -32,6 +33,37 @@ class AuditRecord(Base):
     hash: Mapped[str] = mapped_column(sa.Text, unique=True)
     rows: Mapped[dict[str, Any] | None] = mapped_column(JsonText)  # SHA-256 of each row as this change left it
     roles: Mapped[list[str] | None] = mapped_column(JsonText)  # of the actor, at the time
+
+
+class AuditAnchor(Base):
+    """A head of the log that was signed, and its time-stamp once there is one."""
+
+    __tablename__ = "audit_anchors"
+    noun = "anchor"
+    __table_args__ = (STRICT,)
+    sealing = Sealing(
+        unsealed="is a journal, with hashes of its own",
+        journal=Journal(
+            lasting=("id", "record_id", "head", "at_utc", "made_by", "public_key", "signature"),
+            others=("time_stamp", "stamped_utc"),
+        ),
+    )
+    id: Mapped[int] = mapped_column(primary_key=True)
+    record_id: Mapped[int] = mapped_column(sa.Integer)  # the newest record then
+    head: Mapped[str] = mapped_column(sa.Text)
+    at_utc: Mapped[str] = mapped_column(sa.Text)
+    made_by: Mapped[str] = mapped_column(sa.Text)
+    public_key: Mapped[str] = mapped_column(sa.Text)  # base64
+    signature: Mapped[str] = mapped_column(sa.Text)  # base64
+    time_stamp: Mapped[str | None] = mapped_column(sa.Text)  # the answer of the service, base64
+    stamped_utc: Mapped[str | None] = mapped_column(sa.Text)  # the time in it
+    hash: Mapped[str | None] = mapped_column(sa.Text)  # chains it to the anchor before
+    outcome_hash: Mapped[str | None] = mapped_column(sa.Text)  # of its time-stamp
+
+    @property
+    def key(self) -> str:
+        """The id of the key that signed it."""
+        return PublicKey.decode(self.public_key).id
 
 
 class IdempotentResponse(Base):

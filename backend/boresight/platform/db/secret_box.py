@@ -10,14 +10,11 @@ are keys of before, with which what they encrypted can still be read. Several se
 
 from __future__ import annotations
 
-import os
-import tempfile
-from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 
 from cryptography.fernet import Fernet, InvalidToken, MultiFernet
 
+from boresight.disks import write_private
 from boresight.errors import RefusedInputError
 
 SEALED = "fernet:"
@@ -39,7 +36,7 @@ class SecretBox:
         """Encrypt a secret with the newest key, which is made when there is none yet."""
         keys = self._keys()
         if keys is None:
-            self._make_file()
+            write_private(self.file, f"{Fernet.generate_key().decode()}\n", replace=False)
             keys = self._keys()
         if keys is None:
             raise self._unusable()
@@ -61,13 +58,13 @@ class SecretBox:
         """Add a new key in first place; secrets encrypted with older keys remain readable."""
         self._keys()  # refuse an unreadable file before it is overwritten
         known = self._lines() if self.file.exists() else []
-        self._write([Fernet.generate_key().decode(), *known])
+        write_private(self.file, "\n".join([Fernet.generate_key().decode(), *known, ""]))
 
     def forget_old_keys(self) -> int:
         """Keep the newest key only; return how many were forgotten."""
         known = self._lines() if self.file.exists() else []
         if len(known) > 1:
-            self._write(known[:1])
+            write_private(self.file, f"{known[0]}\n")
         return max(len(known) - 1, 0)
 
     def _keys(self) -> MultiFernet | None:
@@ -86,29 +83,6 @@ class SecretBox:
     def _lines(self) -> list[str]:
         lines = (line.strip() for line in self.file.read_text().splitlines())
         return [line for line in lines if line and not line.startswith("#")]
-
-    def _make_file(self) -> None:
-        """Create the file with its first key, atomically; an existing one is never replaced."""
-        self.file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        written = self._written([Fernet.generate_key().decode()])
-        try:
-            with suppress(FileExistsError):  # another server was first: its key is the key
-                os.link(written, self.file)
-        finally:
-            written.unlink()
-
-    def _write(self, lines: Sequence[str]) -> None:
-        """Replace the file atomically."""
-        self.file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        self._written(lines).replace(self.file)
-
-    def _written(self, lines: Sequence[str]) -> Path:
-        handle, name = tempfile.mkstemp(prefix=".keys-", dir=self.file.parent)  # 0600 from the start
-        with os.fdopen(handle, "w") as file:
-            file.write("".join(f"{line}\n" for line in lines))
-            file.flush()
-            os.fsync(file.fileno())
-        return Path(name)
 
     def _unusable(self) -> RefusedInputError:
         return RefusedInputError(

@@ -66,6 +66,12 @@ class PythonFile(Response):
     media_type = "text/x-python"
 
 
+class PemFile(Response):
+    """Keys."""
+
+    media_type = "application/x-pem-file"
+
+
 class PrometheusText(Response):
     """Series in the exposition format."""
 

@@ -52,7 +52,7 @@ TAGS = [
     {"name": "ingest", "description": "New telemetry, judged by its sensor's policy; people decide on what it finds."},
     {"name": "notes", "description": "What people wrote down; notes are never edited or removed."},
     {"name": "events", "description": "The live feed, as server-sent events."},
-    {"name": "audit", "description": "The append-only, hash-chained log."},
+    {"name": "audit", "description": "The append-only, hash-chained log, and its signed heads."},
     {"name": "users", "description": "People and their roles."},
     {"name": "API keys", "description": "Keys for programs."},
     {"name": "webhooks", "description": "Programs that are notified of events."},

@@ -21,7 +21,7 @@ from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import UploadFile
 
 from boresight.console import list_queries as lists
-from boresight.console.access.dependencies import Blobs, Database, Reading, ServerPolicy, Who, csrf, get_server
+from boresight.console.access.dependencies import Blobs, Database, OwnKey, Reading, ServerPolicy, Who, csrf, get_server
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.fleet import timeline
 from boresight.console.fleet.tables import Sensor
@@ -259,12 +259,14 @@ async def _taken_step(
 
 
 @router.post("/parameter-sets/{set_id:int}/uplink/package")
-async def export(request: Request, actor: Who, blobs: Blobs, policy: ServerPolicy, set_id: int) -> Response:
+async def export(
+    request: Request, actor: Who, blobs: Blobs, policy: ServerPolicy, key: OwnKey, set_id: int
+) -> Response:
     """Build the set's package, or show the one that exists."""
     typed, _ = await _form(request)
 
     def change(session: Session) -> Package:
-        return packages.build(session, actor, blobs, set_id, policy=policy)
+        return packages.build(session, actor, blobs, set_id, policy=policy, key=key)
 
     return await _taken_step(
         request, actor, blobs, "package", typed, change, "The package is built; download it below."
