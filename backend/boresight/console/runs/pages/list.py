@@ -50,7 +50,7 @@ RUNS = Table(
         TableColumn("sensor", "Sensor", "sensor", csv=("sensor",)),
         TableColumn("method", "Method", "method", csv=("method",)),
         TableColumn("data", "Data", "data", "label", csv=("telemetry_set",)),
-        TableColumn("fit", "Fit", csv=("status",)),
+        TableColumn("fit", "Fit", "", "verdict-words", csv=("status",)),
         TableColumn(
             "rms",
             "RMS",
