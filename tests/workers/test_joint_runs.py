@@ -142,7 +142,7 @@ def test_stored_tables_in_pieces_give_the_bits_of_those_in_memory(house, sets, c
     assert differences(whole.to_dict(), pieces.to_dict()) == []
 
 
-def test_the_command_sends_several_sets_and_a_prior(house, server, sets, files, joint, monkeypatch, tmp_path):  # noqa: ARG001
+def test_the_command_sends_several_sets_and_a_prior(house, server, sets, files, joint, monkeypatch, tmp_path):  # noqa: ARG001 - the sets are there then
     monkeypatch.setenv(API_KEY, server.api_key)
     words = ["calibrate", *(str(files / f"pass-{n}.csv") for n in (2, 3)), "--sensor", str(files / "sensor.json")]
     words += [

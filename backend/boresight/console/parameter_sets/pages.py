@@ -212,6 +212,11 @@ class LineageNode:
     state: str | None = None
 
 
+def _say_more(sets: int) -> str:
+    """Say how many further sets there are."""
+    return f" and {sets} more" if sets else ""
+
+
 def list_lineage(session: Session, row: ParameterSet, requests: Sequence[Approval]) -> list[LineageNode]:
     """Return the lineage of a set from telemetry to the spacecraft, as far as it has come."""
     nodes = []
@@ -219,7 +224,7 @@ def list_lineage(session: Session, row: ParameterSet, requests: Sequence[Approva
         run = runs.get_run(session, row.run_id)
         data = session.get_known(TelemetrySet, run.telemetry_set_id)
         nodes = [
-            LineageNode("Telemetry", data.name, f"/telemetry/{data.id}"),
+            LineageNode("Telemetry", f"{data.name}{_say_more(len(run.joint_set_ids))}", f"/telemetry/{data.id}"),
             LineageNode("Run", f"#{run.id} {run.label}".rstrip(), f"/runs/{run.id}", run.state),
         ]
     else:
