@@ -12,7 +12,7 @@ from tests.calibration.test_variation import PARAMETERS, moved, problem_of
 from tests.effort import effort
 from tests.estimation.fields import SCALE, TRUTH
 
-SETS = effort(8, 200)
+SETS = effort(60, 200)
 #: 68 and 95 % of a normal number, and the rise of -2 log L at the ends of such intervals.
 SHARES = {0.683: (1.0, 1.0), 0.95: (1.96, 3.841458820694124)}
 
