@@ -100,6 +100,7 @@ ABLE = {
     "read_back": "olga",
     "activate_parameter_set": "olga",
     "set_gate_profile": "adele",
+    "enable_ingest_policy": "adele",
     **{name: "adele" for name in WITH_ID if "webhook" in name or name == "redeliver"},
 }  # who may do it, where not the analyst
 BODIES: dict[str, dict[str, Any]] = {
@@ -107,6 +108,8 @@ BODIES: dict[str, dict[str, Any]] = {
     "convert_parameter_set": {"params": {"to": "pinhole_radial"}},
     "get_parameter_set_camera_file": {"params": {"to": "opencv"}},
     "get_run_camera_file": {"params": {"to": "opencv"}},
+    **{f"{step}_ingest_policy": {"json": {"reason": "x"}} for step in ("pause", "resume", "switch_off")},
+    "answer_ingest_decision": {"json": {"answer": "WAIT", "reason": "x"}},
     "edit_sensor": {"json": {"name": "x"}},
     "record_opening": {"json": {"evidence": "radial"}},
     "attach": {"files": {"file": ("a.txt", b"x")}},
