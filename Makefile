@@ -30,10 +30,12 @@ TSC := $(BIN)/node frontend/node_modules/typescript/bin/tsc --project frontend
 # Debian keeps PostgreSQL's own programs off the path.
 PYTEST := PATH="$(CURDIR)/$(BIN):$$PATH:$$(echo /usr/lib/postgresql/*/bin | tr ' ' ':')" $(BIN)/pytest --durations 10 --numprocesses 3
 
+KEY ?=
+
 REQUESTS ?= 100000
 SEED ?= 1
 
-.PHONY: help demo test lint docs pytest full bench postgresql search fuzz clean lock machine
+.PHONY: help demo test lint docs pytest full bench postgresql search fuzz release clean lock machine
 
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  \1\t/' | expand -t 14
@@ -75,6 +77,9 @@ search: $(MADE)/dev $(COMPILED)  ## look for new counterexamples to every proper
 fuzz: $(MADE)/dev  ## send made-up requests to every operation and documents that are nearly right (REQUESTS=100000, SEED=1)
 	@mkdir -p artefacts
 	$(BIN)/python -m tests.fuzz --requests $(REQUESTS) --seed $(SEED) --json artefacts/fuzz.json
+
+release: $(MADE)/dev  ## build wheel, source archive, bill of materials, licences and sums into dist (KEY=FILE signs them)
+	$(BIN)/python -m release --out dist $(if $(KEY),--key $(KEY))
 
 clean:  ## remove what was built, cached and demonstrated; the virtual environment stays
 	rm -rf artefacts build dist .demo .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache $(VENV)/kernels

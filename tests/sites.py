@@ -81,7 +81,7 @@ def results(catalogue) -> dict[str, dict[str, Any]]:
 
 def _settings(folder: Path) -> Settings:
     own = {"BORESIGHT_DATA_FOLDER": str(folder), **environment_in(folder)}
-    return read_settings({**own, "BORESIGHT_MODE": "SIM", "BORESIGHT_WORKERS": "0"})
+    return read_settings({**own, "BORESIGHT_MODE": "SIM", "BORESIGHT_WORKERS": "0", "BORESIGHT_SECOND_PERSON": "0"})
 
 
 @pytest.fixture(scope="session")

@@ -6,6 +6,7 @@ the declared dependencies suffice; installing from `requirements.lock`, as `make
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 import subprocess
@@ -16,6 +17,7 @@ import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
@@ -49,14 +51,31 @@ class Installed:
         return done.stdout
 
 
-@pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("dist")
-    build = [sys.executable, "-m", "build", "--wheel", "--outdir", str(folder), str(ROOT)]
-    done = subprocess.run(build, check=False, capture_output=True, text=True)
+def _build(source: Path, folder: Path, *kinds: str, **more: Any) -> Path:
+    environment = {**os.environ, "SOURCE_DATE_EPOCH": "1700000000"}
+    build = [sys.executable, "-m", "build", *kinds, "--outdir", str(folder), str(source)]
+    done = subprocess.run(build, env=environment, check=False, capture_output=True, text=True, **more)
     assert done.returncode == 0, done.stdout + done.stderr
     (built,) = folder.glob("*.whl")
     return built
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return _build(ROOT, tmp_path_factory.mktemp("dist"), "--wheel")
+
+
+def test_built_elsewhere_at_another_time_from_the_source_archive_it_is_the_same_wheel_byte_for_byte(wheel, tmp_path):
+    tracked = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=False).stdout
+    if not tracked:
+        pytest.skip("only a checkout tells what belongs to the source: clone it with git")
+    for name in filter(None, tracked.split("\0")):
+        target = tmp_path / "elsewhere" / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes((ROOT / name).read_bytes())  # with the times of now, and the rights of another person
+    built = _build(tmp_path / "elsewhere", tmp_path / "dist", umask=0o077)
+    assert built.name == wheel.name
+    assert hashlib.sha256(built.read_bytes()).digest() == hashlib.sha256(wheel.read_bytes()).digest()
 
 
 @pytest.fixture(scope="module")

@@ -119,7 +119,9 @@ class Settings:
     )
     watch_settle_s: float = _setting("10", "s", "A file there is taken once it has not changed for this time.")
     four_eyes: int = _setting("1", "0 or 1", "0 = one person works alone here and can sign what they submitted.")
-    second_person: int = _setting("0", "0 or 1", "1 = a second person must confirm new gate limits and table layouts.")
+    second_person: int = _setting(
+        "1", "0 or 1", "1 = a second person must confirm new gate limits and table layouts, unless four eyes are off."
+    )
     approvals: int = _setting("1", "people", "Approvals that a request needs; two at least where a gate is waived.")
     rest_review: int = _setting(
         "0",
@@ -155,7 +157,7 @@ class Settings:
         """What this installation asks of a request for approval."""
         return Policy(
             four_eyes=bool(self.four_eyes),
-            second_person=bool(self.second_person),
+            second_person=bool(self.second_person and self.four_eyes),
             approval_days=self.approval_days,
             rollback_days=self.rollback_days,
             approvals=self.approvals,

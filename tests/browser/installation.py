@@ -19,7 +19,13 @@ class Installation:
         self.port = free_port()
         self.address = f"http://127.0.0.1:{self.port}"
         settings = variables(data_folder=folder / "data", port=self.port, mode="SIM", workers=1, lease_s=3)
-        self.environment = os.environ | settings | environment_in(folder / "data") | {"NUMBA_CACHE_DIR": kernels}
+        self.environment = (
+            os.environ
+            | {"BORESIGHT_SECOND_PERSON": "0"}
+            | settings
+            | environment_in(folder / "data")
+            | {"NUMBA_CACHE_DIR": kernels}
+        )
         self._server: Server | None = None
 
     def command(self, *words: str, typed: str = "") -> str:

@@ -18,7 +18,10 @@ from boresight.errors import RefusedInputError
 from boresight.settings import Settings, private_files, read_settings, use_kernel_folder
 
 DEMO_FOLDER = ".demo"
-DEMO_SETTINGS = {"BORESIGHT_WORKERS": "3"}  # two are held for ten minutes by filters that are watched
+DEMO_SETTINGS = {
+    "BORESIGHT_WORKERS": "3",  # two are held for ten minutes by filters that are watched
+    "BORESIGHT_SECOND_PERSON": "0",  # it has one administrator
+}
 POLL_S = 0.1
 REST_S = 0.3  # between two steps of the demonstration, so that its visitor's pages come first
 

@@ -21,6 +21,7 @@ from boresight.errors import BoresightError, ConflictError, ForbiddenError, Refu
 from boresight.platform.actors import COMMAND_LINE, Actor, Policy
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import Engine, open_reading, open_writing, utc_after
+from boresight.settings import read_settings
 from boresight.uplink.table_definition import plain_definition
 from tests.console.conftest import SENSOR
 from tests.passwords import add_person
@@ -266,3 +267,17 @@ def test_a_jump_of_the_clock_expires_no_proposal_before_somebody_has_acknowledge
         assert not proposals.is_any_due(session)
         assert not proposals.expire_due(session)
     assert _state(engine, _confirm(engine, two["rita"], row)) == "CONFIRMED"
+
+
+@pytest.mark.parametrize(
+    ("given", "asked"),
+    [
+        ({}, True),
+        ({"second_person": "0"}, False),
+        ({"four_eyes": "0"}, False),
+        ({"four_eyes": "0", "second_person": "1"}, False),
+    ],
+)
+def test_a_second_person_is_asked_for_unless_a_setting_waives_it(given, asked):
+    settings = read_settings({f"BORESIGHT_{name.upper()}": value for name, value in given.items()})
+    assert settings.policy.second_person is asked

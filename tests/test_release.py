@@ -1,0 +1,117 @@
+"""A release: every licence is known and allowed, the bill of materials is whole, and the public key verifies the files."""
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+import boresight
+from boresight.platform.audit.signing import SigningKey
+from release import licences
+from release.licences import Package, list_packages
+from release.sbom import write_sbom
+
+ROOT = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+MADE = datetime(2026, 11, 28, tzinfo=UTC)
+
+
+@pytest.fixture(scope="module")
+def packages() -> list[Package]:
+    return list(list_packages())
+
+
+def test_every_package_of_the_lock_file_has_a_licence_that_is_known_and_allowed(packages):
+    locked = re.findall(r"^([a-z0-9.-]+)==", (ROOT / "requirements.lock").read_text(), re.MULTILINE)
+    assert [one.name for one in packages] == locked
+    assert [(one.name, one.licence) for one in packages if not one.is_allowed] == []
+
+
+def test_what_the_extras_bring_is_allowed_too():
+    for name in ("obstore", "psycopg", "psycopg-binary"):
+        assert Package(name, "", (), licences.read_licence(name)).is_allowed, name
+
+
+@pytest.mark.parametrize(
+    ("expression", "allowed"),
+    [
+        ("MIT", True),
+        ("GPL-3.0-only OR MIT", True),
+        ("GPL-3.0-only AND MIT", False),
+        ("MPL-2.0 AND (Apache-2.0 OR GPL-2.0-only)", True),
+        ("Apache-2.0 WITH LLVM-exception", True),
+        ("AGPL-3.0-or-later", False),
+        ("", False),
+    ],
+)
+def test_an_expression_is_allowed_by_any_part_of_an_or_and_every_part_of_an_and(expression, allowed):
+    assert Package("x", "1", (), expression).is_allowed is allowed
+
+
+def test_what_was_read_by_hand_is_needed_and_of_packages_that_are_there(packages):
+    assert set(licences.READ) <= {one.name for one in packages}
+
+
+def test_the_bill_of_materials_names_each_package_with_its_licence_and_is_the_same_each_time(packages):
+    text = write_sbom("1.2.3", b"wheel", packages, MADE)
+    bill = json.loads(text)
+    assert text == write_sbom("1.2.3", b"wheel", packages, MADE)
+    assert bill["serialNumber"] != json.loads(write_sbom("1.2.4", b"wheel", packages, MADE))["serialNumber"]
+    assert (bill["bomFormat"], bill["specVersion"], bill["metadata"]["component"]["version"]) == (
+        "CycloneDX",
+        "1.6",
+        "1.2.3",
+    )
+    assert bill["metadata"]["component"]["hashes"][0]["content"] == hashlib.sha256(b"wheel").hexdigest()
+    assert {(one["name"], one["version"]) for one in bill["components"]} == {
+        (one.name, one.version) for one in packages
+    }
+    assert all(one["licenses"] and one["purl"].startswith("pkg:pypi/") for one in bill["components"])
+    (own,) = (one for one in bill["dependencies"] if one["ref"].startswith("pkg:pypi/boresight@"))
+    assert len(own["dependsOn"]) == len(packages)
+
+
+def test_a_release_is_signed_and_its_sums_cover_every_file(tmp_path):
+    key, out = SigningKey(tmp_path / "release.key"), tmp_path / "dist"
+    key.load()
+    done = subprocess.run(
+        [sys.executable, "-m", "release", "--out", out, "--key", key.file],
+        cwd=ROOT, env=os.environ | {"SOURCE_DATE_EPOCH": "1700000000"}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    names = {file.name for file in out.iterdir()}
+    version = boresight.__version__
+    built = {
+        f"boresight-{version}-py3-none-any.whl",
+        f"boresight-{version}.tar.gz",
+        "boresight.cdx.json",
+        "LICENCES.md",
+    }
+    assert names == built | {"SHA256SUMS", "SHA256SUMS.sig"}
+    sums = dict(reversed(line.split()) for line in (out / "SHA256SUMS").read_text().splitlines())
+    assert sums == {name: hashlib.sha256((out / name).read_bytes()).hexdigest() for name in built}
+    if openssl := shutil.which("openssl"):
+        (tmp_path / "key.pem").write_text(key.list_public_keys()[0].pem)
+        command = [openssl, "pkeyutl", "-verify", "-rawin", "-pubin", "-inkey", tmp_path / "key.pem"]
+        command += ["-sigfile", out / "SHA256SUMS.sig", "-in", out / "SHA256SUMS"]
+        assert subprocess.run(command, capture_output=True, check=False).returncode == 0
+    again = subprocess.run([sys.executable, "-m", "release", "--out", out], cwd=ROOT, capture_output=True, check=False)
+    assert again.returncode == 1  # a folder that is not empty is left alone
+
+
+def test_version_licence_and_authors_are_the_same_wherever_they_stand():
+    citation = (ROOT / "CITATION.cff").read_text()
+    assert f"\nversion: {PROJECT['version']}\n" in citation
+    assert f"\nlicense: {PROJECT['license']}\n" in citation
+    assert all(f"name: {author['name']}\n" in citation for author in PROJECT["authors"])
+    assert PROJECT["authors"][0]["name"] in (ROOT / "LICENSE").read_text()
+    assert boresight.__version__ == PROJECT["version"]
+    assert re.search(rf"^## {re.escape(PROJECT['version'])}$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
