@@ -53,7 +53,7 @@ READ = {
     "uvloop": "MIT OR Apache-2.0",
     "zict": "BSD-3-Clause",
 }
-SPDX: Any = get_spdx_licensing()  # type: ignore[no-untyped-call]  # the library has no types
+SPDX: Any = get_spdx_licensing()
 
 
 @dataclass(frozen=True)
