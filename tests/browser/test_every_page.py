@@ -91,7 +91,7 @@ def test_a_page_keeps_nobody_out_fits_its_window_and_sends_nothing_by_keys(peopl
         if (part := name.removeprefix("run-")) in PARTS:
             stands_under_the_verdict(window, part)
         window.holds_in_themes_and_widths(name)
-        window.holds_in_widths()
+        window.holds_in_widths(name)
         if effort(name in KEYED, True):
             window.sends_nothing_by_keys()
         if name != "log-in":  # which changes nothing of others

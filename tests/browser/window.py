@@ -35,11 +35,12 @@ ARGUMENTS = [
 ]
 SCREENSHOTS = Path(__file__).parents[2] / "artefacts" / "screenshots"
 NARROW, WIDE = {"width": 1280, "height": 800}, {"width": 1920, "height": 1080}
+GLANCE = {"width": 1280, "height": 720}
 PHONE = {"width": 390, "height": 844}
 TABLET, TABLET_ASIDE = {"width": 820, "height": 1180}, {"width": 1024, "height": 768}
 LOOKS = (  # theme and width, and what axe is asked there: everything in every theme
     # (all of them with `--full`, and paper, else one a page, which page has which told by its name)
-    ("dark", NARROW, {}),
+    ("dark", GLANCE, {}),
     ("light", WIDE, {}),
     ("contrast", TABLET, {}),
     ("light", PHONE, {}),
@@ -53,7 +54,7 @@ TRACES = """figure => figure._fullData.map(t => Object.fromEntries(
     ["type", "name", "x", "y", "z", "text", "customdata", "fill", "visible"].map(key => [key, plain(t[key])])
 ))"""
 SETTLED = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 50))))"
-GLANCE, HIGHEST_PX = {"width": 1280, "height": 720}, 420
+HIGHEST_PX = 420
 FIRST = "() => document.querySelector('plot-figure, .answer, main .empty, main .log').getBoundingClientRect().top"
 LAST_VIEW = """() => Math.max(0, ...[...document.querySelectorAll(".small-view")]
     .map(one => one.getBoundingClientRect().bottom))"""
@@ -259,14 +260,15 @@ class Window:
     def fits(self) -> None:
         self.page.wait_for_function(FITS)
 
-    def holds_in_widths(self) -> None:
-        """Hold that nothing leads sideways, that no table is cut, and that lines do not get ever longer."""
+    def holds_in_widths(self, name: str) -> None:
+        """Hold that nothing leads sideways, that no table is cut, and that lines do not get ever longer; keep the widest look."""
         for width in WIDTHS[: effort(2, len(WIDTHS))]:
             self.page.set_viewport_size({"width": width, "height": 900})
             self.fits()
             self.settle()
             assert self.page.evaluate(CUT) == [], f"at {width} px"
             assert self.page.locator("main").evaluate("main => main.clientWidth") <= min(width, WIDEST_PX)
+        self.keep(f"page-{name}-{width}", whole=False)
 
     def barriers(self, options: dict[str, Any] | None = None, *, drawings: bool = True) -> list[str]:
         """What axe finds that keeps people out, a line each; `options` are axe's own.

@@ -19,7 +19,7 @@ from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
 from boresight.figures.style.axes import BETWEEN_PANELS, cells, detector_map, frame_maps, grid_place, stacked_px
-from boresight.verdicts.numbers import number, quantity, signed
+from boresight.verdicts.numbers import fixed, number, quantity
 
 LIMIT_SIGMA = 3.0
 
@@ -54,7 +54,8 @@ def _bars(one: Part[TwoHalves], *, labelled: bool) -> go.Bar:
     trace, style, part = one
     values = column(part.difference_in_sigma)
     names = [quantity(name, trace.result).markup for name in part.names]
-    text = [signed(value, 2) if np.isfinite(value) else "" for value in values] if labelled else None
+    written = [f"{'+' * bool(value > 0)}{fixed(value, 1)}" if np.isfinite(value) else "" for value in values]
+    text = written if labelled else None
     return theme.bars(style, names, values, "%{x}: %{y:+.2f} σ", text=text, constraintext="none")
 
 
