@@ -21,6 +21,7 @@ NOUNS = (
     "runs",
     "parameter_sets",
     "fleet",
+    "alignments",
     "alarms",
     "approvals",
     "uplinks",

@@ -29,6 +29,7 @@ from boresight.console import pages
 from boresight.console import routes as api_routes
 from boresight.console.access.credentials import Authentication, CredentialCache, LogInCookie, authenticate
 from boresight.console.access.password_checks import PasswordWorker
+from boresight.console.jobs.alignment_thread import AlignmentThread
 from boresight.console.jobs.anchoring import Anchoring
 from boresight.console.jobs.broadcast import Broadcast
 from boresight.console.jobs.heartbeat import Heartbeat
@@ -171,6 +172,7 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.response_cache = ResponseCache(state.data_version_poller, authenticate, lambda: _beside(app))
     state.workers = None
     state.ingest_watcher = IngestWatcher(state.engine, state.forecast_sources, settings, lambda: _tell(app))
+    state.alignment_thread = AlignmentThread(state.engine, state.forecast_sources, lambda: _tell(app))
     state.metrics = Metrics(lambda: _count_runs(app), lambda: state.broadcast.listeners)
 
 
@@ -224,10 +226,12 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     state.workers = RunDispatcher(state.engine, state.settings, state.broadcast.hear, suspect=state.maintenance.suspect)
     state.workers.start()
     state.ingest_watcher.start()
+    state.alignment_thread.start()
     threading.Thread(target=_warm, args=(state.catalogue,), name="boresight-catalogue", daemon=True).start()
     try:
         yield
     finally:
+        await run_in_threadpool(state.alignment_thread.close)
         await run_in_threadpool(state.ingest_watcher.close)
         await run_in_threadpool(state.workers.stop)
         await run_in_threadpool(state.webhook_sender.close)

@@ -16,6 +16,7 @@ FIRST = {
     "parameter-sets": "-set",
     "approvals": "-request",
     "audit": "-number",
+    "alignments": "-alignment",
     "campaigns": "-campaign",
     "campaign-sensors": "launched",
     "change-proposals": "-proposal",

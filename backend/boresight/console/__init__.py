@@ -2,6 +2,7 @@
 
 from boresight.console.access import tables as access_tables
 from boresight.console.alarms import tables as alarm_tables
+from boresight.console.alignments import tables as alignment_tables
 from boresight.console.approvals import tables as approval_tables
 from boresight.console.campaigns import tables as campaign_tables
 from boresight.console.change_proposals import tables as change_proposal_tables
@@ -20,6 +21,7 @@ from boresight.platform.blobs import tables as blob_tables
 TABLES = (
     access_tables,
     alarm_tables,
+    alignment_tables,
     approval_tables,
     audit_tables,
     blob_tables,

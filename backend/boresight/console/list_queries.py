@@ -22,6 +22,7 @@ from sqlalchemy.orm import defer
 from boresight.console.access.tables import LoginSession, User
 from boresight.console.alarms.queries import in_state, needs_nobody
 from boresight.console.alarms.tables import ALARM_LEVELS, Alarm
+from boresight.console.alignments.tables import Alignment
 from boresight.console.approvals.tables import Approval, Signature
 from boresight.console.campaigns.queries import select_newest_members
 from boresight.console.campaigns.tables import Campaign, CampaignRun
@@ -76,6 +77,11 @@ def _holds(*columns: Any) -> Condition:
 def _of_sensor_named(column: Any) -> Condition:
     holds = _holds(Sensor.name)
     return lambda text: column.in_(sa.select(Sensor.id).where(holds(text)))
+
+
+def _of_either_sensor(value: Any) -> Any:
+    """Hold where an alignment leads from a sensor or to it."""
+    return sa.or_(equals(Alignment.sensor_a_id)(value), equals(Alignment.sensor_b_id)(value))
 
 
 def _takes_set(value: Any) -> Any:
@@ -285,6 +291,17 @@ LISTS = {
             "kind": equals(ChangeProposal.kind),
             "state": equals(ChangeProposal.state),
         },
+    ),
+    "alignments": List(
+        Alignment,
+        {
+            "alignment": Alignment.id,
+            "state": Alignment.state,
+            "a": _name_expression(Sensor, Alignment.sensor_a_id),
+            "b": _name_expression(Sensor, Alignment.sensor_b_id),
+            "by": _name_expression(User, Alignment.created_by),
+        },
+        {"sensor": _of_either_sensor, "state": equals(Alignment.state)},
     ),
     "ingest-decisions": List(
         IngestDecision,

@@ -10,6 +10,7 @@ from fastapi import APIRouter
 from boresight.console.access import routes as access
 from boresight.console.administration import routes as administration
 from boresight.console.alarms import routes as alarms
+from boresight.console.alignments import routes as alignments
 from boresight.console.approvals import routes as approvals
 from boresight.console.audit import routes as audit
 from boresight.console.campaigns import routes as campaigns
@@ -31,6 +32,7 @@ NOUNS = (
     telemetry,
     figures,  # before `runs`, which would take `compare` for a run's number
     runs,
+    alignments,
     campaigns,
     change_proposals,
     parameter_sets,

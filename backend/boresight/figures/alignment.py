@@ -12,7 +12,15 @@ from plotly.subplots import make_subplots
 
 from boresight.arrays import BoolArray, FloatArray
 from boresight.calibration.alignment.result import AXES, Alignment
+from boresight.figures.chart import Table
 from boresight.figures.style import theme
+
+TITLE = "Angles of the pairs"
+GUIDE = (
+    "Each point is a pair of attitudes of the same time: its small turn about an axis of B away from the alignment, with one sigma "
+    "of its own. What all pairs share, the cameras' error, is taken off. The line is the alignment's change with time and "
+    "temperature; points that leave it by more than their bars, or in a trend, are what it does not contain. Crosses were left out."
+)
 
 #: How wide the y axis is, in the largest angle of the pairs that take part: what lies beyond is told by the table.
 ROOM = 1.15
@@ -50,6 +58,19 @@ def draw(found: Alignment) -> go.Figure:
     if with_warmth:
         figure.update_xaxes(title_text="temperature (°C)", row=3, col=2)
     return theme.dress(figure, title=theme.escape(_answer(found)), height_px=560, hovermode="closest")
+
+
+def table(found: Alignment) -> Table:
+    """List every pair of the figure, arcsec."""
+    pairs = found.residuals
+    columns: Table = {"time_utc": list(pairs.time_utc), "temperature_c": list(pairs.temperature_c)}
+    for what, values in (
+        ("residual", pairs.residual_arcsec),
+        ("variation", pairs.variation_arcsec),
+        ("sigma", pairs.sigma_arcsec),
+    ):
+        columns |= {f"{what}_{axis}_arcsec": [row[k] for row in values] for k, axis in enumerate(AXES)}
+    return {**columns, "probability": list(pairs.probability), "kept": ["yes" if one else "no" for one in pairs.kept]}
 
 
 def _answer(found: Alignment) -> str:

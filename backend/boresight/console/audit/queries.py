@@ -30,6 +30,7 @@ NAMED: dict[str, Callable[[Session, Collection[int]], dict[int, str]]] = {
 #: Words before the number of a row that has no name.
 NUMBERED = {
     "alarms": "Alarm",
+    "alignments": "Alignment",
     "approvals": "Request",
     "campaigns": "Campaign",
     "change-proposals": "Proposal",

@@ -40,6 +40,7 @@ TAGS = [
     {"name": "sensors", "description": "Star trackers: optics, detector, ground calibration."},
     {"name": "telemetry sets", "description": "Uploaded star centroids and their quality reports."},
     {"name": "runs", "description": "Calibrations: launch, follow, cancel, read."},
+    {"name": "alignments", "description": "Rotations between two sensors, from a run of each."},
     {"name": "parameter sets", "description": "Camera parameters on their way to a baseline."},
     {"name": "gates", "description": "Limits that parameter sets must meet, gate reports, and waivers."},
     {"name": "approvals", "description": "Requests that a second person signs or refuses."},

@@ -1,0 +1,232 @@
+"""Alignments: the list, the form that starts one, and one with its verdict, both rotations, gates, figure and history."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from fastapi import APIRouter, Depends, Request
+from fastapi.responses import HTMLResponse, Response
+
+from boresight.calibration.alignment.align import AlignmentOptions
+from boresight.calibration.alignment.result import AXES
+from boresight.calibration.alignment.result import Alignment as AlignmentResult
+from boresight.console.access.dependencies import Blobs, Reading, Who, csrf
+from boresight.console.alignments import queries, service
+from boresight.console.alignments.tables import ALIGNMENT_STATES, Alignment, AlignmentSummary, parse_summary
+from boresight.console.fleet import queries as sensor_rows
+from boresight.console.fleet import service as sensors
+from boresight.console.pages.rendering import RefusalContext, attempt, read_again, read_texts, redirect, render
+from boresight.console.pages.tables import (
+    Table,
+    TableColumn,
+    accept_one,
+    is_number,
+    read_page,
+    read_view,
+)
+from boresight.console.runs import queries as run_rows
+from boresight.console.runs.pages.list import read_names
+from boresight.console.runs.tables import Run
+from boresight.console.telemetry import queries as telemetry_rows
+from boresight.errors import ConflictError, RefusedInputError
+from boresight.estimation.alignment import log_of
+from boresight.estimation.attitude import to_matrix
+from boresight.figures import alignment as chart
+from boresight.platform.actors import Actor
+from boresight.platform.db.sessions import Session
+from boresight.platform.web.paging import parse_row_id
+from boresight.verdicts.gates.judgement import gate_rows
+from boresight.verdicts.numbers import fixed, number
+
+router = APIRouter(dependencies=[Depends(csrf)])
+
+ALIGNMENTS = Table(
+    "alignments",
+    "Alignments of two sensors",
+    (
+        TableColumn("state", "State", "state", "nowrap"),
+        TableColumn("alignment", "Alignment", "-alignment", "nowrap", head=True),
+        TableColumn("a", "From A", "a"),
+        TableColumn("b", "To B", "b"),
+        TableColumn("verdict", "Gates", "", "nowrap"),
+        TableColumn("load", "3 σ to load", "", "num", "Of small turns about x, y, z of B", "arcsec"),
+        TableColumn("sentence", "What it says", "", "gist"),
+        TableColumn("by", "By", "by", "tight"),
+    ),
+    {"state": accept_one(ALIGNMENT_STATES), "sensor": is_number},
+    "-alignment",
+    kind="dense",
+)
+#: Runs that the form offers beside those that a link names.
+MOST_OFFERED = 200
+BETWEEN = (
+    "The rotation between the two frames as they are: it holds whatever parameters are on board, and carries the error of both "
+    "cameras, which more pairs do not lower."
+)
+LOADED = (
+    "The rotation between the attitudes that the trackers report with the parameters of these two runs: load it together with "
+    "them and with no others."
+)
+
+
+@dataclass(frozen=True)
+class RotationView:
+    """A rotation as it is printed: what it is, its quaternion, and about x, y, z of B its vector and 3 sigma."""
+
+    name: str
+    title: str
+    sentence: str
+    quaternion: str
+    lines: Sequence[tuple[str, str, str]]
+
+
+@dataclass(frozen=True)
+class OfferedRun:
+    """A run that may be aligned, under its sensor."""
+
+    run: Run
+    sensor: str
+    data: str
+
+
+def _view_rotation(name: str, title: str, sentence: str, q: Sequence[float], sigma: Sequence[float]) -> RotationView:
+    turn = np.degrees(log_of(to_matrix(np.array([q], np.float64)))[0])
+    lines = [(axis, fixed(float(v), 5), number(3 * s, 3)) for axis, v, s in zip(AXES, turn, sigma, strict=True)]
+    return RotationView(name, title, sentence, ", ".join(f"{one:.9f}" for one in q), lines)
+
+
+def _rotations(found: AlignmentSummary) -> list[RotationView]:
+    return [
+        _view_rotation("to-load", "To load", LOADED, found.load_quaternion, found.load_sigma_arcsec),
+        _view_rotation("between", "Between the frames", BETWEEN, found.quaternion, found.sigma_arcsec),
+    ]
+
+
+@router.get("/alignments", response_class=HTMLResponse)
+def alignments_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
+    """Show the alignments of all sensors, or of one."""
+    view = read_view(request, ALIGNMENTS)
+    found = read_page(session, view)
+    sensor = parse_row_id(view.where.get("sensor", ""))
+    return render(
+        request,
+        "alignments/alignments.html",
+        view=view,
+        rows=found.rows,
+        last=found.last,
+        summaries={row.id: parse_summary(row.summary) for row in found.rows if row.summary},
+        sensor=sensor,
+        choices=sensors.list_choices(session, keep=[sensor] if sensor else []),
+        states=ALIGNMENT_STATES,
+        may_start="analyst" in actor.roles,
+        sensors=_sensor_names(session, found.rows),
+        names=read_names(session),
+    )
+
+
+def _sensor_names(session: Session, rows: Sequence[Alignment]) -> Mapping[int, str]:
+    ids = {number for row in rows for number in (row.sensor_a_id, row.sensor_b_id)}
+    return sensor_rows.read_names(session, ids) if ids else {}
+
+
+@router.get("/alignments/new", response_class=HTMLResponse)
+def new_alignment_page(request: Request, session: Reading, a: str = "", b: str = "") -> HTMLResponse:
+    """Show the form that starts an alignment; a link may name its runs."""
+    return _form(request, {"run_a_id": a, "run_b_id": b}, None, session)
+
+
+def _form(request: Request, typed: Mapping[str, str], refusal: RefusalContext | None, session: Session) -> HTMLResponse:
+    return render(
+        request,
+        "alignments/new_alignment.html",
+        refused=refusal,
+        offers=_list_offers(session, [parse_row_id(typed.get(name, "")) for name in ("run_a_id", "run_b_id")]),
+        typed=typed,
+        usual=AlignmentOptions(),
+        refusal=refusal,
+    )
+
+
+def _list_offers(session: Session, kept: Sequence[int | None]) -> Mapping[str, list[OfferedRun]]:
+    """Return the runs that may be aligned, newest first, by the names of their sensors."""
+    found = {run.id: run for run in queries.list_usable_runs(session, MOST_OFFERED)}
+    found |= {run.id: run for one in kept if one and (run := run_rows.find_run(session, one)) is not None}
+    names = sensor_rows.read_names(session, {run.sensor_id for run in found.values()}) if found else {}
+    sets = telemetry_rows.read_names(session, {run.telemetry_set_id for run in found.values()}) if found else {}
+    offers: dict[str, list[OfferedRun]] = {name: [] for name in sorted(names.values())}
+    for _, run in sorted(found.items(), reverse=True):
+        offers[names[run.sensor_id]].append(OfferedRun(run, names[run.sensor_id], sets[run.telemetry_set_id]))
+    return offers
+
+
+@router.post("/alignments/new", response_class=HTMLResponse)
+async def start_alignment(request: Request, actor: Who) -> Response:
+    """Queue an alignment and lead to its page."""
+    typed = await read_texts(request)
+    outcome = await attempt(request, partial(_start, actor, typed))
+    if outcome.refusal is not None:
+        return await read_again(request, partial(_form, request, typed, outcome.refusal))
+    return redirect(f"/alignments/{outcome.made}", flash="Queued: this page follows it.")
+
+
+def _start(actor: Actor, typed: Mapping[str, str], session: Session) -> int:
+    runs = [parse_row_id(typed.get(name, "")) for name in ("run_a_id", "run_b_id")]
+    if runs[0] is None or runs[1] is None:
+        raise RefusedInputError("Two runs are aligned: choose one for A and one for B.")
+    return service.request_alignment(session, actor, runs[0], runs[1], _read_options(typed)).id
+
+
+def _read_options(typed: Mapping[str, str]) -> dict[str, Any]:
+    """Read the options that were typed; what is left empty is as usual."""
+    given: dict[str, Any] = {}
+    for name in ("tolerance_s", "longest_gap_s"):
+        if text := typed.get(name, "").strip():
+            given[name] = _read_number(name, text)
+    if text := typed.get("temperature", "").strip():
+        given["temperature"] = int(_read_number("temperature", text))
+    if text := typed.get("drift", "").strip():
+        given["drift"] = text == "yes"
+    return given
+
+
+def _read_number(name: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError as error:
+        raise RefusedInputError(f"{name} is {text[:20]!r}: give a number, such as 0.5.") from error
+
+
+@router.get("/alignments/{alignment_id:int}", response_class=HTMLResponse)
+def alignment_page(request: Request, session: Reading, blobs: Blobs, alignment_id: int) -> HTMLResponse:
+    """Show an alignment: its verdict, both rotations, its gates, its figure, and how former ones of the pair differ from it."""
+    row = session.get_known(Alignment, alignment_id)
+    found: AlignmentResult | None = None
+    gates, damage = [], ""
+    if row.state == "SUCCEEDED":
+        try:
+            found, report = service.read_result(session, blobs, alignment_id)
+            gates = gate_rows(report.gates, report.blocking)
+        except ConflictError as error:
+            damage = str(error)
+    names = _sensor_names(session, [row])
+    summary = parse_summary(row.summary) if row.summary else None
+    return render(
+        request,
+        "alignments/alignment.html",
+        alignment=row,
+        found=found,
+        damage=damage,
+        summary=summary,
+        rotations=_rotations(summary) if summary else [],
+        gates=gates,
+        a=names[row.sensor_a_id],
+        b=names[row.sensor_b_id],
+        history=service.list_history(session, row),
+        chart=chart,
+        axes=AXES,
+        names=read_names(session),
+    )

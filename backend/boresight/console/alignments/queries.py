@@ -1,0 +1,55 @@
+"""Queries on alignments."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import sqlalchemy as sa
+
+from boresight.console.alignments.tables import Alignment
+from boresight.console.runs.tables import CALIBRATIONS, Run
+from boresight.platform.db.sessions import Session
+
+
+def count_waiting(session: Session) -> int:
+    """Count the alignments that have not ended."""
+    query = sa.select(sa.func.count()).where(Alignment.state.in_(("QUEUED", "RUNNING")))
+    return session.scalar(query) or 0
+
+
+def is_any_due(session: Session, now_utc: str) -> bool:
+    """Whether an alignment waits, or was left by a server that is gone."""
+    return session.scalar(sa.select(Alignment.id).where(_due(now_utc)).limit(1)) is not None
+
+
+def find_due(session: Session, now_utc: str) -> Alignment | None:
+    """Return the oldest alignment that waits, or was left by a server that is gone."""
+    return session.scalar(sa.select(Alignment).where(_due(now_utc)).order_by(Alignment.id).limit(1))
+
+
+def _due(now_utc: str) -> sa.ColumnElement[bool]:
+    lapsed = sa.and_(Alignment.state == "RUNNING", Alignment.lease_until_utc < now_utc)
+    return sa.or_(Alignment.state == "QUEUED", lapsed)
+
+
+def find_under_way(session: Session, run_a_id: int, run_b_id: int, options: Mapping[str, Any]) -> Alignment | None:
+    """Return the alignment of the same runs with the same options that has not ended."""
+    row = Alignment
+    query = sa.select(row).where(
+        row.run_a_id == run_a_id, row.run_b_id == run_b_id, row.state.in_(("QUEUED", "RUNNING"))
+    )
+    return next((found for found in session.scalars(query) if found.options == dict(options)), None)
+
+
+def list_of_pair(session: Session, sensor_a_id: int, sensor_b_id: int, limit: int) -> Sequence[Alignment]:
+    """Return the newest alignments from one sensor to another that have a result, newest first."""
+    of_pair = sa.and_(Alignment.sensor_a_id == sensor_a_id, Alignment.sensor_b_id == sensor_b_id)
+    query = sa.select(Alignment).where(of_pair, Alignment.state == "SUCCEEDED")
+    return session.scalars(query.order_by(Alignment.id.desc()).limit(limit)).all()
+
+
+def list_usable_runs(session: Session, limit: int) -> Sequence[Run]:
+    """Return the newest calibrations that succeeded, newest first."""
+    query = sa.select(Run).where(Run.state == "SUCCEEDED", CALIBRATIONS)
+    return session.scalars(query.order_by(Run.id.desc()).limit(limit)).all()
