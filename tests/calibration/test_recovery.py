@@ -12,7 +12,7 @@ from tests.calibration.test_variation import PARAMETERS, moved, problem_of
 from tests.effort import effort
 from tests.estimation.fields import SCALE, TRUTH
 
-SETS = effort(60, 200)
+SETS, WALKS = effort(60, 200), effort(8, 200)
 #: 68 and 95 % of a normal number, and the rise of -2 log L at the ends of such intervals.
 SHARES = {0.683: (1.0, 1.0), 0.95: (1.96, 3.841458820694124)}
 
@@ -42,7 +42,7 @@ def test_a_focal_length_quadratic_in_temperature_is_recovered(sensor, catalogue)
 
 def test_the_drift_of_a_focal_length_is_recovered(sensor, catalogue):
     truth, logs, inside, own = 0.4, [], {share: [] for share in SHARES}, np.array([0])
-    for number in range(SETS):
+    for number in range(WALKS):
         rng = np.random.default_rng([12, number])
         days = np.cumsum(rng.integers(1, 6, 15))
         steps = truth * np.sqrt(np.diff(days, prepend=days[0])) * rng.normal(size=15)
@@ -56,6 +56,6 @@ def test_the_drift_of_a_focal_length_is_recovered(sensor, catalogue):
             found = find_walk(fitted.sums, of.departures(fitted), own, between, rise)
             inside[share].append(found.low[0] <= truth <= found.high[0])
     spread = np.std(logs)
-    assert abs(np.mean(logs)) < (0.2 + 3.0 / np.sqrt(SETS)) * spread
+    assert abs(np.mean(logs)) < (0.2 + 3.0 / np.sqrt(WALKS)) * spread
     for share, hits in inside.items():
         assert held(hits, share)

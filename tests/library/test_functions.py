@@ -140,7 +140,7 @@ def test_every_setting_is_typed_by_its_kind():
     typed = get_type_hints(Choices)
     kinds = {
         "word": str, "whole": int, "number": float, "yes or no": bool, "names": str | Sequence[str],
-        "wholes": str | Sequence[int], "stars": str | Sequence[int],
+        "numbers": str | Sequence[str], "times": str | Sequence[str], "wholes": str | Sequence[int], "stars": str | Sequence[int],
     }  # fmt: skip
     assert typed == {
         name: kinds[one.kind] | None if one.default is None else kinds[one.kind] for name, one in OPTIONS.items()
