@@ -18,7 +18,7 @@ import { BACKGROUND, Problem, fetchJson, describeError } from "./requests.js";
 import { getZoom, keepZoom } from "./view-address.js";
 
 const SLOW_MS = 10_000;
-const NARROW_PX = 560;
+const NARROW_PX = 420; // of a phone; half of a page at 1100 px is wider
 const PAPER_PX = { small: 330, large: 680 }; // what A4 leaves of a panel's width
 const WAIT_MS = 250; // a zoom is asked for when it has come to rest
 

@@ -20,7 +20,7 @@ from boresight.figures.style.axes import MAX_MAPS, cells, detector_map, draw_map
 from boresight.verdicts.numbers import number
 
 
-def draw(drawn: Sequence[Part[ArcSigmaMap]], beside: int = MAX_MAPS) -> go.Figure:
+def draw(drawn: Sequence[Part[ArcSigmaMap]], beside: int = 2) -> go.Figure:
     """Draw one map a run on one scale from zero; only the last shows it."""
     highest = max(float(np.nanmax(column(part.sigma_arcsec))) for _, _, part in drawn)
     scale = {"zmin": 0, "zmax": highest or 1, "colorscale": "Cividis"}

@@ -29,16 +29,16 @@ Correlations = tuple[list[str], FloatArray, FloatArray]
 
 
 def draw(found: Sequence[Part[Correlations]], beside: int = MAX_MAPS, *, numbers: bool = True) -> go.Figure:
-    """Draw one map a run, up to three, so many beside each other; without numbers where a cell has no room for one."""
+    """Draw one map a run, up to three, so many beside each other; without numbers where cells have no room, as of several maps."""
     drawn = found[:MAX_MAPS]
     columns = min(beside, len(drawn))
     rows = -(-len(drawn) // columns)
-    titles = [style.label for _, style, _ in drawn] if len(drawn) > 1 else None
+    titles = [style.short for _, style, _ in drawn] if len(drawn) > 1 else None
     figure = make_subplots(rows, columns, subplot_titles=titles, horizontal_spacing=0.08, vertical_spacing=0.12 / rows)
     for place, (trace, _, (names, rho, _)) in enumerate(drawn):
         row, column = divmod(place, columns)
         figure.add_trace(_map(trace, names, rho, scale=place == len(drawn) - 1), row=row + 1, col=column + 1)
-    if not numbers:
+    if not numbers or columns > 1:
         figure.update_traces(texttemplate=None)
     height = LEAST_PX + rows * ROW_PX * max(len(one[2][0]) for one in drawn)
     theme.dress(figure, title=_headline(drawn[0]), height_px=height, legend=False, hovermode="closest")

@@ -21,7 +21,7 @@ def read_coverage(result: Calibration) -> Coverage | None:
     return result.coverage if result.coverage and any(result.coverage.counts) else None
 
 
-def draw(found: Sequence[Part[Coverage]], beside: int = MAX_MAPS) -> go.Figure:
+def draw(found: Sequence[Part[Coverage]], beside: int = 2) -> go.Figure:
     """Draw one heat map a run, so many beside each other, on one colour scale; empty cells show the surface."""
     drawn = found[:MAX_MAPS]
     alike = all(coverage.row_edges_px == drawn[0][2].row_edges_px for _, _, coverage in drawn)

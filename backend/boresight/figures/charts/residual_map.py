@@ -169,7 +169,7 @@ RESIDUAL_MAP = part_figure(
 )
 
 
-def draw_residual_rms(found: Sequence[Part[ResidualField]], beside: int = MAX_MAPS) -> go.Figure:
+def draw_residual_rms(found: Sequence[Part[ResidualField]], beside: int = 2) -> go.Figure:
     """Lay the maps of the runs on one scale, so many beside each other."""
     drawn = found[:MAX_MAPS]
     top = max(float(np.nanmax(_rms(part))) for _, _, part in drawn)

@@ -18,7 +18,7 @@ ALIGNMENTS = {"frame": "frame", "time": "hours since the first frame", "update":
 EXTRAPOLATED = "no stars: extrapolated"
 MAX_MAPS = 4
 BETWEEN_PANELS = 0.3  # of the height, over the number of rows
-NARROW_PANEL_PX = 260  # the height that a phone gives a panel
+NARROW_PANEL_PX = 260  # the height of a panel among others below each other
 QUIET = {"showgrid": False, "zeroline": False, "constrain": "domain"}
 
 
@@ -121,8 +121,8 @@ def draw_maps(
 
 
 def stacked_px(height_px: int, rows: int, beside: int) -> int:
-    """Return the height of a figure: its own, or, with one panel below the other as on a phone, what so many need."""
-    return height_px if beside > 1 else 90 + NARROW_PANEL_PX * rows
+    """Return the height of a figure: its own, or, with panels below each other as on a phone, what so many need."""
+    return height_px if beside > 1 and rows == 1 else 90 + NARROW_PANEL_PX * rows
 
 
 def frame_maps(figure: go.Figure, n_maps: int, columns: int) -> None:
