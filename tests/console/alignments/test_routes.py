@@ -62,15 +62,16 @@ def test_two_runs_become_an_alignment_with_both_rotations_its_gates_and_its_reco
         assert audit.verify(session).ok
 
 
-def test_lists_are_of_either_sensor_and_a_state(house, pair):
+def test_lists_are_of_either_sensor_and_a_state(house):
     row = aligned(house)
     victor = house.person("victor")
     for sensor_id in (row["sensor_a_id"], row["sensor_b_id"]):
         listed = victor.get("/api/v1/alignments", params={"sensor_id": sensor_id, "state": "SUCCEEDED"}).json()
         assert [one["id"] for one in listed["items"]] == [row["id"]]
-    assert victor.get("/api/v1/alignments", params={"sensor_id": row["sensor_a_id"], "state": "FAILED"}).json()[
-        "items"
-    ] == []
+    assert (
+        victor.get("/api/v1/alignments", params={"sensor_id": row["sensor_a_id"], "state": "FAILED"}).json()["items"]
+        == []
+    )
 
 
 def test_who_may_ask_and_a_dry_run_leaves_nothing(house, pair):
@@ -83,7 +84,7 @@ def test_who_may_ask_and_a_dry_run_leaves_nothing(house, pair):
     assert house.person("ada").get("/api/v1/alignments").json()["items"] == before
 
 
-def test_one_sensor_runs_without_result_and_other_hours_are_refused(house, pair):
+def test_one_sensor_runs_without_result_and_other_hours_are_refused(house):
     first = house.finished()
     with open_reading(house.app.state.engine) as session:
         run = session.get_one(Run, first)

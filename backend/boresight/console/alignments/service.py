@@ -248,8 +248,8 @@ def read_document(session: Session, blobs: BlobStore, alignment_id: int) -> dict
     row = session.get_known(Alignment, alignment_id)
     if row.result_sha256 is None:
         why = f" ({row.reason.rstrip('.')})" if row.reason else ""
-        then = "align again" if row.state == "FAILED" else "wait until it ends"
-        raise ConflictError(f"Alignment {row.id} is {row.state}{why} and has no result; {then}.")
+        remedy = "align again" if row.state == "FAILED" else "wait until it ends"
+        raise ConflictError(f"Alignment {row.id} is {row.state}{why} and has no result; {remedy}.")
     try:
         document: dict[str, Any] = blobs.document(row.result_sha256)
         parse_alignment(document)
