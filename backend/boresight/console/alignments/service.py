@@ -38,7 +38,7 @@ from boresight.platform.blobs.store import BlobStore, register_blob
 from boresight.platform.db.sessions import Session, utc_after, utc_now
 from boresight.verdicts.gates.judgement import GateReport, parse_report
 
-#: What one side may have, so that an alignment takes a server seconds; `boresight align` has no such limits.
+#: What one side may have, so that an alignment takes a server less than a minute; `boresight align` has no such limits.
 MOST_FRAMES, MOST_STARS = 20_000, 400_000
 #: Alignments that wait at a time.
 MOST_WAITING = 50
