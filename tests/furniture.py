@@ -4,6 +4,7 @@ from typing import Any
 
 from boresight.console.access.tables import User
 from boresight.console.alarms.tables import Alarm, AlarmEvent
+from boresight.console.alignments.tables import Alignment
 from boresight.console.approvals.tables import Approval, Signature
 from boresight.console.campaigns.tables import Campaign, CampaignRun
 from boresight.console.change_proposals.tables import ChangeProposal
@@ -70,6 +71,7 @@ def rows_of_tables() -> list[Any]:
         blob,
         telemetry,
         run,
+        Alignment(sensor_a_id=1, sensor_b_id=1, run_a_id=1, run_b_id=1, options={}, created_utc=NOW, state="SUCCEEDED"),
         parameter_set(0, "BASELINE"),
         Approval(parameter_set_id=1, state="OPEN", reason="r", submitted_utc=NOW, submitted_by=1, bound={}),
         Signature(

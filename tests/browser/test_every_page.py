@@ -42,6 +42,8 @@ ADDRESSES = {
     "alarms": "/alarms",
     "trend": "/sensors/{sensor}/trend",
     "webhooks": "/webhooks",
+    "alignments": "/alignments",
+    "new-alignment": "/alignments/new",
     "change-proposals": "/change-proposals?show=all",
     "administration": "/administration",
     "glossary": "/help/glossary",

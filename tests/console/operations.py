@@ -19,6 +19,7 @@ from boresight.platform.db.sessions import open_writing, utc_after
 from boresight.platform.web.paging import Page
 from boresight.server import create_app
 from tests.console.alarms import alarms
+from tests.console.alignments import pairs
 from tests.console.approvals import gates
 from tests.console.campaigns import campaigns
 from tests.console.change_proposals import proposals
@@ -321,6 +322,7 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "list_figures": lambda house: ("victor", {"run_id": house.finished()}),
     "get_figure": lambda house: ("victor", {"run_id": house.finished(), "name": "radial"}),
     "get_figure_data": lambda house: ("victor", {"run_id": house.finished(), "name": "radial"}),
+    **pairs.GOOD,
     **decisions.GOOD,
     "list_parameter_sets": lambda _: ("victor", {}),
     "create_parameter_set": lambda house: ("ada", {"json": {"run_id": house.finished()}}),

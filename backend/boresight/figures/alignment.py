@@ -47,7 +47,7 @@ def draw(found: Alignment) -> go.Figure:
             _panel(figure, x, angle[:, axis], sigma[:, axis], kept, row=axis + 1, col=column)
             order = np.argsort(warmth if column == 2 else np.arange(len(kept)), kind="stable")
             figure.add_scatter(
-                x=np.asarray(x)[order], y=theme.short(varied[order, axis]), mode="lines", name="alignment",
+                x=np.asarray(x, object)[order].tolist(), y=theme.short(varied[order, axis]), mode="lines", name="alignment",
                 line={"color": theme.REFERENCE_COLOUR, "width": 1.4}, legendgroup="alignment",
                 showlegend=axis == 0 and column == 1, hoverinfo="skip", row=axis + 1, col=column,
             )  # fmt: skip
@@ -95,7 +95,7 @@ def _panel(
         if not chosen.any():
             continue
         figure.add_scatter(
-            x=np.asarray(x)[chosen], y=theme.short(angle[chosen]), mode="markers", name=name, legendgroup=name,
+            x=np.asarray(x, object)[chosen].tolist(), y=theme.short(angle[chosen]), mode="markers", name=name, legendgroup=name,
             showlegend=first, marker={"color": colour, "size": 5, "symbol": symbol},
             error_y=theme.error_bars(theme.short(sigma[chosen]), theme.translucent(colour, 0.35)) if symbol == "circle" else None,
             hovertemplate="%{y:+.3g} arcsec<br>%{x}<extra></extra>", **place,

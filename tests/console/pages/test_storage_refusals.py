@@ -64,6 +64,7 @@ FORMS = {  # who sends which form to which page
     "/sensors/{sensor_id:int}/ingest": ("ada", {"reason": "x"}),
     "/sensors/{sensor_id:int}/ingest/{step}": ("ada", {"reason": "x", "version": "1", "policy_id": "1"}),
     "/ingest/{decision_id:int}/answer": ("ada", {"answer": "WAIT", "reason": "x", "version": "1"}),
+    "/alignments/new": ("ada", {"run_a_id": "1", "run_b_id": "2"}),
     "/campaigns/{campaign_id:int}/cancel": ("ada", {"reason": "x"}),
     "/campaigns/{campaign_id:int}/launch-failed": ("ada", {}),
     "/approvals/{approval_id:int}/threads": ("alan", {"kind": "gate", "name": "coverage", "text": "Why?"}),

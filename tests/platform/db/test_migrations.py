@@ -208,6 +208,7 @@ KEPT = (
     "campaigns",
     "campaign_runs",
     "change_proposals",
+    "alignments",
 )
 FIXED = (
     ("audit", "reason = 'another'"),
@@ -230,6 +231,8 @@ FIXED = (
     ("campaign_runs", "refusal = 'another'"),
     ("change_proposals", "document = '{1}'"),
     ("change_proposals", "proposed_by = 2"),
+    ("alignments", "options = '{1}'"),
+    ("alignments", "state = 'FAILED'"),
 )
 
 

@@ -65,7 +65,7 @@ def _solve(side: ClaimedSide, sources: ForecastSources) -> Side:
         document["covariance"] = misfit["covariance"]
     camera = camera_of(sensor, parse_parameters(document, sensor, f"Run {run.run_id}"))
     if (catalogue := sources.catalogue()) is None:
-        raise UnavailableError("This server has no star catalogue; restart it where it can be loaded.")
+        raise UnavailableError("This server has no star catalogue; check its data folder.")
     settings = CalibrationSettings(match="rematch")
     return tracker_side(_read(side, sources.blobs), sensor, camera, catalogue, settings, sources.catalogue_folder)
 

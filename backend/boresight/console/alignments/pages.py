@@ -50,8 +50,8 @@ ALIGNMENTS = Table(
     (
         TableColumn("state", "State", "state", "nowrap"),
         TableColumn("alignment", "Alignment", "-alignment", "nowrap", head=True),
-        TableColumn("a", "From A", "a"),
-        TableColumn("b", "To B", "b"),
+        TableColumn("a", "From A", "a", "nowrap"),
+        TableColumn("b", "To B", "b", "nowrap"),
         TableColumn("verdict", "Gates", "", "nowrap"),
         TableColumn("load", "3 σ to load", "", "num", "Of small turns about x, y, z of B", "arcsec"),
         TableColumn("sentence", "What it says", "", "gist"),
@@ -64,8 +64,8 @@ ALIGNMENTS = Table(
 #: Runs that the form offers beside those that a link names.
 MOST_OFFERED = 200
 BETWEEN = (
-    "The rotation between the two frames as they are: it holds whatever parameters are on board, and carries the error of both "
-    "cameras, which more pairs do not lower."
+    "The rotation between the two trackers as they are mounted: it holds whatever parameters are on board, and carries the error "
+    "of both cameras, which more pairs do not lower."
 )
 LOADED = (
     "The rotation between the attitudes that the trackers report with the parameters of these two runs: load it together with "
@@ -102,7 +102,7 @@ def _view_rotation(name: str, title: str, sentence: str, q: Sequence[float], sig
 def _rotations(found: AlignmentSummary) -> list[RotationView]:
     return [
         _view_rotation("to-load", "To load", LOADED, found.load_quaternion, found.load_sigma_arcsec),
-        _view_rotation("between", "Between the frames", BETWEEN, found.quaternion, found.sigma_arcsec),
+        _view_rotation("between", "Between the trackers", BETWEEN, found.quaternion, found.sigma_arcsec),
     ]
 
 

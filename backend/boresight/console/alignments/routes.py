@@ -48,7 +48,7 @@ class NewAlignment(Shape):
     options: GivenOptions | None = None
 
 
-@router.get("", summary="List alignments", response_model=Page[schemas.Alignment])
+@router.get("", summary="List alignments", response_model=Page[schemas.SensorAlignment])
 def list_alignments(
     session: Reading,
     page: Paged,
@@ -59,7 +59,7 @@ def list_alignments(
     return page.cut(list_newest(session, Alignment, sensor=sensor_id, state=state, **page.rows))
 
 
-@router.post("", summary="Align two sensors", status_code=202, response_model=schemas.Alignment)
+@router.post("", summary="Align two sensors", status_code=202, response_model=schemas.SensorAlignment)
 def request_alignment(given: NewAlignment, actor: Who, session: Writing) -> Alignment:
     """Queue the alignment of two sensors from a run of each, with their results and their telemetry.
 
@@ -71,7 +71,7 @@ def request_alignment(given: NewAlignment, actor: Who, session: Writing) -> Alig
     return service.request_alignment(session, actor, given.run_a_id, given.run_b_id, options)
 
 
-@router.get("/{alignment_id}", summary="Read an alignment", response_model=schemas.Alignment)
+@router.get("/{alignment_id}", summary="Read an alignment", response_model=schemas.SensorAlignment)
 def get_alignment(alignment_id: Id, session: Reading) -> Alignment:
     """Read an alignment: its state, and when it has succeeded its verdict and its figures."""
     return session.get_known(Alignment, alignment_id)

@@ -9,7 +9,6 @@ from pydantic import Field
 
 from boresight.calibration.alignment import result
 from boresight.console.schemas import Document, Row
-from boresight.verdicts.gates.judgement import GateReport
 
 AlignmentState = Literal["QUEUED", "RUNNING", "SUCCEEDED", "FAILED"]
 
@@ -18,7 +17,7 @@ AlignmentState = Literal["QUEUED", "RUNNING", "SUCCEEDED", "FAILED"]
 class AlignmentResult(result.Alignment):
     """The alignment JSON, `boresight.alignment/1`, with the report of its gates."""
 
-    gate_report: GateReport
+    gate_report: Document
 
 
 class AlignmentSummary(Row):
@@ -36,7 +35,7 @@ class AlignmentSummary(Row):
     load_sigma_arcsec: list[float]
 
 
-class Alignment(Row):
+class SensorAlignment(Row):
     """The rotation from one sensor to another from a run of each; this is also the job resource to poll."""
 
     location = "/alignments/{row.id}"

@@ -38,7 +38,7 @@ from boresight.platform.blobs.store import BlobStore, register_blob
 from boresight.platform.db.sessions import Session, utc_after, utc_now
 from boresight.verdicts.gates.judgement import GateReport, parse_report
 
-#: What one side may have, so that an alignment takes a server seconds; `boresight align` has no such limits.
+#: What one side may have, so that an alignment takes a server less than a minute; `boresight align` has no such limits.
 MOST_FRAMES, MOST_STARS = 20_000, 400_000
 #: Alignments that wait at a time.
 MOST_WAITING = 50
@@ -248,8 +248,8 @@ def read_document(session: Session, blobs: BlobStore, alignment_id: int) -> dict
     row = session.get_known(Alignment, alignment_id)
     if row.result_sha256 is None:
         why = f" ({row.reason.rstrip('.')})" if row.reason else ""
-        then = "align again" if row.state == "FAILED" else "wait until it ends"
-        raise ConflictError(f"Alignment {row.id} is {row.state}{why} and has no result; {then}.")
+        remedy = "align again" if row.state == "FAILED" else "wait until it ends"
+        raise ConflictError(f"Alignment {row.id} is {row.state}{why} and has no result; {remedy}.")
     try:
         document: dict[str, Any] = blobs.document(row.result_sha256)
         parse_alignment(document)

@@ -157,6 +157,7 @@ NAVIGATION = (
             NavigationLine("/telemetry", "Telemetry", "t"),
             NavigationLine("/runs", "Runs", "r"),
             NavigationLine("/campaigns", "Campaigns", "n"),
+            NavigationLine("/alignments", "Alignments", "d"),
             NavigationLine("/ingest", "Ingest", "i"),
             NavigationLine("/compare", "Compare", "c"),
         ),
