@@ -75,7 +75,7 @@ def find_trend(passes: Sequence[InputPass], settings: CalibrationSettings) -> Fl
     if settings.vary_as != "walk-and-temperature":
         return None
     known = temperatures(passes)
-    return known - known.mean()
+    return known - float(np.mean(known))
 
 
 def days_between(passes: Sequence[InputPass]) -> FloatArray:
