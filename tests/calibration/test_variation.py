@@ -238,6 +238,21 @@ def test_a_walk_that_nobody_states_is_estimated_with_its_interval(sensor, catalo
     assert found.walk["m0_px"].sigma < 0.3 * found.walk["f_m"].sigma
 
 
+def test_a_walk_about_a_line_in_the_temperature_tells_both(sensor, catalogue):
+    rng, warm, slope, walk = np.random.default_rng(9), 10.0 * np.sin(np.arange(14)), 0.2, 0.3
+    steps = slope * warm + np.cumsum(walk * rng.normal(size=14))
+    sets = moved(steps, frames=12, days=list(range(14)), warm=warm)
+    by_both, by_walk = (
+        run(sets, sensor, catalogue, vary=("f_m",), vary_as=how).variation for how in ("walk-and-temperature", "walk")
+    )
+    assert abs(by_both.slope["f_m"] - slope * SCALE[0]) < 4.0 * by_both.slope_sigma["f_m"]
+    assert by_both.slope_sigma["f_m"] < 0.1 * slope * SCALE[0]
+    assert by_both.tests["f_m"].p_value < 1e-6
+    low, high = by_both.walk["f_m"].interval
+    assert low < walk < high < by_walk.walk["f_m"].sigma  # which has to walk as far as the temperature leads
+    assert by_both.states[-1].sigma["f_m"] < by_walk.states[-1].sigma["f_m"]
+
+
 def test_a_filter_takes_the_other_passes_as_its_start(sensor, catalogue):
     sets = moved(STEPS)
     by_batch, by_filter = (run(sets, sensor, catalogue, vary=("f_m",), method=method) for method in ("batch", "sqrf"))

@@ -57,6 +57,39 @@ def test_passes_and_walks_are_the_stacked_problem(seed, K, m, walks):
     assert Linked(own, W).cost(z) == pytest.approx(sum(float(r @ r) for r in residuals))
 
 
+@given(st.integers(0, 10_000), st.integers(3, 7), st.integers(1, 4))
+def test_a_walk_about_a_line_is_the_stacked_problem(seed, K, m):
+    rng, n = np.random.default_rng(seed), 5
+    own = np.sort(rng.permutation(n)[:m])
+    H, e, sums = drawn(rng, K, n)
+    z = np.zeros((K, n))
+    z[:, own] = rng.normal(size=(K, m))
+    W = rng.uniform(0.1, 50.0, (K, m))
+    W[0] = 0.0
+    t = np.cumsum(rng.uniform(0.5, 2.0, K))
+    B = picked(K, n, own)
+    n_all = B.shape[2]
+    B = np.concatenate([B, np.zeros((K, n, m))], axis=2)
+    slopes = np.eye(n_all + m)[n_all:]
+    links = [np.sqrt(W[k])[:, None] * (B[k, own] - B[k - 1, own] - (t[k] - t[k - 1]) * slopes) for k in range(1, K)]
+    residuals = [np.sqrt(W[k]) * (z[k, own] - z[k - 1, own]) for k in range(1, K)]
+    step, P, d, all_P = dense(H, e, B, links, residuals)
+    link = Linked(own, W, t)
+    found = link.solve(sums, z)
+    within_1e_9_sigma(found, step, P)
+    np.testing.assert_allclose(found.slope, d[n_all:], rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(found.slope_covariance, all_P[n_all:, n_all:], rtol=1e-6)
+    there = z + found.step
+    moved = [
+        NormalEquations(one.A, one.b + one.A @ d_k, 0.0, 0.0) for one, d_k in zip(sums, found.step, strict=True)
+    ]  # at rest nothing pulls, and the line stays
+    again = link.solve(moved, there)
+    assert again.decrement < 1e-15 * max(found.decrement, 1.0)
+    np.testing.assert_allclose(again.slope, found.slope, rtol=1e-6, atol=1e-9)
+    left = there[:, own] - t[:, None] * found.slope
+    assert link.cost(there) == pytest.approx(float(np.sum(W[1:] * np.diff(left, axis=0) ** 2)), rel=1e-6)
+
+
 @given(st.integers(0, 10_000), st.integers(2, 6), st.integers(1, 3))
 def test_a_regression_is_the_stacked_problem(seed, K, m):
     rng, n = np.random.default_rng(seed), 4

@@ -327,7 +327,8 @@ class ParameterStep:
 class PassVariation:
     """What changes from pass to pass of a joint calibration.
 
-    `vary`: the parameters of a pass; `vary_as`: `pass`, `walk` (by `walk`), `temperature`, `drift` or `step` (`steps`).
+    `vary`: the parameters of a pass; `vary_as`: `pass`, `walk` (by `walk`), `walk-and-temperature` (about a line of that
+    `slope`), `temperature`, `drift` or `step` (`steps`).
     Polynomials in temperature or time have a `degree` by parameter, 0 where it does not change, and `coefficients` of the powers
     from 1 on, SI a degree Celsius or a day from the reference; `slope` is the first of them, and `tests` has the evidence of each
     parameter. `test`: of all together; None of a walk.

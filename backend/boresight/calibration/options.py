@@ -348,6 +348,7 @@ class CalibrationSettings:
         words={
             "pass": "Each pass by itself",
             "walk": "A random walk from pass to pass",
+            "walk-and-temperature": "A random walk about a line in the temperature",
             "temperature": "By the mean temperature of a pass",
             "drift": "By time",
             "step": "In steps, at events or at dates that the data propose",
@@ -364,7 +365,7 @@ class CalibrationSettings:
     )  # fmt: skip
     walk_sigma: float | None = option(
         "Of a joint calibration", "Step of the walk",
-        "Of walk: drift, in typical sigmas a square root of a day; estimated from the passes if left out.",
+        "Of walks: drift, in typical sigmas a square root of a day; estimated from the passes if left out.",
         cell=(1, 1), default=None, kind="number", lowest=1e-4, highest=100.0, unit="typical σ/√d", flag="--walk-sigma",
         hint="Empty: the most likely drift of each parameter.",
     )  # fmt: skip

@@ -20,6 +20,9 @@ which a sweep back gives as Z_k = L_k^-1 + L_k^-1 W_{k+1} Z_{k+1} W_{k+1} L_k^-1
 
     cov(c) = S^-1      cov(p_k) = Z_k + Y_k S^-1 Y_k^T      cov(p_k, c) = -Y_k S^-1
 
+A walk about a line, p_k = w_k + t_k s where w_k walks, has r_k - (t_k - t_{k-1}) s in place of r_k: the slopes s join what is
+common, C gets sum_k (t_k - t_{k-1})^2 W_k for them and E_k the columns (t_{k+1} - t_k) W_{k+1} - (t_k - t_{k-1}) W_k.
+
 Without W this is the Schur complement of each pass by itself. With W alone it is the smoother of Rauch, Tung and Striebel.
 
 Regression. z_k = B_k (z, s) with B_k = [I, E_k], E_k the v_k of each parameter in its row, so A = sum_k B_k^T A_k B_k is as small
@@ -80,46 +83,65 @@ class Linked:
     W
         (n_passes, n_own) information between a pass and the one before it, for each parameter; 0 where there is no link, as there
         is none before the first.
+    trend
+        (n_passes,) what each parameter's slope is multiplied by, where the walk is about a line; None where there is none.
     """
 
     own: IntArray
     W: FloatArray
+    trend: FloatArray | None = None
 
     def solve(self, sums: Sequence[NormalEquations], z: FloatArray, damping: float = 0.0) -> Solution:
         """Solve for the step of every pass."""
         n = len(sums[0].b)
         shared, own = np.setdiff1d(np.arange(n), self.own), self.own
-        K, m = len(sums), len(own)
+        K, m, n_c = len(sums), len(own), len(shared)
         W = np.array([np.diag(w) for w in self.W])
-        r = np.diff(z[:, own], axis=0, prepend=z[:1, own])
+        r, slope = self._steps(z)
         after = np.concatenate([W[1:], np.zeros((1, m, m))])
-        C = sum((one.A[np.ix_(shared, shared)] for one in sums), damping * np.eye(len(shared)))
+        C = sum((one.A[np.ix_(shared, shared)] for one in sums), damping * np.eye(n_c))
         D = np.array([one.A[np.ix_(own, own)] for one in sums]) + W + after + damping * np.eye(m)
         E = np.array([one.A[np.ix_(own, shared)] for one in sums])
         pull = np.einsum("kij,kj->ki", W, r)
         g = np.array([one.b[own] for one in sums]) + pull - np.concatenate([pull[1:], np.zeros((1, m))])
         g_c = np.sum([one.b[shared] for one in sums], axis=0)
+        if self.trend is not None:  # the slopes stand with what is common; at the best ones for z nothing pulls at them
+            passed = W * np.diff(self.trend, prepend=self.trend[0])[:, None, None]
+            E = np.concatenate([E, np.concatenate([passed[1:], np.zeros((1, m, m))]) - passed], axis=2)
+            bend = np.sum(passed * np.diff(self.trend, prepend=self.trend[0])[:, None, None], axis=0)
+            C = np.block([[C, np.zeros((n_c, m))], [np.zeros((m, n_c)), bend]])
+            g_c = np.concatenate([g_c, np.zeros(m)])
         L_inverse, Y_and_y = _sweep(D, W, np.concatenate([E, g[:, :, None]], axis=2))
         Y, y = Y_and_y[:, :, :-1], Y_and_y[:, :, -1]
         S_inverse = _inverse(C - np.einsum("kmi,kmj->ij", E, Y))
         d_c = -S_inverse @ (g_c - np.einsum("kmi,km->i", E, y))
         d_own = -y - Y @ d_c
         step = np.empty((K, n))
-        step[:, shared], step[:, own] = d_c, d_own
+        step[:, shared], step[:, own] = d_c[:n_c], d_own
         P, Z = np.empty((K, n, n)), np.zeros((m, m))
         for k in reversed(range(K)):
             Z = L_inverse[k] + L_inverse[k] @ after[k] @ Z @ after[k] @ L_inverse[k]
-            P[k][np.ix_(shared, shared)] = S_inverse
-            P[k][np.ix_(own, shared)] = -Y[k] @ S_inverse
-            P[k][np.ix_(shared, own)] = -(Y[k] @ S_inverse).T
-            P[k][np.ix_(own, own)] = Z + Y[k] @ S_inverse @ Y[k].T
+            with_common = -Y[k] @ S_inverse
+            P[k][np.ix_(shared, shared)] = S_inverse[:n_c, :n_c]
+            P[k][np.ix_(own, shared)] = with_common[:, :n_c]
+            P[k][np.ix_(shared, own)] = with_common[:, :n_c].T
+            P[k][np.ix_(own, own)] = Z - with_common @ Y[k].T
         decrement = -float(g_c @ d_c + np.sum(g * d_own))
         log_determinant = -float(np.linalg.slogdet(L_inverse)[1].sum() + np.linalg.slogdet(S_inverse)[1])
-        return Solution(step, decrement, P, np.empty(0), np.empty((0, 0)), log_determinant)
+        return Solution(step, decrement, P, slope + d_c[n_c:], S_inverse[n_c:, n_c:], log_determinant)
+
+    def _steps(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Steps of the walk (n_passes, n_own) at z, about the line that costs least, and its slopes (n_own,); empty without one."""
+        r = np.diff(z[:, self.own], axis=0, prepend=z[:1, self.own])
+        if self.trend is None:
+            return r, np.empty(0)
+        passed = np.diff(self.trend, prepend=self.trend[0])[:, None]
+        slope = np.sum(self.W * passed * r, axis=0) / np.sum(self.W * passed**2, axis=0)
+        return r - passed * slope, slope
 
     def cost(self, z: FloatArray) -> float:
         """What the steps of the walk add to chi-square."""
-        return float(np.sum(self.W[1:] * np.diff(z[:, self.own], axis=0) ** 2))
+        return float(np.sum(self.W[1:] * self._steps(z)[0][1:] ** 2))
 
 
 @dataclass(frozen=True)

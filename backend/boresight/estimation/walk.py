@@ -47,22 +47,34 @@ class Walk:
     high: FloatArray
 
 
-def link_by_walk(own: IntArray, days: FloatArray, sigma: FloatArray) -> Linked:
-    """Return the link of passes by a walk; `days`: (n_passes - 1,) between them, `sigma`: (n_own,)."""
+def link_by_walk(own: IntArray, days: FloatArray, sigma: FloatArray, trend: FloatArray | None = None) -> Linked:
+    """Return the link of passes by a walk; `days`: (n_passes - 1,) between them, `sigma`: (n_own,), `trend`: as `Linked`."""
     W = np.zeros((len(days) + 1, len(own)))
     W[1:] = 1.0 / np.maximum(days[:, None] * sigma**2, SMALLEST_STEP**2)
-    return Linked(own, W)
+    return Linked(own, W, trend)
 
 
-def doubt(sums: Sequence[NormalEquations], z: FloatArray, own: IntArray, days: FloatArray, sigma: FloatArray) -> float:
+def doubt(
+    sums: Sequence[NormalEquations],
+    z: FloatArray,
+    own: IntArray,
+    days: FloatArray,
+    sigma: FloatArray,
+    trend: FloatArray | None = None,
+) -> float:
     """-2 log L of a drift (n_own,), but for a constant; `z`: (n_passes, n_free) where the sums were taken."""
-    link = link_by_walk(own, days, sigma)
+    link = link_by_walk(own, days, sigma, trend)
     found = link.solve(sums, z)
     return link.cost(z) - found.decrement + found.log_determinant - float(np.log(link.W[1:]).sum())
 
 
 def find_walk(
-    sums: Sequence[NormalEquations], z: FloatArray, own: IntArray, days: FloatArray, rise: float = RISE
+    sums: Sequence[NormalEquations],
+    z: FloatArray,
+    own: IntArray,
+    days: FloatArray,
+    rise: float = RISE,
+    trend: FloatArray | None = None,
 ) -> Walk:
     """Estimate the drift between passes.
 
@@ -78,11 +90,13 @@ def find_walk(
         (n_passes - 1,) between the passes.
     rise
         Of -2 log L at the ends of the interval.
+    trend
+        (n_passes,) what the slopes of a line are multiplied by, about which the parameters walk; None where there is none.
     """
     from scipy.optimize import minimize  # noqa: PLC0415 - 0.2 s, which calibrations without a walk need not wait for
 
     def at(u: FloatArray) -> float:
-        return doubt(sums, z, own, days, np.exp(u))
+        return doubt(sums, z, own, days, np.exp(u), trend)
 
     ends = (np.log(LEAST), np.log(MOST))
     tried = [

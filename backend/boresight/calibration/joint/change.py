@@ -18,7 +18,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from boresight.arrays import FloatArray, IntArray, TimeArray
-from boresight.calibration.calibration import ParameterStep, PassVariation, Values, VariationTest
+from boresight.calibration.calibration import InputPass, ParameterStep, PassVariation, Values, VariationTest
 from boresight.calibration.joint.passes_fit import PassesFit, PassesProblem, judge_fall, middle_days
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.times import DAY_US, parse_times
@@ -61,12 +61,10 @@ def _noise(of: PassesProblem, chi2: float, columns: int) -> float:
     return chi2 / max(n_arcs - len(of.parameters.free) - columns, 1)
 
 
-def _known(of: PassesProblem) -> FloatArray:
-    """What the passes are known by, (n_passes,): temperature, or days."""
-    if of.settings.vary_as == "drift":
-        return middle_days(of.passes)
-    known = [one.temperature_c for one in of.passes if one.temperature_c is not None]
-    if len(known) < len(of.passes) or np.ptp(known) == 0.0:
+def temperatures(passes: Sequence[InputPass]) -> FloatArray:
+    """Return the mean temperature of each pass, (n_passes,); refuses passes of which these tell no slope."""
+    known = [one.temperature_c for one in passes if one.temperature_c is not None]
+    if len(known) < len(passes) or np.ptp(known) == 0.0:
         raise RefusedInputError(
             "Passes of one temperature, or without temperature_c, tell no slope: add the column, or choose --vary-as pass."
         )
@@ -75,7 +73,8 @@ def _known(of: PassesProblem) -> FloatArray:
 
 def _fit_polynomials(of: PassesProblem, own: IntArray) -> tuple[PassesFit, PassVariation]:
     """Fit polynomials of the degree that is told, or of those that their evidence chooses."""
-    known, settings = _known(of), of.settings
+    settings = of.settings
+    known = middle_days(of.passes) if settings.vary_as == "drift" else temperatures(of.passes)
     reference = float(np.mean(known))
     t = known - reference
     half = float(np.abs(t).max())
@@ -113,13 +112,13 @@ def _fit_polynomials(of: PassesProblem, own: IntArray) -> tuple[PassesFit, PassV
         degree={name: len(at) for name, at in mine.items()},
         coefficients={name: coefficient[at].tolist() for name, at in mine.items()},
         coefficient_sigma={name: sigma[at].tolist() for name, at in mine.items()},
-        tests={name: _test_of(fitted, at) for name, at in mine.items() if len(at)},
+        tests={name: judge_columns(fitted, at) for name, at in mine.items() if len(at)},
         chi2=fitted.chi2,
         test=judge_fall(fitted, len(places)),
     )
 
 
-def _test_of(fitted: PassesFit, columns: IntArray) -> VariationTest:
+def judge_columns(fitted: PassesFit, columns: IntArray) -> VariationTest:
     """Hold what some columns take from chi-square against chance."""
     c, C = fitted.solution.slope[columns], fitted.solution.slope_covariance[np.ix_(columns, columns)]
     fall = float(c @ np.linalg.solve(C, c))
@@ -192,7 +191,7 @@ def _fit_events(of: PassesProblem, own: IntArray, events: Sequence[str]) -> tupl
     fitted = of.fit(_link(of, steps))
     told = []
     for number, step in enumerate(steps):
-        chance = looked_at * _test_of(fitted, np.array([number])).p_value
+        chance = looked_at * judge_columns(fitted, np.array([number])).p_value
         told.append(_describe(of, fitted, number, step.place, (step.gap, step.gap), min(chance, 1.0), at[step.gap]))
     return fitted, _steps(of, own, fitted, told)
 

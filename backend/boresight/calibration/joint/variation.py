@@ -27,7 +27,7 @@ import numpy as np
 from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.calibration import InputPass, PassState, PassVariation, Values, WalkSigma
 from boresight.calibration.estimate import Asked, Parameters
-from boresight.calibration.joint.change import CHANGES_OF, check_change, fit_change
+from boresight.calibration.joint.change import CHANGES_OF, check_change, fit_change, judge_columns, temperatures
 from boresight.calibration.joint.passes_fit import CHANGES, PassesFit, PassesProblem, judge_fall, middle_days, places_of
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
@@ -37,6 +37,8 @@ from boresight.estimation.walk import Walk, find_walk, link_by_walk
 
 #: Typical sigmas of what nobody knows.
 OPEN_SIGMAS = 1e4
+#: Values of `vary_as` that walk.
+WALKS = ("walk", "walk-and-temperature")
 #: Drift where its estimate begins, typical sigmas a square root of a day; rounds of it, and the change of its log that ends them.
 FIRST_WALK, WALK_ROUNDS, WALK_RESTS = 0.1, 4, 0.1
 
@@ -65,7 +67,15 @@ def make_link(passes: Sequence[InputPass], own: IntArray, settings: CalibrationS
     if settings.vary_as == "pass":
         return Linked(own, np.zeros((len(passes), len(own))))
     sigma = np.full(len(own), FIRST_WALK if settings.walk_sigma is None else settings.walk_sigma)
-    return link_by_walk(own, days_between(passes), sigma)
+    return link_by_walk(own, days_between(passes), sigma, find_trend(passes, settings))
+
+
+def find_trend(passes: Sequence[InputPass], settings: CalibrationSettings) -> FloatArray | None:
+    """Return what parameters that walk are linear in beside, (n_passes,): degrees from the mean temperature; None where nothing."""
+    if settings.vary_as != "walk-and-temperature":
+        return None
+    known = temperatures(passes)
+    return known - float(np.mean(known))
 
 
 def days_between(passes: Sequence[InputPass]) -> FloatArray:
@@ -102,23 +112,35 @@ def fit_variation(
 
 def _fit_linked(of: PassesProblem, own: IntArray) -> tuple[PassesFit, PassVariation]:
     """Fit passes by themselves or as a walk, the drift of which may be to be estimated."""
-    settings, walk = of.settings, None
+    settings, walk, names = of.settings, None, of.names_of(own)
     fitted = of.fit(make_link(of.passes, own, settings))
-    if settings.vary_as == "walk" and settings.walk_sigma is None:
-        fitted, walk = fit_walk(of, days_between(of.passes), own, fitted)
-    names = of.names_of(own)
+    if settings.vary_as in WALKS and settings.walk_sigma is None:
+        fitted, walk = fit_walk(of, days_between(of.passes), own, fitted, find_trend(of.passes, settings))
     varies = PassVariation(vary=names, vary_as=settings.vary_as, chi2=fitted.chi2)
+    if settings.vary_as == "pass":
+        return fitted, replace(varies, test=judge_fall(fitted, len(own) * (len(of.passes) - 1)))
+    varies = replace(varies, walk=_write_walk(names, walk, settings))
     if settings.vary_as == "walk":
-        return fitted, replace(varies, walk=_write_walk(names, walk, settings))
-    return fitted, replace(varies, test=judge_fall(fitted, len(own) * (len(of.passes) - 1)))
+        return fitted, varies
+    scale, solution = of.parameters.scale[own], fitted.solution
+    slope, sigma = solution.slope * scale, np.sqrt(np.diag(solution.slope_covariance)) * scale
+    return fitted, replace(
+        varies,
+        reference_temperature_c=float(np.mean(temperatures(of.passes))),
+        slope=Values(dict(zip(names, slope.tolist(), strict=True))),
+        slope_sigma=Values(dict(zip(names, sigma.tolist(), strict=True))),
+        tests={name: judge_columns(fitted, np.array([k])) for k, name in enumerate(names)},
+    )
 
 
-def fit_walk(of: PassesProblem, days: FloatArray, own: IntArray, fitted: PassesFit) -> tuple[PassesFit, Walk]:
+def fit_walk(
+    of: PassesProblem, days: FloatArray, own: IntArray, fitted: PassesFit, trend: FloatArray | None = None
+) -> tuple[PassesFit, Walk]:
     """Estimate the drift, days (n_passes - 1,) between passes, and fit the passes with it, in turn."""
     before = np.full(len(own), FIRST_WALK)
     for _ in range(WALK_ROUNDS):
-        walk = find_walk(fitted.sums, of.departures(fitted), own, days)
-        fitted = of.fit(link_by_walk(own, days, walk.sigma))
+        walk = find_walk(fitted.sums, of.departures(fitted), own, days, trend=trend)
+        fitted = of.fit(link_by_walk(own, days, walk.sigma, trend))
         if np.abs(np.log(walk.sigma / before)).max() < WALK_RESTS:
             break
         before = walk.sigma
@@ -151,6 +173,7 @@ def _write_walk(names: Sequence[str], walk: Walk | None, settings: CalibrationSe
 def _sentence(found: PassVariation) -> str:
     how = {"pass": "one value in each", "walk": "a random walk over each"}
     how |= {"temperature": "linear in the temperature", "drift": "linear in time"}
+    how |= {"walk-and-temperature": "a random walk about a line in the temperature over each"}
     last = f"the numbers are those of the last, {found.states[-1].name}."
     if found.steps is not None:
         none = f"{', '.join(found.vary)}: no step beyond chance over {len(found.states)} passes"
