@@ -118,7 +118,7 @@ def dummy_page(request: Request, actor: Who, dummy_id: int) -> HTMLResponse:
 LINES = {
     f"{PACKAGE}/figures/charts/__init__.py": (
         ("\nCHAPTERS:", "from boresight.figures.charts.dummy_chart import DUMMY_CHART\n"),
-        ("CONVERGENCE, METHODS)", "DUMMY_CHART, "),
+        ("CONVERGENCE, SMOOTHED, METHODS)", "DUMMY_CHART, "),
     ),
     f"{PACKAGE}/verdicts/gates/measurements.py": (
         (
