@@ -10,7 +10,7 @@ from boresight.figures.charts.coverage import COVERAGE
 from boresight.figures.charts.drop_one import DROP_ONE
 from boresight.figures.charts.efficiency import EFFICIENCY
 from boresight.figures.charts.frame_observability import FRAME_OBSERVABILITY, REFERENCE_INFORMATION
-from boresight.figures.charts.innovations import INNOVATIONS
+from boresight.figures.charts.innovations import INNOVATIONS, WHITENESS
 from boresight.figures.charts.matching import MATCHING
 from boresight.figures.charts.methods import METHODS
 from boresight.figures.charts.more_data import MORE_DATA
@@ -27,7 +27,6 @@ from boresight.figures.charts.shadow import SHADOW
 from boresight.figures.charts.smoothed import SMOOTHED
 from boresight.figures.charts.stars import STARS
 from boresight.figures.charts.two_halves import TWO_HALVES
-from boresight.figures.charts.whiteness import WHITENESS
 
 CHAPTERS: dict[str, tuple[Figure, ...]] = {
     "summary": (PARAMETERS, CORRELATION),

@@ -1,7 +1,11 @@
-"""The normalised-innovation test over time: nu^T S^-1 nu of each frame over its degrees of freedom, with its 95 % bounds.
+"""The normalised innovations over time, nu^T S^-1 nu of each frame over its degrees of freedom, and whether they have a memory.
 
 The whole run may pass on average while its beginning is too bold and its end too timid; frame by frame that shows. One
 frame in twenty is outside by chance. Of a batch run the innovations are each frame's residuals at the final parameters.
+
+Whiteness is the autocorrelation of the residuals over frames, with its bound. Drawn is the score of the parameter that is least
+white: what each frame's residuals would change that parameter by. Under a right model scores of different frames are independent:
+correlations stay within 1.96 / sqrt(n) in nineteen lags of twenty. Ljung and Box add them up to one chi-square.
 """
 
 from __future__ import annotations
@@ -13,13 +17,13 @@ import numpy as np
 import plotly.graph_objects as go
 
 from boresight.arrays import FloatArray
-from boresight.calibration.calibration import NisOverTime
+from boresight.calibration.calibration import NisOverTime, Whiteness
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
 from boresight.figures.style.axes import axis_title, hover_place
 from boresight.figures.style.thinning import keep_extremes
-from boresight.verdicts.numbers import percent
+from boresight.verdicts.numbers import number, percent, quantity
 
 POINT_BUDGET = 6000  # points of all runs together
 WINDOW_SHARE = 0.05  # of the frames, over which the mean runs
@@ -113,6 +117,59 @@ INNOVATIONS = part_figure(
         "Each point is one frame's normalised innovation, a cross where it is outside its 95 % bounds (dotted), and the line "
         "is their running mean. A mean that stays at 1 with one frame in twenty outside means that the covariance is right; "
         "a mean above 1 means over-confidence, and a step or a slope means that the sensor changed."
+    ),
+    advanced=True,
+)
+
+
+def draw_whiteness(drawn: Sequence[Part[Whiteness]]) -> go.Figure:
+    """Draw one bar a lag and run, with the bounds of the first run."""
+    figure = go.Figure([_bars(one) for one in drawn])
+    many = len(drawn) > 1
+    theme.dress(
+        figure, title=_whiteness_headline(drawn), height_px=520, legend=many, hovermode="closest", barmode="group"
+    )
+    bound = drawn[0][2].bound
+    for level in (-bound, bound):
+        figure.add_hline(y=level, line=theme.LEVEL)
+    figure.update_xaxes(title_text="lag (frames)", showgrid=False)
+    figure.update_yaxes(title_text="autocorrelation")
+    return figure
+
+
+def _bars(one: Part[Whiteness]) -> go.Bar:
+    _, style, part = one
+    return theme.bars(style, list(part.lags), column(part.autocorrelation), "lag %{x}: %{y:+.3f}")
+
+
+def _whiteness_headline(drawn: Sequence[Part[Whiteness]]) -> str:
+    part = drawn[0][2]
+    if len(drawn) > 1:
+        return "Autocorrelation of the residuals"
+    word = "white" if part.white else "not white"
+    name = quantity(part.name, drawn[0][0].result).markup
+    return f"The residuals are {word}, for {name} (Ljung-Box p = {number(part.ljung_box.p, 2)})"
+
+
+def list_lags(part: Whiteness) -> Table:
+    """List one lag a row: the autocorrelation and its bound."""
+    return {
+        "lag": list(part.lags),
+        "autocorrelation": theme.plain(column(part.autocorrelation)),
+        "bound": [part.bound] * len(part.lags),
+    }
+
+
+WHITENESS = part_figure(
+    draw_whiteness,
+    list_lags,
+    "whiteness",
+    name="whiteness",
+    title="Whiteness of residuals",
+    guide=(
+        "Each bar is the correlation of the residuals of frames that far apart, for the worst parameter; the dotted bounds "
+        "are those that chance alone keeps in nineteen lags of twenty. Bars that stay inside are good; a slow decay is a "
+        "drift that constant parameters cannot follow, and makes every sigma too small."
     ),
     advanced=True,
 )
