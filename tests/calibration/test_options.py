@@ -246,3 +246,9 @@ def test_every_choice_stands_once_on_the_form_of_a_launch():
         for option in row
     ]
     assert sorted(shown + beside) == sorted(OPTIONS)
+
+
+@pytest.mark.parametrize("name", [name for name, one in OPTIONS.items() if one.cell and one.default is None])
+def test_a_field_that_is_left_empty_is_the_usual_choice(name):
+    assert OPTIONS[name].read(" ") is None
+    OPTIONS[name].check(OPTIONS[name].read(""))

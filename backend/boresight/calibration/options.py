@@ -199,7 +199,7 @@ class Option:
             return [self._whole(part) for part in text.split(",") if part.strip()]
         if self.kind == "wholes":
             return [self._whole(part) for part in text.split(",")]
-        if self.kind == "names":
+        if self.kind in TEXTS:
             return [part.strip() for part in text.split(",") if part.strip()] or None
         if self.kind == "whole":
             return self._whole(text)
@@ -355,13 +355,13 @@ class CalibrationSettings:
         },
     )  # fmt: skip
     degree: str = option(
-        "Of a joint calibration", "Degree", "Of temperature and drift: the polynomial's degree; auto is by evidence.",
+        "Of a joint calibration", "Degree", "Of temperature and drift: the polynomial's degree; auto is by evidence.", cell=(2, 0),
         default="1", flag="--degree",
         words={"1": "Linear", "2": "Quadratic", "3": "Cubic", "auto": "Up to 3, by the evidence of each parameter; 0 is no change"},
     )  # fmt: skip
     events: tuple[str, ...] | None = option(
         "Of a joint calibration", "Events", "Of step: when something happened, as 2026-03-02T10:00:00Z; sought if left out.",
-        default=None, kind="times", flag="--events",
+        cell=(2, 1), default=None, kind="times", flag="--events",
     )  # fmt: skip
     walk_sigma: float | None = option(
         "Of a joint calibration", "Step of the walk",

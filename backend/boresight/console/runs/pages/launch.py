@@ -25,6 +25,7 @@ from boresight.calibration.options import (
     OF_ONE_RUN,
     OPTIONS,
     CalibrationSettings,
+    Option,
     format_value,
     get_method_title,
     said,
@@ -48,6 +49,7 @@ from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
+from boresight.platform.db.times import read_time
 from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.numbers import count, duration
@@ -161,7 +163,13 @@ class TypedForm:
         mine = [name for name in FIELDS if name == "method" or method in OPTIONS[name].methods]
         if self["variant"] == "no-q" and "process_noise_sigma" in mine:
             mine.remove("process_noise_sigma")
-        return {name: OPTIONS[name].read(self[name]) for name in mine}
+        return {name: _read(OPTIONS[name], self[name]) for name in mine}
+
+
+def _read(option: Option, text: str) -> Any:
+    """Read what was typed; a time in any form that pages show."""
+    value = option.read(text)
+    return list(map(read_time, value)) if option.kind == "times" and value else value
 
 
 def whole(text: str, name: str) -> int:
