@@ -31,7 +31,6 @@ import psutil
 from benchmarks import ROOT, Report, held
 from benchmarks.servers import Service, certified, free_port, variables
 from benchmarks.stars import write_synthetic
-from boresight.console.runs.queries import ClaimedSet
 from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.settings import read_settings
 from boresight.simulation.sensors import st16_sensor
@@ -142,7 +141,7 @@ class Site:
         inputs = Inputs(
             blob_address=str(self.folder / "blobs"),
             catalogue_folder=str(self.folder / "catalogue"),
-            sets=[ClaimedSet(name="stars", original_sha256=table, table_sha256=table)],
+            sets=[{"name": "stars", "original_sha256": table, "table_sha256": table}],
             validation=None,
             prior=None,
             sensor_document=sensor_document(st16_sensor(1)),

@@ -20,7 +20,7 @@ import traceback
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import cache, lru_cache
 from importlib import import_module
 from pathlib import Path
@@ -132,13 +132,13 @@ CHOICE = "boresight.calibration.choice.choose:choose"
 
 
 class Inputs(TypedDict):
-    """The inputs of a run's computation."""
+    """The inputs of a run's computation, plain, so that they can be unpacked whatever else their reader knows."""
 
     blob_address: str
     catalogue_folder: str
-    sets: list[ClaimedSet]  # one, or those of a joint calibration
-    validation: ClaimedSet | None
-    prior: ClaimedPrior | None
+    sets: list[dict[str, str]]  # fields of a `ClaimedSet` each: one, or those of a joint calibration
+    validation: dict[str, str] | None
+    prior: dict[str, Any] | None  # fields of a `ClaimedPrior`
     sensor_document: dict[str, Any]
     settings: dict[str, Any]
     chooses: bool  # a camera, instead of calibrating
@@ -153,9 +153,9 @@ def gather_inputs(settings: Settings, run: ClaimedRun) -> Inputs:
     return Inputs(
         blob_address=settings.blob_place.address,
         catalogue_folder=str(settings.catalogue_folder),
-        sets=list(run.sets),
-        validation=run.validation,
-        prior=run.prior,
+        sets=[asdict(one) for one in run.sets],
+        validation=None if run.validation is None else asdict(run.validation),
+        prior=None if run.prior is None else asdict(run.prior),
         sensor_document=dict(run.sensor_document),
         settings=dict(run.settings),
         chooses=run.choice_of is not None,
@@ -231,7 +231,7 @@ Computed = tuple[dict[str, Any], dict[str, Any], str]
 
 def _chosen(blobs: BlobStore, inputs: Inputs, link: Link) -> Computed:
     """Read the inputs and choose a camera."""
-    source, validation = _telemetry_of(blobs, inputs), inputs["validation"]
+    source, validation = _telemetry_of(blobs, inputs), _validation_of(inputs)
     choice: Choice = _function(CHOICE)(
         source if is_large(source) else read_whole(source),
         parse_sensor(inputs["sensor_document"]),
@@ -249,12 +249,18 @@ def _chosen(blobs: BlobStore, inputs: Inputs, link: Link) -> Computed:
 
 def _telemetry_of(blobs: BlobStore, inputs: Inputs) -> TelemetryInput:
     """Return what is calibrated: one set, or several as one; a large one is left in its files."""
-    first, *further = inputs["sets"]
-    if not further:
-        return _read_small(_table(blobs, first.table_sha256))
-    return join_sets(
-        [NamedTelemetry(_table(blobs, one.table_sha256), one.name, one.original_sha256) for one in inputs["sets"]]
-    )
+    sets = _sets_of(inputs)
+    if len(sets) == 1:
+        return _read_small(_table(blobs, sets[0].table_sha256))
+    return join_sets([NamedTelemetry(_table(blobs, one.table_sha256), one.name, one.original_sha256) for one in sets])
+
+
+def _sets_of(inputs: Inputs) -> list[ClaimedSet]:
+    return [ClaimedSet(**one) for one in inputs["sets"]]
+
+
+def _validation_of(inputs: Inputs) -> ClaimedSet | None:
+    return None if inputs["validation"] is None else ClaimedSet(**inputs["validation"])
 
 
 def _prior_of(blobs: BlobStore, prior: ClaimedPrior, sensor: Sensor) -> PriorSource:
@@ -266,14 +272,14 @@ def _prior_of(blobs: BlobStore, prior: ClaimedPrior, sensor: Sensor) -> PriorSou
 
 def _sha256s(inputs: Inputs) -> dict[str, str]:
     """Return the content addresses of what a run is made of, by the roles that the library gives them."""
-    sets, validation, prior = inputs["sets"], inputs["validation"], inputs["prior"]
+    sets, validation, prior = _sets_of(inputs), _validation_of(inputs), inputs["prior"]
     found = {f"telemetry_{number}": one.original_sha256 for number, one in enumerate(sets, 1)}
     if len(sets) == 1:
         found = {"telemetry": sets[0].original_sha256}
     if validation is not None:
         found["validation"] = validation.original_sha256
     if prior is not None:
-        found["prior"] = prior.result_sha256
+        found["prior"] = prior["result_sha256"]
     return found
 
 
@@ -284,7 +290,7 @@ def _read_small(table: StoredTable) -> Telemetry | StoredTable:
 
 def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) -> Computed:
     """Read the inputs and call the calculation; a large set is left in its file, and computed by whoever is idle."""
-    validation, prior = inputs["validation"], inputs["prior"]
+    validation, prior = _validation_of(inputs), inputs["prior"]
     source, sensor = _telemetry_of(blobs, inputs), parse_sensor(inputs["sensor_document"])
     with ExitStack() as stack:
         folders: dict[str, Any] = {}
@@ -299,7 +305,7 @@ def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) 
             _catalogue(inputs["catalogue_folder"]),
             CalibrationSettings.parse(inputs["settings"]),
             validation=None if validation is None else _read_small(_table(blobs, validation.table_sha256)),
-            prior=None if prior is None else _prior_of(blobs, prior, sensor),
+            prior=None if prior is None else _prior_of(blobs, ClaimedPrior(**prior), sensor),
             sha256s=_sha256s(inputs),
             report=link.report,
             cancelled=link.cancelled,
