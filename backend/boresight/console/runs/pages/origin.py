@@ -135,5 +135,5 @@ def list_pass_rows(sets: Sequence[TelemetrySet], result: Calibration) -> list[Pa
 def _judge(one: InputPass) -> tuple[str, str]:
     """Hold a pass's chi-square against chance."""
     if one.chi2 is None or not one.pairs:
-        return "off", "no data"
+        return "off", "no arcs"
     return ("normal", "as expected") if chdtrc(one.pairs, one.chi2) >= CHANGES else ("caution", "too large")
