@@ -28,6 +28,7 @@ from boresight.platform.db.sessions import (
     utc_after,
     utc_text,
 )
+from boresight.platform.db.times import STYLE
 from tests.console.uplinks import pages as board
 from tests.console.uplinks.services import advance, define, promote_by_hand
 from tests.effort import effort
@@ -261,7 +262,7 @@ def test_the_answer_for_a_time_is_of_that_time_and_in_the_address(site, read):
     board.advance(site, "LOADED")
     page = site.visitor("victor").get(f"{PAGE}?at={quote(between)}")
     answer = read(page).split("What happened")[0]
-    assert f"As of {between}" in answer
+    assert f"As of {STYLE.show(datetime.fromisoformat(between))}" in answer
     assert ("SENT" in answer, "LOADED" in answer) == (True, False)
     assert f'value="{between}"' in page
     words = read(site.visitor("victor").get(f"{PAGE}?at=2000-01-01T00:00Z"))
