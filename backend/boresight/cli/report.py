@@ -89,11 +89,10 @@ def _read(source: str) -> Calibration:
 
 
 def _stored(run_id: int) -> Calibration:
-    from boresight.calibration.calibration import parse_calibration
     from boresight.console.runs import service as runs
     from boresight.platform.blobs.opening import open_blobs
     from boresight.platform.db.sessions import open_reading, open_store
 
     settings = read_settings()
     with open_store(settings.database_url) as engine, open_reading(engine) as session:
-        return parse_calibration(runs.get_final_result(session, open_blobs(settings.blob_place), run_id))
+        return runs.get_final_calibration(session, open_blobs(settings.blob_place), run_id)

@@ -106,10 +106,10 @@ class Linked:
         g = np.array([one.b[own] for one in sums]) + pull - np.concatenate([pull[1:], np.zeros((1, m))])
         g_c = np.sum([one.b[shared] for one in sums], axis=0)
         if self.trend is not None:  # the slopes stand with what is common; at the best ones for z nothing pulls at them
-            passed = W * np.diff(self.trend, prepend=self.trend[0])[:, None, None]
+            change = np.diff(self.trend, prepend=self.trend[0])[:, None, None]
+            passed = W * change
             E = np.concatenate([E, np.concatenate([passed[1:], np.zeros((1, m, m))]) - passed], axis=2)
-            bend = np.sum(passed * np.diff(self.trend, prepend=self.trend[0])[:, None, None], axis=0)
-            C = np.block([[C, np.zeros((n_c, m))], [np.zeros((m, n_c)), bend]])
+            C = np.block([[C, np.zeros((n_c, m))], [np.zeros((m, n_c)), np.sum(passed * change, axis=0)]])
             g_c = np.concatenate([g_c, np.zeros(m)])
         L_inverse, Y_and_y = _sweep(D, W, np.concatenate([E, g[:, :, None]], axis=2))
         Y, y = Y_and_y[:, :, :-1], Y_and_y[:, :, -1]

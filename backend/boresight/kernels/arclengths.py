@@ -470,14 +470,10 @@ def carlson_update(camera, z, S, h, innovation, f, gain):
 
 
 @_part
-def inflate(S, q, M):
-    """Replace S by the upper triangular factor of S S^T + diag(q^2), by Givens rotations of [S M] (erratum to E Eq 88)."""
-    n = S.shape[0]
-    for i in range(n):
-        for j in range(n):
-            M[i, j] = q[i] if i == j else 0.0
-    for k in range(n - 1, -1, -1):
-        for j in range(n):
+def fold(S, M):
+    """Replace S (n, n) by the upper triangular factor of S S^T + M M^T, by Givens rotations of [S M]; M (n, m) is used up."""
+    for k in range(S.shape[0] - 1, -1, -1):
+        for j in range(M.shape[1]):
             if M[k, j] == 0.0:
                 continue
             r = math.hypot(S[k, k], M[k, j])
@@ -486,6 +482,16 @@ def inflate(S, q, M):
                 a, b = S[i, k], M[i, j]
                 S[i, k] = c * a + s * b
                 M[i, j] = c * b - s * a
+
+
+@_part
+def inflate(S, q, M):
+    """Replace S by the upper triangular factor of S S^T + diag(q^2) (erratum to E Eq 88)."""
+    n = S.shape[0]
+    for i in range(n):
+        for j in range(n):
+            M[i, j] = q[i] if i == j else 0.0
+    fold(S, M)
 
 
 @_part

@@ -15,6 +15,7 @@ from boresight.kernels.arclengths import (
     _pad,
     _width,
     carlson_update,
+    fold,
     inflate,
 )
 from boresight.kernels.compilation import FAST, loop, part
@@ -58,25 +59,6 @@ def forward_pass(
             means[k, i] = z[i]
             for j in range(n_free):
                 roots[k, i, j] = S[i, j]
-
-
-@part()
-def _fold(S, M):
-    """Make S upper triangular with S S^T = M M^T, by Givens rotations; M (n, m) is used up."""
-    n, m = M.shape
-    for i in range(n):
-        for j in range(n):
-            S[i, j] = 0.0
-    for k in range(n - 1, -1, -1):
-        for j in range(m):
-            if M[k, j] == 0.0:
-                continue
-            r = np.hypot(S[k, k], M[k, j])
-            c, s = S[k, k] / r, M[k, j] / r
-            for i in range(k + 1):
-                a, b = S[i, k], M[i, j]
-                S[i, k] = c * a + s * b
-                M[i, j] = c * b - s * a
 
 
 @part()
@@ -138,4 +120,7 @@ def backward_pass(means, roots, q):
                 for m in range(n):
                     M[i, j] -= B[i, m] * roots[k + 1, m, j]
                     M[i, n + j] += B[i, m] * roots[k, m, j]
-        _fold(roots[k], M)
+        for i in range(n):
+            for j in range(n):
+                roots[k, i, j] = 0.0
+        fold(roots[k], M)

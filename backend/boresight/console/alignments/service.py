@@ -20,6 +20,7 @@ from boresight.calibration.alignment.align import AlignmentOptions
 from boresight.calibration.alignment.result import Alignment as AlignmentResult
 from boresight.calibration.alignment.result import parse_alignment
 from boresight.calibration.calibration import to_plain
+from boresight.calibration.times import parse_times
 from boresight.console.alignments import queries
 from boresight.console.alignments.tables import Alignment, AlignmentSummary, parse_summary
 from boresight.console.fleet.tables import Sensor
@@ -168,17 +169,13 @@ def _refuse_other_times(session: Session, a: Run, b: Run, names: Sequence[str], 
                 f"The telemetry of {name} in run {run.id} has no times, by which attitudes are paired: choose a run of "
                 "telemetry that has them."
             )
-        spans.append([(_moment(time.start_utc), _moment(time.end_utc)) for time in known])
+        spans.append([tuple(parse_times([time.start_utc, time.end_utc])) for time in known])
     apart_s = np.timedelta64(round(1e6 * max(options.tolerance_s, options.longest_gap_s)), "us")
     if not any(of_a[0] <= of_b[1] + apart_s and of_b[0] <= of_a[1] + apart_s for of_a in spans[0] for of_b in spans[1]):
         raise RefusedInputError(
             f"{names[0]} in run {a.id} and {names[1]} in run {b.id} have no common times: choose runs on telemetry of the "
             "same hours."
         )
-
-
-def _moment(text: str) -> np.datetime64:
-    return np.datetime64(text.removesuffix("Z"), "us")
 
 
 def is_any_due(session: Session) -> bool:

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from starlette.requests import Request
 from starlette.responses import Response
 
-from boresight.calibration.calibration import Calibration, parse_calibration
+from boresight.calibration.calibration import Calibration
 from boresight.calibration.choice.result import Choice
 from boresight.calibration.joint.passes import MOST_PASSES
 from boresight.console import schemas as console_schemas
@@ -203,7 +203,7 @@ def get_run_choice_data(run_id: Id, session: Reading, blobs: Blobs) -> Response:
 @router.get("/{run_id}/passes/figure", summary="Read the figure of its passes", response_model=schemas.PlotlyFigure)
 def get_run_passes_figure(run_id: Id, session: Reading, blobs: Blobs) -> Response:
     """Read what varies from pass to pass of a joint run that has ended as Plotly JSON."""
-    figure = passes.draw(parse_calibration(runs.get_final_result(session, blobs, run_id)))
+    figure = passes.draw(runs.get_final_calibration(session, blobs, run_id))
     return Response(figure_json(figure), media_type="application/json")
 
 
@@ -215,7 +215,7 @@ def get_run_passes_figure(run_id: Id, session: Reading, blobs: Blobs) -> Respons
 )
 def get_run_passes_data(run_id: Id, session: Reading, blobs: Blobs) -> Response:
     """Read the passes of a joint run that has ended as CSV: size, chi-square, and what varies with its sigma."""
-    found = parse_calibration(runs.get_final_result(session, blobs, run_id))
+    found = runs.get_final_calibration(session, blobs, run_id)
     return csv_response(passes.table(found), f"run-{run_id}-passes.csv")
 
 
@@ -227,7 +227,7 @@ def get_run_passes_data(run_id: Id, session: Reading, blobs: Blobs) -> Response:
 )
 def get_run_removed_data(run_id: Id, session: Reading, blobs: Blobs) -> Response:
     """Read which proposed stars were removed from a run that has ended, and why, as CSV."""
-    found = parse_calibration(runs.get_final_result(session, blobs, run_id))
+    found = runs.get_final_calibration(session, blobs, run_id)
     return csv_response(removed_table(found), f"run-{run_id}-removed.csv")
 
 
@@ -240,7 +240,7 @@ def get_run_log(run_id: Id, session: Reading, page: Paged) -> Listing[RunEvent]:
 @router.get("/{run_id}/report", summary="Read the report", response_class=HTMLResponse)
 def get_run_report(run_id: Id, session: Reading, blobs: Blobs, policy: ServerPolicy) -> HTMLResponse:
     """Read the report of a run that has ended: one HTML file that needs nothing else, figures included."""
-    report = render_report(parse_calibration(runs.get_final_result(session, blobs, run_id)), four_eyes=policy.four_eyes)
+    report = render_report(runs.get_final_calibration(session, blobs, run_id), four_eyes=policy.four_eyes)
     headers = {"Content-Disposition": f'attachment; filename="run-{run_id}-report.html"'}
     return HTMLResponse(report, headers=headers)
 

@@ -168,6 +168,11 @@ def get_final_result(session: Session, blobs: BlobStore, run_id: int) -> dict[st
     return document
 
 
+def get_final_calibration(session: Session, blobs: BlobStore, run_id: int) -> Calibration:
+    """Return the calibration of a run that has ended with one."""
+    return parse_calibration(get_final_result(session, blobs, run_id))
+
+
 def export_run(
     session: Session,
     blobs: BlobStore,

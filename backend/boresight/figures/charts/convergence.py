@@ -354,8 +354,11 @@ def _draw_way(
 def table(result: Calibration) -> Table:
     """List every step: parameters and sigmas in SI."""
     history = read_history(result)
-    if history is None:
-        return {}
+    return {} if history is None else list_history(history)
+
+
+def list_history(history: History) -> Table:
+    """List one step of a history a row: its parameters and their sigmas, SI."""
     columns: Table = {history.axis: [int(step) for step in history.x]}
     if history.time_utc:
         columns["time_utc"] = list(history.time_utc)

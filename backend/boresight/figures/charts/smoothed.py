@@ -19,6 +19,7 @@ from plotly.subplots import make_subplots
 from boresight.arrays import FloatArray
 from boresight.calibration.calibration import Calibration
 from boresight.figures.chart import Figure, Table, Trace
+from boresight.figures.charts.convergence import list_history
 from boresight.figures.style import theme
 from boresight.figures.style.axes import axis_title, counted, frame_grid, share_cursor
 from boresight.figures.style.thinning import keep_extremes
@@ -152,15 +153,7 @@ def read_smoothed(result: Calibration) -> History | None:
 def table(result: Calibration) -> Table:
     """List every kept frame: smoothed parameters and their sigmas in SI; of a run that was not smoothed its estimate."""
     history = read_smoothed(result)
-    if history is None:
-        return {name: [value] for name, value in result.parameters.items()}
-    columns: Table = {"frame": [int(frame) for frame in history.x]}
-    if history.time_utc:
-        columns["time_utc"] = list(history.time_utc)
-    for i, name in enumerate(history.names):
-        columns[name] = theme.plain(history.value[:, i])
-        columns[f"sigma_{name}"] = theme.plain(history.sigma[:, i])
-    return columns
+    return {name: [value] for name, value in result.parameters.items()} if history is None else list_history(history)
 
 
 SMOOTHED = Figure(
