@@ -12,7 +12,10 @@ from boresight.platform.web.static_files import SHIPPED
 
 FRONTEND = Path(__file__).parents[1] / "frontend"
 STATIC = FRONTEND / "static"
-PAGES = {path.relative_to(FRONTEND / "templates").as_posix(): path.read_text() for path in FRONTEND.rglob("*.html")}
+PAGES = {
+    path.relative_to(FRONTEND / "templates").as_posix(): path.read_text()
+    for path in FRONTEND.glob("templates/**/*.html")
+}
 MODULES = {path.relative_to(STATIC).as_posix(): path.read_text() for path in STATIC.rglob("*.js")}
 SHEETS = {path.relative_to(STATIC).as_posix(): path.read_text() for path in STATIC.rglob("*.css")}
 ALONE = {"figures/report.html", "uplinks/verification_sheet.html"} | {

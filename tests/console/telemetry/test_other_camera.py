@@ -108,7 +108,7 @@ def write(tmp_path):
     return written
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")  # as long as the house: a second pair of the same lenses would be offered as well
 def registered(house):
     """A sensor with the wide and one with the long lens, whose names no other test has."""
     house.person("ada").timeout = 120.0
