@@ -87,7 +87,7 @@ clean:  ## remove what was built, cached and demonstrated; the virtual environme
 
 lock: $(MADE)/dev  ## resolve the newest versions that pyproject.toml allows into the lock files
 	$(LOCK) --extra lost-in-space --output-file requirements.lock pyproject.toml
-	$(LOCK) --extra bench --extra dev --extra docs --extra lost-in-space --extra object-store --extra postgresql --constraint requirements.lock --output-file requirements-dev.lock pyproject.toml
+	$(LOCK) --extra bench --extra dev --extra docs --extra lost-in-space --extra object-store --extra postgresql --extra tracing --constraint requirements.lock --output-file requirements-dev.lock pyproject.toml
 	$(LOCK) --extra docs --constraint requirements-dev.lock --output-file requirements-docs.lock pyproject.toml
 	$(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["dependency-groups"]["pandas"], sep="\n")' | \
 	    $(LOCK) --constraint requirements-dev.lock --output-file requirements-pandas.lock -

@@ -37,6 +37,7 @@ ALLOWED = frozenset(
 )
 PHRASES = {
     "Apache 2.0": "Apache-2.0",
+    "Apache License, Version 2.0": "Apache-2.0",
     "Apache Software License": "Apache-2.0",
     "BSD 3-Clause License": "BSD-3-Clause",
     "LGPLv3+": "LGPL-3.0-or-later",
@@ -50,6 +51,8 @@ READ = {
     "numba": "BSD-2-Clause",
     "partd": "BSD-3-Clause",
     "scipy": "BSD-3-Clause",
+    "pyasn1-modules": "BSD-2-Clause",
+    "segno": "BSD-3-Clause",
     "uvloop": "MIT OR Apache-2.0",
     "zict": "BSD-3-Clause",
 }

@@ -110,7 +110,7 @@ def test_times_that_cannot_be_are_refused_on_record_and_stop_the_policy(house, d
 def test_the_stars_of_another_sensor_are_refused_on_record_and_stop_the_policy(house):
     own = house.new_sensor()
     document = house.sensor_file()
-    other = {**document, "initial": {**document["initial"], "f_m": 1.6 * document["initial"]["f_m"]}}
+    other = {**document, "initial": {**document["initial"], "f_m": 1.25 * document["initial"]["f_m"]}}
     sensor_id = house.person("ada").post("/api/v1/sensors", json=other).json()["id"]
     policy = in_force(house, sensor_id)
     answer = send(house, sensor_id)
