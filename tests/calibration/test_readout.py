@@ -94,7 +94,7 @@ def errors(found, truth):
 def test_a_set_that_is_corrected_is_as_good_as_claimed_and_one_that_is_not_is_not_and_nothing_shows_it(
     catalogue, match
 ):
-    n, truth = effort(4, 120), st16_truth(1)
+    n, truth = effort(2, 120), st16_truth(1)
     off, nees = [], {"quaternions": [], "stars": []}
     for seed in range(n):
         telemetry, sensor = made(catalogue, seed)

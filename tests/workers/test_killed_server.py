@@ -31,7 +31,7 @@ def start_server():
 
 
 def test_every_run_survives_a_killed_worker_and_then_a_killed_server(make_store, start_server):
-    store, some = make_store(lease_s="2"), effort(9, 99)
+    store, some = make_store(lease_s="2"), effort(5, 99)
     (first,), early, (middle,), late = (
         store.launch(*work) for work in [("stuck",), ("brief", some), ("stuck",), ("brief", some)]
     )
