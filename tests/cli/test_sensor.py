@@ -26,10 +26,12 @@ def test_a_few_numbers_make_a_sensor_file_and_one_that_exists_is_kept(boresight,
 
 
 def test_every_fault_is_a_line(boresight, tmp_path):
-    done = boresight("sensor", "new", "--rows", "7", "--model", "brwn", "--out", tmp_path / "x.json")
+    words = ("--rows", "7", "--columns", "many", "--parity", "up", "--site", "latitude_deg=95", "--model", "brwn")
+    done = boresight("sensor", "new", *words, "--out", tmp_path / "x.json")
     assert done.exit_code == 1
-    lines = done.stderr.splitlines()
-    assert sum(line.startswith("  ") for line in lines) == 5
+    told = [line.strip() for line in done.stderr.splitlines() if line.startswith("  ")]
+    for name in ("rows", "columns", "parity", "latitude_deg", "brwn", "pixel_pitch_um", "focal_length_mm"):
+        assert sum(name in line for line in told) == 1, (name, told)
     assert not (tmp_path / "x.json").exists()
 
 

@@ -54,7 +54,17 @@ def read_site(text: str) -> Site | None:
     from boresight.telemetry.read.checks import Faults
 
     faults = Faults("--site")
-    given: dict[str, Any] = {}
+    site = parse_site(split_site(text), faults)
+    faults.refuse()
+    return site
+
+
+def split_site(text: str) -> dict[str, float | str]:
+    """Split `name=number,...`; raises RefusedInputError with every part that is not of that form."""
+    from boresight.telemetry.read.checks import Faults
+
+    faults = Faults("--site")
+    given: dict[str, float | str] = {}
     for part in text.split(","):
         name, equals, value = part.partition("=")
         if not equals:
@@ -64,9 +74,8 @@ def read_site(text: str) -> Site | None:
             given[name.strip()] = float(value)
         except ValueError:
             given[name.strip()] = value.strip()
-    site = parse_site(given, faults)
     faults.refuse()
-    return site
+    return given
 
 
 def refuse_site_on_server(site: str | None, server_url: str | None) -> None:
@@ -82,12 +91,21 @@ def sensor() -> None:
     """Describe a sensor."""
 
 
+def _number(text: str) -> float | str:
+    """Read a number; what is none stays as it was typed, and is refused with every other fault of the sensor."""
+    try:
+        number = float(text)
+    except ValueError:
+        return text
+    return int(number) if number.is_integer() else number
+
+
 def asked_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add an option of every number that a sensor file is made from."""
     for name, one in reversed(ASKED.items()):
         flag = "--" + name.replace("_", "-")
         command = click.option(
-            flag, name, type=float, metavar="N" if one.whole else "X", help=f"{one.label}, {one.unit}. {one.sentence}"
+            flag, name, type=_number, metavar="N" if one.whole else "X", help=f"{one.label}, {one.unit}. {one.sentence}"
         )(command)
     return command
 
@@ -123,7 +141,9 @@ FILE = click.Path(path_type=Path)
     metavar="NAME",
     help="Camera model; if left out, OpenCV's, or a fisheye for a wide field.",
 )
-@click.option("--parity", type=int, help="-1 for an upright image, as on a screen (usual); 1 for a mirrored one.")
+@click.option(
+    "--parity", type=_number, metavar="N", help="-1 for an upright image, as on a screen (usual); 1 for a mirrored one."
+)
 @click.option("--name", default="New sensor", help="Name of the sensor.")
 @site_option
 @click.option("--out", "out_file", required=True, metavar="FILE", help="Sensor file to write; - is standard output.")
@@ -149,8 +169,7 @@ def new(
     extraction = take_extraction_choices(choices)
     known = {name: value for name, value in choices.items() if value is not None}
     if site is not None:
-        where = read_site(site)
-        known["site"] = None if where is None else where.document()
+        known["site"] = split_site(site)
     if out_file != STANDARD_OUTPUT and Path(out_file).exists():
         raise RefusedInputError(f"{out_file} exists and is not overwritten: choose another name, or remove it first.")
     pictures = [*images, *further_images]

@@ -492,18 +492,23 @@ def new_sensor(
     from boresight.library.results import NewSensor
     from boresight.telemetry.data_sheets import LensAndDetector
     from boresight.telemetry.declarations import parse_site
-    from boresight.telemetry.new_sensor import describe_sensor
+    from boresight.telemetry.new_sensor import describe_sensor, joined
     from boresight.telemetry.read.checks import Faults
 
     faults = Faults("The new sensor")
     place = parse_site(known.get("site"), faults)
-    faults.refuse()
     numbers: dict[str, Any] = {name: value for name, value in known.items() if name != "site"}
     lens = LensAndDetector(**numbers, site=place)
     if images is not None and telemetry is not None:
         raise RefusedInputError("A sensor is proposed from images or from telemetry: give one of them.")
     if images is None and telemetry is None:
-        return NewSensor.of(describe_sensor(lens))
+        try:
+            described = describe_sensor(lens)
+        except RefusedInputError as refusal:
+            raise joined(faults, refusal) from refusal
+        faults.refuse()
+        return NewSensor.of(described)
+    faults.refuse()
     with _prepared(progress, "reading the images" if telemetry is None else "reading the telemetry") as prepared:
         from boresight.calibration.proposal import propose
 

@@ -70,7 +70,7 @@ def describe_typed(typed: Mapping[str, str], subject: str = "The new sensor") ->
     try:
         described = describe_sensor(found, subject)
     except RefusedInputError as refusal:
-        raise refusal if not faults.count else _joined(faults, refusal) from refusal
+        raise refusal if not faults.count else joined(faults, refusal) from refusal
     faults.refuse()
     return described
 
@@ -97,7 +97,7 @@ def _read_typed(typed: Mapping[str, str], faults: Faults) -> LensAndDetector:
     return LensAndDetector(**known, site=parse_site(site or None, faults))
 
 
-def _joined(faults: Faults, refusal: RefusedInputError) -> RefusedInputError:
+def joined(faults: Faults, refusal: RefusedInputError) -> RefusedInputError:
     """The refusal of these faults and those of another one, less what is missing because it could not be read."""
     unread = [str(one).split(" is ")[0] for one in faults.refusal().faults]
     for one in refusal.faults:
@@ -141,8 +141,7 @@ def complete(known: LensAndDetector, subject: str = "The new sensor") -> LensAnd
     faults = Faults(subject)
     sheet = _sheet(known.sheet, faults)
     at_hand = {name: _given(name, known, sheet) for name in ASKED}
-    for name, value in at_hand.items():
-        _check(name, value, faults)
+    at_hand = {name: _checked(name, value, faults) for name, value in at_hand.items()}
     _camera(known.camera_model, faults)
     faults.refuse()
     whole = {name: value if value is None or not ASKED[name].whole else round(value) for name, value in at_hand.items()}
@@ -158,11 +157,10 @@ def describe_sensor(known: LensAndDetector, subject: str = "The new sensor") -> 
     faults = Faults(subject)
     sheet = _sheet(known.sheet, faults)
     at_hand = {name: _given(name, known, sheet) for name in ASKED}
-    for name, value in at_hand.items():
-        _check(name, value, faults)
+    at_hand = {name: _checked(name, value, faults) for name, value in at_hand.items()}
     model = _camera(known.camera_model, faults)
     if known.parity not in {None, 1, -1}:
-        faults.add(f"parity is {known.parity}: give -1 for an upright image, or 1")
+        faults.add(f"parity is {known.parity!r}: give -1 for an upright image, or 1")
     for name in ("rows", "columns", "pixel_pitch_um"):
         if at_hand[name] is None and (sheet is not None or known.sheet is None):
             faults.add(f"{name} is missing: give it in {ASKED[name].unit}, or name a data sheet")
@@ -194,15 +192,17 @@ def _given(name: str, known: LensAndDetector, sheet: DataSheet | None) -> float 
     return value
 
 
-def _check(name: str, value: Any, faults: Faults) -> None:
+def _checked(name: str, value: Any, faults: Faults) -> float | None:
+    """The value, or NaN with a fault where it is no number: it was given, and nothing follows from it."""
     asked = ASKED[name]
     if value is None:
-        return
+        return None
     if isinstance(value, bool) or not isinstance(value, int | float) or not asked.lowest <= value <= asked.highest:
         hint = "check its unit" if isinstance(value, int | float) else "give a number"
         faults.add(f"{name} is {value!r}, expected {asked.lowest:g} to {asked.highest:g} {asked.unit}: {hint}")
     elif asked.whole and value != round(value):
         faults.add(f"{name} is {value:g}: give a whole number of pixels")
+    return float(value) if isinstance(value, int | float) else math.nan
 
 
 def _camera(name: str | None, faults: Faults) -> CameraModel | None:
