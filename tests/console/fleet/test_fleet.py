@@ -111,7 +111,7 @@ WORSE = EXAMPLE["validation"] | {"rms_arc_rad": {"initial": 1e-5, "final": 2e-5}
         (
             {"status": "diverged", "advice": ["The fit diverged: stop."]},
             "serious",
-            "ended diverged: The fit diverged: stop.",
+            "ended diverged: The fit diverged.",
         ),
         ({"status": "rank_deficient", "advice": ["Hold a1."]}, "serious", "ended rank deficient: Hold a1."),
         ({"validation": WORSE}, "serious", "On the validation set"),
