@@ -135,7 +135,7 @@ def test_the_log_is_exported_with_its_verifier_or_alone(filled, tmp_path):
     for name in ("log.zip", "log.jsonl"):
         accepted(boresight("audit", "export", "--out", tmp_path / name))
     with zipfile.ZipFile(tmp_path / "log.zip") as archive:
-        assert set(archive.namelist()) == {"audit.jsonl", "verify_audit.py", "README.txt"}
+        assert set(archive.namelist()) == {"audit.jsonl", "anchors.jsonl", "verify_audit.py", "README.txt"}
     last = json.loads((tmp_path / "log.jsonl").read_text(encoding="utf-8").splitlines()[-1])
     accepted(boresight("audit", "verify", "--head", last["head"]))
     other = boresight("audit", "verify", "--head", "0" * 63 + "1")

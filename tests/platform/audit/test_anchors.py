@@ -1,7 +1,12 @@
 """Signed heads: what anchors cover, who signed them, and that every change of log or anchor is found, with a stamp and without."""
 
 import base64
+import hashlib
+import json
 import stat
+import subprocess
+import sys
+import zipfile
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -12,14 +17,17 @@ from cryptography.hazmat.primitives.asymmetric import rsa
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from boresight.errors import ConflictError, RefusedInputError, UnavailableError
-from boresight.platform.actors import SYSTEM
+from boresight.platform.actors import SYSTEM, Policy
+from boresight.platform.audit import audit_verifier
 from boresight.platform.audit import log as audit
 from boresight.platform.audit import queries as rows
 from boresight.platform.audit.anchors import Trust, keep_time_stamp, make_anchor, spell_statement
+from boresight.platform.audit.export import write_export
 from boresight.platform.audit.log import ChainReport
 from boresight.platform.audit.signing import PublicKey, SigningKey, read_public_keys
 from boresight.platform.audit.tables import AuditAnchor
 from boresight.platform.audit.time_stamps import TimeStampService, read_certificates, read_time_stamp
+from boresight.platform.db.documents import canonical
 from boresight.platform.db.sessions import Engine, open_reading, open_writing
 from boresight.platform.db.times import seconds_between, utc_now
 from tests.stores import drop_triggers
@@ -133,6 +141,70 @@ def test_a_chain_that_its_owner_rebuilt_whole_verifies_alone_and_not_against_its
     report = _verify(store, _trust(key))
     assert (report.ok, report.first_broken_id) == (False, None)
     assert "rewritten" in report.sentence
+
+
+@pytest.fixture
+def exported(store, key, tmp_path):
+    """The folder of an unpacked export whose third record is signed, with the public keys that were kept."""
+    _append(store, 3)
+    _anchor(store, key)
+    _append(store, 2)
+    with open_reading(store) as session, (tmp_path / "log.zip").open("wb") as stream:
+        write_export(session, stream, "zip", Policy())
+    with zipfile.ZipFile(tmp_path / "log.zip") as archive:
+        archive.extractall(tmp_path / "log")
+    (tmp_path / "log" / "kept.pem").write_text("".join(one.pem for one in key.list_public_keys()))
+    return tmp_path / "log"
+
+
+def _verified_elsewhere(folder: Path, keys: str = "kept.pem") -> subprocess.CompletedProcess[str]:
+    command = [
+        sys.executable,
+        "-I",
+        "verify_audit.py",
+        "audit.jsonl",
+        "--anchors",
+        "anchors.jsonl",
+        "--public-keys",
+        keys,
+    ]
+    return subprocess.run(command, cwd=folder, env={}, capture_output=True, text=True, check=False)
+
+
+def test_an_export_has_its_anchors_and_verifies_against_keys_that_were_kept(exported):
+    found = _verified_elsewhere(exported)
+    assert (found.returncode, "1 heads" in found.stdout) == (0, True), found.stderr
+    SigningKey(exported / "other.key").load()
+    other = read_public_keys("".join(one.pem for one in SigningKey(exported / "other.key").list_public_keys()), "x")
+    (exported / "other.pem").write_text(other[0].pem)
+    assert _verified_elsewhere(exported, "other.pem").returncode == 1
+    (exported / "anchors.jsonl").write_bytes(b"")
+    assert _verified_elsewhere(exported).returncode == 1  # whoever rewrites the log can leave its anchors out
+
+
+def _rehashed(folder: Path, changed: int, count: int) -> None:
+    """Rewrite the export as whoever owns the database could: one record changed, all chained anew, the last line right."""
+    lines = (folder / "audit.jsonl").read_bytes().splitlines()
+    records, last = [json.loads(line) for line in lines[:count]], json.loads(lines[-1])
+    previous = audit_verifier.FIRST_HASH
+    for number, record in enumerate(records):
+        record["reason"] = "forged" if number == changed else record["reason"]
+        record["previous_hash"] = previous
+        record["hash"] = previous = audit_verifier.compute_hash(previous, record)
+    body = b"".join(f"{canonical(record)}\n".encode() for record in records)
+    del last["sha256"]
+    last |= {"records": count, "head": previous}
+    last["sha256"] = hashlib.sha256(body + canonical(last).encode()).hexdigest()
+    (folder / "audit.jsonl").write_bytes(body + f"{canonical(last)}\n".encode())
+
+
+@pytest.mark.parametrize(("changed", "count", "is_found"), [(0, 5, True), (2, 5, True), (3, 5, False), (9, 2, True)])
+def test_an_export_that_was_rewritten_or_cut_before_its_anchor_is_found_elsewhere(exported, changed, count, is_found):
+    assert len((exported / "audit.jsonl").read_bytes().splitlines()) == 6
+    _rehashed(exported, changed, count)
+    with (exported / "audit.jsonl").open("rb") as export:
+        assert audit_verifier.verify(export)[0]  # the chain alone does not show it
+    assert (_verified_elsewhere(exported).returncode == 1) == is_found
 
 
 def test_an_anchor_that_was_removed_is_missed_by_the_next_record(store, key):

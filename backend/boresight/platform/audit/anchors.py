@@ -13,6 +13,7 @@ meets the audit log. The newest ones can be cut together with the records after 
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -68,6 +69,13 @@ def spell_statement(anchor: AuditAnchor) -> bytes:
         "key": anchor.key,
     }
     return canonical(said).encode()
+
+
+def spell_line(anchor: AuditAnchor) -> str:
+    """Return an anchor as a line of an export: what is signed, its signature and key, and its time-stamp."""
+    beside = {"public_key": anchor.public_key, "signature": anchor.signature}
+    stamp = {"time_stamp": anchor.time_stamp, "stamped_utc": anchor.stamped_utc} if anchor.time_stamp else {}
+    return canonical(json.loads(spell_statement(anchor)) | beside | stamp)
 
 
 def make_anchor(session: Session, key: SigningKey, made_by: str) -> AuditAnchor:

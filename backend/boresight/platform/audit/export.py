@@ -13,19 +13,23 @@ from boresight.errors import RefusedInputError
 from boresight.platform.actors import Policy
 from boresight.platform.audit import chain
 from boresight.platform.audit import queries as rows
+from boresight.platform.audit.anchors import spell_line
 from boresight.platform.audit.audit_verifier import FORM
 from boresight.platform.db.documents import canonical
 from boresight.platform.db.sessions import Session, utc_now
 
 FORMS = ("zip", "jsonl")
-LINES, VERIFIER = "audit.jsonl", "verify_audit.py"
+LINES, VERIFIER, ANCHORS = "audit.jsonl", "verify_audit.py", "anchors.jsonl"
 HOW = f"""Boresight's audit log, every record in the order it was written.
 
   {LINES}       one record a line, as JSON; the last line carries the head of the chain
   {VERIFIER}   verifies it: python3 {VERIFIER} {LINES} [--head HASH]
+                     and its anchors by --anchors {ANCHORS} --public-keys KEYS.pem
+  {ANCHORS}     the heads that the installation signed, one a line, each with its signature and time-stamp
 
 The log is tamper-evident, not tamper-proof: keep this file, or its head, where the owner of the database cannot reach
-it. A later export must still contain the head that you keep: give it with --head.
+it. A later export must still contain the head that you keep: give it with --head. Public keys that you kept since before (`boresight audit keys`) show that
+no anchored record was rewritten.
 """
 
 
@@ -44,6 +48,7 @@ def write_export(session: Session, stream: IO[bytes], form: str, policy: Policy)
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
         with archive.open(LINES, "w", force_zip64=True) as lines:
             lines.writelines(_lines(session, policy))
+        archive.writestr(ANCHORS, "".join(f"{spell_line(anchor)}\n" for anchor, _ in rows.iterate_anchors(session)))
         archive.writestr(VERIFIER, verifier())
         archive.writestr("README.txt", HOW)
 
