@@ -15,7 +15,8 @@ it and of the last line itself without that member. Found are: any byte that is 
 changed, renumbered, removed, added or moved, and with --head a chain that was rewritten after you came to hold one of
 its hashes. With --anchors, each line of which is a head that the installation signed, and public keys that you kept
 (those that come with an export prove nothing), a chain that was rewritten or cut after it was signed by one of them is
-found too; this alone needs the library `cryptography`. An anchor by any other key is a fault. The exit code is 0 when all is as it was written, 1 otherwise.
+found too; this alone needs the library `cryptography`. An anchor by any other key is a fault.
+The exit code is 0 when all is as it was written, 1 otherwise.
 """
 
 from __future__ import annotations

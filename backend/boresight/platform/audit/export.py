@@ -28,7 +28,8 @@ HOW = f"""Boresight's audit log, every record in the order it was written.
   {ANCHORS}     the heads that the installation signed, one a line, each with its signature and time-stamp
 
 The log is tamper-evident, not tamper-proof: keep this file, or its head, where the owner of the database cannot reach
-it. A later export must still contain the head that you keep: give it with --head. Public keys that you kept since before (`boresight audit keys`) show that
+it. A later export must still contain the head that you keep: give it with --head.
+Public keys that you kept since before (`boresight audit keys`) show that
 no anchored record was rewritten.
 """
 
