@@ -25,6 +25,7 @@ from boresight.cameras import CAMERA_MODELS
 from boresight.console.access import sessions
 from boresight.console.access.credentials import SESSION_COOKIE
 from boresight.console.fleet.tables import Sensor
+from boresight.console.pages.formats import show_numbers
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
@@ -51,6 +52,11 @@ PEOPLE = {
     "victor": ("Victor Viewer", ("viewer",)),
     "both": ("Bo Both", ("analyst", "approver")),
 }
+
+
+def as_shown(sentence: str) -> str:
+    """Return a stored sentence as a page has it: with its numbers written as in the tables."""
+    return words(show_numbers(f"<main>{html.escape(sentence)}</main>")).strip()
 
 
 @pytest.fixture(scope="session")

@@ -70,7 +70,10 @@ def test_every_class_and_id_of_a_style_sheet_is_given_to_something():
     assert {one for one in styled if one[1] not in given and not one[1].startswith(BEGINNINGS)} == set()
 
 
-ACTS = r'''action="[^"]*/(promote|roll-back|uplink/record|uplink/activate|disable|revoke)"|name="decision",? value="APPROVE"'''
+ACTS = (
+    r'action="[^"]*/(promote|roll-back|uplink/record|uplink/activate|disable|revoke)"'
+    r'|name="decision",? value=("APPROVE"|decision)'
+)
 
 
 def test_no_act_with_consequences_is_without_its_dialog():
@@ -80,8 +83,17 @@ def test_no_act_with_consequences_is_without_its_dialog():
         for act in re.finditer(ACTS, text):
             before = text[: act.start()]
             assert before.rfind("call act_dialog(") > before.rfind("endcall"), f"{path.name}: {act[0]}"
-            found.add(act[1] or "approve")
-    assert found == {"promote", "roll-back", "uplink/record", "uplink/activate", "disable", "revoke", "approve"}
+            found.add(act[1] or {"decision": "refuse"}.get(act[2], "approve"))
+    assert found == {
+        "promote",
+        "roll-back",
+        "uplink/record",
+        "uplink/activate",
+        "disable",
+        "revoke",
+        "approve",
+        "refuse",
+    }
 
 
 def test_only_one_module_touches_plotly_and_knows_its_private_fields():

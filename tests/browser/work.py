@@ -102,8 +102,7 @@ def sign(window: Window, button: str, password: str, comment: str = "") -> None:
     window.page.get_by_role("textbox", name="Comment").fill(comment)
     window.page.locator("#password").fill(password)
     window.page.locator("#sign").get_by_role("button", name=re.compile(f"^{button}")).first.click()
-    if button == "Approve":
-        window.page.get_by_role("dialog").get_by_role("button", name=re.compile("^Approve")).click()
+    window.page.get_by_role("dialog").get_by_role("button", name=re.compile(f"^{button}")).click()
 
 
 def _number(window: Window) -> int:

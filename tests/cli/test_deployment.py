@@ -26,6 +26,31 @@ PAGE = (ROOT / "docs" / "deployment.md").read_text()
 OURS = ("scheduler", "worker", "server")
 
 
+FOLDER = ROOT / "deployment" / "kubernetes"
+MANIFESTS = {path.name: list(yaml.safe_load_all(path.read_text())) for path in sorted(FOLDER.glob("*.yaml"))}
+
+
+def every(kind: str) -> dict[str, dict]:
+    found = [one for documents in MANIFESTS.values() for one in documents if one["kind"] == kind]
+    return {one["metadata"]["name"]: one for one in found}
+
+
+PODS = {name: one["spec"]["template"] for kind in ("Deployment", "StatefulSet") for name, one in every(kind).items()}
+
+
+def pod(name: str) -> dict:
+    return PODS[name]["spec"]
+
+
+def container(name: str) -> dict:
+    (only,) = pod(name)["containers"]
+    return only
+
+
+def given(name: str) -> dict[str, object]:
+    return {one["name"]: one.get("value", one.get("valueFrom")) for one in container(name)["env"]}
+
+
 def blocks(kind: str) -> list[str]:
     return re.findall(rf"^```{kind}\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
 
@@ -68,7 +93,9 @@ def test_the_compose_file_starts_what_the_plain_commands_start():
 def test_everything_starts_again_and_nobody_runs_as_root():
     assert all(service["restart"] == "unless-stopped" for service in COMPOSE["services"].values())
     assert re.findall(r"^USER (.*)$", IMAGE, re.MULTILINE) == ["boresight"]
-    assert all(COMPOSE["services"][name]["cap_drop"] == ["ALL"] for name in OURS)
+    assert all(service["cap_drop"] == ["ALL"] for service in COMPOSE["services"].values())
+    assert all(service["read_only"] for service in COMPOSE["services"].values())
+    assert COMPOSE["services"]["database"]["user"] == "999:999"
     assert "Restart=always" in PAGE
 
 
@@ -111,6 +138,7 @@ def test_no_service_takes_all_memory_or_all_processes():
 def test_every_service_is_looked_after_and_has_as_long_to_end_as_its_unit():
     (seconds,) = re.findall(r"^TimeoutStopSec=(\d+)$", PAGE, re.MULTILINE)
     assert all("healthcheck" in service for service in COMPOSE["services"].values())
+    assert {pod(name)["terminationGracePeriodSeconds"] for name in OURS} == {int(seconds)}
     assert {COMPOSE["services"][name]["stop_grace_period"] for name in OURS} == {f"{seconds}s"}
 
 
@@ -133,6 +161,7 @@ def test_no_secret_stands_in_the_compose_file_and_workers_get_none():
 
 def test_every_setting_that_is_given_is_one():
     given = {key for service in COMPOSE["services"].values() for key in service.get("environment", {})}
+    given |= {one["name"] for name in PODS for one in container(name)["env"]}
     given |= set(re.findall(r"^export (\w+)=", PAGE, re.MULTILINE)) | set(
         re.findall(r"`(BORESIGHT_\w+)(?:=.*?)?`", PAGE)
     )
@@ -161,6 +190,83 @@ def test_the_image_holds_everything_that_the_wheel_is_made_of():
     assert {*included, "backend", "docs/glossary.md"} <= of_server
     assert taken - {"docs/glossary.md"} == let_in  # of the folder `docs`
     assert "COPY --from=documentation" in last
+
+
+def test_the_manifests_start_what_the_compose_file_starts_and_kustomize_takes_them_all():
+    (whole,) = MANIFESTS["kustomization.yaml"]
+    assert set(whole["resources"]) == MANIFESTS.keys() - {"kustomization.yaml"}
+    assert set(PODS) == set(COMPOSE["services"])
+    version = (ROOT / "pyproject.toml").read_text().partition('version = "')[2].partition('"')[0]
+    assert whole["images"] == [{"name": "boresight", "newTag": version}]
+    for name in OURS:
+        assert container(name)["command"] == split_command(name)
+        environment = COMPOSE["services"][name]["environment"]
+        assert environment.keys() <= given(name).keys()
+        assert given(name).get("BORESIGHT_SCHEDULER") == environment.get("BORESIGHT_SCHEDULER")
+        assert container(name)["image"] == "boresight"
+    assert (
+        container("worker")["readinessProbe"]["exec"]["command"]
+        == COMPOSE["services"]["worker"]["healthcheck"]["test"][1:]
+    )
+    assert container("database")["image"] == COMPOSE["services"]["database"]["image"]
+
+
+@pytest.mark.parametrize("name", PODS)
+def test_a_pod_runs_as_nobody_in_particular_with_limits_and_is_asked_whether_it_works(name):
+    of_pod, only = pod(name)["securityContext"], container(name)
+    assert (of_pod["runAsNonRoot"], of_pod["runAsUser"] > 0) == (True, True)
+    assert of_pod["seccompProfile"] == {"type": "RuntimeDefault"}
+    assert pod(name)["automountServiceAccountToken"] is False
+    assert only["securityContext"] == {
+        "allowPrivilegeEscalation": False,
+        "readOnlyRootFilesystem": True,
+        "capabilities": {"drop": ["ALL"]},
+    }
+    assert set(only["resources"]) == {"requests", "limits"}
+    assert all(set(amounts) == {"cpu", "memory"} for amounts in only["resources"].values())
+    assert "readinessProbe" in only
+    assert f"useradd --system --uid {pod('server')['securityContext']['runAsUser']} " in IMAGE
+    selected = [
+        one["spec"]["selector"]["matchLabels"] for kind in ("Deployment", "StatefulSet") for one in every(kind).values()
+    ]
+    assert PODS[name]["metadata"]["labels"] in selected
+
+
+def test_all_pods_that_compute_mount_one_folder_and_passwords_come_from_secrets_to_those_who_need_them():
+    for name in OURS:
+        mounts = {one["name"]: one["mountPath"] for one in container(name)["volumeMounts"]}
+        assert f"BORESIGHT_DATA_FOLDER={mounts['data']}\n" in IMAGE
+        volumes = {one["name"]: one for one in pod(name)["volumes"]}
+        assert mounts.keys() == volumes.keys()
+        assert volumes["data"]["persistentVolumeClaim"] == {"claimName": "data"}
+    assert every("PersistentVolumeClaim")["data"]["spec"]["accessModes"] == ["ReadWriteMany"]
+    secrets = {(name, key): value for name in PODS for key, value in given(name).items() if "PASSWORD" in key}
+    reference = {"secretKeyRef": {"name": "database", "key": "password"}}
+    assert secrets == {("database", "POSTGRES_PASSWORD"): reference, ("server", "PGPASSWORD"): reference}
+
+
+def test_a_pod_is_reached_by_whom_it_serves_and_a_server_is_replaced_while_another_answers():
+    policies = every("NetworkPolicy")
+    assert policies["nobody"]["spec"] == {"podSelector": {}, "policyTypes": ["Ingress"]}
+    who = {
+        name: {
+            one["podSelector"]["matchLabels"]["app"]
+            for rule in policies[name]["spec"]["ingress"]
+            for one in rule["from"]
+        }
+        for name in ("database", "scheduler", "worker")
+    }
+    assert who == {
+        "database": {"server"},
+        "scheduler": {"server", "worker"},
+        "worker": {"scheduler", "server", "worker"},
+    }
+    (outside,) = policies["server"]["spec"]["ingress"]
+    assert outside["ports"] == [{"port": container("server")["ports"][0]["containerPort"]}]
+    server = every("Deployment")["server"]["spec"]
+    assert (server["replicas"] > 1, server["strategy"]["rollingUpdate"]["maxUnavailable"]) == (True, 0)
+    assert container("server")["readinessProbe"]["httpGet"]["path"] == "/readyz"
+    assert every("PodDisruptionBudget")["server"]["spec"]["minAvailable"] == 1
 
 
 def test_docker_itself_accepts_the_compose_file():

@@ -184,6 +184,8 @@ def _validation(result: Calibration) -> VerdictMark:
     value = f"{urad(before)} → {urad(after)} µrad"
     if after < before:
         return VerdictMark(name, question, "normal", "better", value, detail)
+    if sigma is not None and after - before < 3 * sigma:  # a calibration that finds what is in use already
+        return VerdictMark(name, question, "normal", "as before", value, detail)
     reason = f"On the validation set the error went from {urad(before)} to {urad(after)} µrad."
     return VerdictMark(name, question, "serious", "worse" if after > before else "no better", value, detail, reason)
 

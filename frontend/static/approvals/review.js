@@ -23,7 +23,12 @@ function countOpen() {
 function showCount() {
   const left = find("[data-left]", HTMLElement);
   const count = countOpen();
-  if (left) left.textContent = `${count} point${count === 1 ? "" : "s"} open`;
+  const said = `${count} point${count === 1 ? "" : "s"} open`;
+  if (left) left.textContent = said;
+  for (const place of findAll("[data-points-left]", HTMLElement)) {
+    place.hidden = count === 0;
+    place.textContent = `${said}: a signature needs a tick and a reason for each, or the figure opened.`;
+  }
 }
 
 /** @param {string} name */
@@ -40,7 +45,7 @@ function markOpened(name) {
       box.disabled = true;
     }
     const label = find("label", HTMLLabelElement, point);
-    if (label) label.textContent = label.textContent?.replace("Sign without opening ", "Opened: ") ?? "";
+    if (label) label.textContent = label.textContent?.replace("Sign without opening the figure ", "Opened: ") ?? "";
   }
   const views = findAll("[data-view] [data-opened]", HTMLElement);
   const heading = find("#views-title + p", HTMLElement);

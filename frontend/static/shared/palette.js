@@ -9,12 +9,15 @@ import { listViews } from "./saved-views.js";
 
 const QUIET_MS = 150;
 const HERE = "main .tabs a[href], main .page-head a.button[href], main .next-act a[href], main .contents a[href]";
-const COMMANDS = "main button, #theme, footer button";
+const COMMANDS = "main button, #theme, footer button, header form[action='/logout'] button";
 const NO_COMMAND = "table button, .notice button, .field button, main [data-save-view]";
 /** @typedef {{ kind: string, title: string, note: string, href: string, button?: HTMLButtonElement }} Found */
 
 /** What a link or a button is called. @param {HTMLElement} control */
-const getName = (control) => (control.ariaLabel || control.textContent || control.title).trim().replace(/\s+/g, " ");
+const getName = (control) => {
+  const counted = find(".badge", HTMLElement, control)?.textContent ?? "";
+  return (control.ariaLabel || (control.textContent ?? "").trim().replace(new RegExp(`${counted}$`), "") || control.title).trim().replace(/\s+/g, " ");
+};
 
 /** The buttons of this page that can be pressed. @returns {Found[]} */
 function listCommands() {
@@ -88,7 +91,9 @@ class Palette {
       if (asked !== this.#asked) return;
       const near = this.#near(text);
       const saved = near.filter((one) => this.#saved.includes(one));
-      this.#show([...saved, ...found, ...near.filter((one) => !saved.includes(one))], said);
+      const all = [...saved, ...found, ...near.filter((one) => !saved.includes(one))];
+      const places = all.map((one) => one.href && new URL(one.href, location.href).href);
+      this.#show(all.filter((one, at) => !one.href || places.indexOf(places[at] ?? "") === at), said);
     }, QUIET_MS);
   }
 

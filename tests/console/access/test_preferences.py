@@ -9,7 +9,7 @@ import pytest
 
 from boresight.console.access import preferences, users
 from boresight.console.access.queries import write_preference
-from boresight.console.pages.formats import STORED_TIME, show_times
+from boresight.console.pages.formats import STORED_TIME, show_numbers, show_times
 from boresight.errors import ForbiddenError, NotFoundError, RefusedInputError
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
@@ -110,6 +110,19 @@ def test_fields_documents_and_attributes_that_are_not_read_keep_a_time():
     assert show_times(kept, style) == kept
     told = f'<p title="at {stored}" aria-label="{stored}">at {stored}, {stored} and 2026-13-45T99:99:99Z</p>'
     assert show_times(told, style) == told.replace(stored, "2026-11-21 03:04:05Z")
+
+
+def test_numbers_in_sentences_are_written_as_in_tables_and_what_people_wrote_or_copy_is_kept():
+    told = "<p>g is -0.28 (-0.5, +1) of 1,200 exposures, 29% off; p &lt; 6.6e-24, 85.3 urad on PS-ST16-4-1 of 2026-11-28, f,b2</p>"
+    thin, minus = "\u202f", "\u2212"
+    assert show_numbers(told) == (
+        f"<p>g is {minus}0.28 ({minus}0.5, +1) of 1{thin}200 exposures, 29{thin}% off; p &lt; 6.6·10⁻²⁴, 85.3 µrad on PS-ST16-4-1 "
+        "of 2026-11-28, f,b2</p>"
+    )
+    kept = (
+        '<i data-at="-1,200"><code>-1,200</code><q>5% of 1,200</q><input value="-5%"><svg><path d="M-1,200"/></svg></i>'
+    )
+    assert show_numbers(kept) == kept
 
 
 def test_fields_are_filled_in_as_times_are_shown(site):

@@ -22,6 +22,7 @@ from boresight.platform.db.sessions import open_writing, utc_after, utc_now
 from boresight.verdicts.answers import make_four_views, make_headline
 from boresight.verdicts.verdict import PART_JUDGES, PartVerdict, judge_parts, make_verdict_marks
 from tests.figures.examined import matching, shadow, trust
+from tests.sites import as_shown
 
 EXAMPLES = get_example_calibrations()
 
@@ -316,9 +317,9 @@ def test_every_sentence_of_the_examination_is_on_the_page(site, read, examined):
     result, run_id = examined
     text = read(site.visitor("victor").get(f"/runs/{run_id}?part=evidence"))
     for name in ("two_halves", "efficiency", "more_data", "nis_over_time", "whiteness"):
-        assert result["trust"][name]["sentence"] in text
-    assert result["trust"]["drop_one_sentence"] in text
-    assert result["trust"]["stars_sentence"] in text
+        assert as_shown(result["trust"][name]["sentence"]) in text
+    assert as_shown(result["trust"]["drop_one_sentence"]) in text
+    assert as_shown(result["trust"]["stars_sentence"]) in text
 
 
 def test_every_test_of_the_model_and_every_cause_is_on_the_page_with_its_gate_and_remedy(site, read, results):

@@ -99,6 +99,22 @@ def test_wrong_names_and_a_lens_that_nobody_has_point_to_no_sensor(sets, catalog
     assert _found(sets["LONG"], (WIDE, None), [(_camera("TELE", focal=2.8), None)], catalogue) == []
 
 
+@pytest.mark.parametrize("others", [[], [(_camera("TELE", focal=2.8), None)]], ids=["alone", "beside another"])
+def test_a_set_of_a_camera_that_nobody_registered_is_told_to_be_of_none_and_a_good_or_a_wrongly_named_one_is_not(
+    sets, catalogue, others
+):
+    known = [KnownCamera(number, sensor, measured) for number, (sensor, measured) in enumerate(others)]
+
+    def find(telemetry):
+        sample, _ = sample_exposures(telemetry, MOST_EXPOSURES)
+        return find_other_cameras(sample, KnownCamera(99, WIDE), known, catalogue)
+
+    assert find(sets["LONG"]).cameras == ()
+    assert "times" in find(sets["LONG"]).why
+    assert find(sets["WIDE"]) is None
+    assert find(replace(sets["WIDE"], star_id=np.roll(sets["WIDE"].star_id, 40))) is None
+
+
 @pytest.fixture
 def write(tmp_path):
     def written(telemetry, *, are_named=True):

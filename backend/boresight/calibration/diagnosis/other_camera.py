@@ -44,6 +44,7 @@ MOST_OFF, TOO_LIKELY = 0.01, -9.0
 #: How far past the edge the centroid of a star cut by it may be fitted, pixels.
 EDGE_PX = 2.0
 MOST_SCALE, MOST_SCATTER = 0.02, 0.02
+CLEAR_SCALE = 0.1  # no camera of that sensor, whatever the launch did to it
 CLEARLY, AT_NOISE = 4.0, 2.0
 #: Pairs of stars of an exposure that are looked at, each star with so many of those after it, and pairs that tell anything.
 NEIGHBOURS, FEWEST_PAIRS = 4, 20
@@ -87,7 +88,7 @@ class CameraFit:
 
 @dataclass(frozen=True)
 class OtherCameras:
-    """The cameras that a set is of, best first, and in a clause why it is not of the sensor it came for."""
+    """The cameras that a set is of, best first, none where it is of none that is known; and why not of the one it came for."""
 
     cameras: tuple[KnownCamera, ...]
     why: str
@@ -112,14 +113,16 @@ def find_other_cameras(
     cache_folder: Path | None = None,
     budget_s: float = BUDGET_S,
 ) -> OtherCameras | None:
-    """Return the other cameras that the set of a sample is of; None where it may be of its own, or is of none that is known.
+    """Return the other cameras that the set of a sample is of; None where it may be of its own.
+
+    No camera at all where it clearly is of none that is registered: its stars stand as in a camera of another focal length.
 
     `sample`: whole exposures, `MOST_EXPOSURES` about, with whatever names they have. `budget_s`: seconds, in which a table of star
     patterns that is made is not counted.
     """
     others = [one for one in others if not _are_alike(own, one)]
-    if not others:
-        return None
+    if not others and sample.star_id is None:
+        return None  # without names, stars are only looked for in the cameras that may be meant
     stars = _find_stars(sample, own, others, catalogue, cache_folder, budget_s)
     if stars is None:
         return None
@@ -129,7 +132,8 @@ def find_other_cameras(
         return _of_one_design(own, mine, others, stars, ends)
     found = [(fit, one) for one, fit in _fits(others, stars, ends) if fit.is_on and fit.holds]
     cameras = tuple(one for _, one in sorted(found, key=lambda pair: pair[0].error))
-    return OtherCameras(cameras, _why_not(own, mine)) if cameras else None
+    is_of_none = abs(mine.scale - 1) > CLEAR_SCALE and mine.scatter <= MOST_SCATTER
+    return OtherCameras(cameras, _why_not(own, mine)) if cameras or is_of_none else None
 
 
 def _are_alike(own: KnownCamera, other: KnownCamera) -> bool:

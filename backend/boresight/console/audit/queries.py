@@ -35,6 +35,8 @@ NUMBERED = {
     "campaigns": "Campaign",
     "change-proposals": "Proposal",
     "import-profiles": "Mapping profile",
+    "ingest-decisions": "Ingest decision",
+    "ingest-policies": "Ingest policy",
     "keys": "Key",
     "packages": "Package",
     "presets": "Preset",
@@ -55,13 +57,16 @@ def name_objects(session: Session, objects: Iterable[str]) -> dict[str, str]:
         found[address] = address
         if not number.isdecimal():
             continue
-        if noun in NAMED and not part:
+        if noun in NAMED:
             asked[noun].add(int(number))
         elif noun in NUMBERED:
             thread = part.removeprefix("threads/")
             found[address] = f"{NUMBERED[noun]} {number}" + (
                 f", thread {thread}" if part.startswith("threads/") else ""
             )
-    for noun, numbers in asked.items():
-        found |= {f"{noun}/{number}": name for number, name in NAMED[noun](session, numbers).items()}
+    names = {noun: NAMED[noun](session, numbers) for noun, numbers in asked.items()}
+    for address in found:
+        noun, number, part = (*address.split("/", 2), "", "")[:3]
+        if number.isdecimal() and (name := names.get(noun, {}).get(int(number))):
+            found[address] = f"{name}, {part.replace('-', ' ').replace('/', ' ')}" if part else name
     return found

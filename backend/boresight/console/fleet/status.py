@@ -21,7 +21,7 @@ from boresight.console.fleet.trend import GROUND_SHIFTED, document, judge_drift,
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import Run, parse_progress
 from boresight.platform.db.sessions import Session, utc_now
-from boresight.verdicts.verdict import RunSummary, judge_result, parse_run_summary
+from boresight.verdicts.verdict import WORD_OF_LEVEL, RunSummary, judge_result, parse_run_summary
 
 TOGETHER = 16  # sensors whose runs are held in memory at once
 
@@ -224,9 +224,9 @@ def count_days_since(baseline: Any) -> float | None:
 def list_findings(known: SensorFacts) -> Iterator[tuple[str, str]]:
     """Yield every finding on a sensor as a status word and its sentence; there is always one."""
     yield from _onboard_findings(known)
-    yield from _run_findings(known.last_run)
     if known.drift is not None:
         yield known.drift.level, f"It drifts: alarm {known.drift.id}."
+    yield from _run_findings(known.last_run)
     if known.ground_shifted:
         yield "caution", GROUND_SHIFTED
     if known.waiting is not None:
@@ -273,6 +273,6 @@ def _result_finding(run_id: int, summary: RunSummary) -> tuple[str, str]:
     if level == "normal":
         return level, f"Run {run_id} converged."
     if status == "converged":
-        return level, f"Run {run_id} converged, with reservations: {advice}"
+        return level, f"Run {run_id} {WORD_OF_LEVEL[level]}: {advice}"
     verb = "stopped at" if status == "max_iterations" else "ended"
     return "caution" if level == "caution" else "serious", f"Run {run_id} {verb} {status.replace('_', ' ')}: {advice}"

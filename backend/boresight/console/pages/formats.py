@@ -15,7 +15,10 @@ from markupsafe import Markup, escape
 
 from boresight.platform.db.times import STYLE, TimeStyle
 from boresight.verdicts.numbers import (
+    MINUS,
     MISSING,
+    NARROW_SPACE,
+    RAISED,
     count,
     duration,
     fixed,
@@ -78,6 +81,32 @@ def show_times(page: str, style: TimeStyle) -> str:
         return _show(found[0], style) if is_text or tag.rpartition('="')[0].endswith(TOLD) else found[0]
 
     return STORED_TIME.sub(show, page)
+
+
+#: A number as a terminal or a log has it: a hyphen for the sign, commas, a power of ten with an e, a % without a space, urad.
+PLAIN_NUMBER = re.compile(
+    r"(?<![\w.,/#‐-])-(?=\.?\d)|(?<![\w.,-])\d{1,3}(?:,\d{3})+(?![\d,])|(?<=\d)%|(?<=\d)e[+-]?\d+(?!\w)|(?<!\w)urad(?!\w)"
+)
+QUOTED = ("<q", "<blockquote", "<title")  # what people wrote
+
+
+def show_numbers(page: str) -> str:
+    """Write the numbers in the sentences of a page as its tables do; fields, attributes and what people wrote keep theirs."""
+
+    def show(found: re.Match[str]) -> str:
+        tag = page[max(page.rfind("<", 0, found.start()), 0) : found.start()]
+        if ">" not in tag or tag.startswith((*AS_WRITTEN, *QUOTED)):
+            return found[0]
+        text = found[0]
+        if text == "-":
+            return MINUS
+        if text == "%":
+            return f"{NARROW_SPACE}%"
+        if text == "urad":
+            return "µrad"
+        return f"·10{str(int(text[1:])).translate(RAISED)}" if text.startswith("e") else text.replace(",", NARROW_SPACE)
+
+    return PLAIN_NUMBER.sub(show, page)
 
 
 @pass_context

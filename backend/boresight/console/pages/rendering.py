@@ -32,7 +32,7 @@ from boresight.console.access.dependencies import check_own, get_server, open_wr
 from boresight.console.fleet.timeline import describe_source
 from boresight.console.help.glossary import mark_terms
 from boresight.console.pages import formats
-from boresight.console.pages.formats import LEVELS, get_level, show_times, worst
+from boresight.console.pages.formats import LEVELS, get_level, show_numbers, show_times, worst
 from boresight.console.pages.frame import FLASH_COOKIE, make_page_frame
 from boresight.errors import (
     BoresightError,
@@ -49,6 +49,7 @@ from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.paging import parse_row_id
 from boresight.platform.web.problems import make_problem
 from boresight.platform.web.response_cache import GAPS
+from boresight.platform.web.static_files import has_documentation
 from boresight.resources import folder
 
 T = TypeVar("T")
@@ -172,7 +173,7 @@ def _environment() -> Environment:
         "how_known": describe_source,
         "most_changed": most_changed,
     }
-    environment.globals |= {"LEVELS": LEVELS, "version": boresight.__version__}
+    environment.globals |= {"LEVELS": LEVELS, "version": boresight.__version__, "has_documentation": has_documentation}
     return environment
 
 
@@ -199,7 +200,7 @@ def render(
     page = rendered.get(given) if shared else None
     if page is None:
         written = TEMPLATES.get_template(template).render(frame=frame, request=request, **values)
-        page = mark_terms(show_times(written, frame.times))
+        page = mark_terms(show_numbers(show_times(written, frame.times)))
         if shared:
             rendered[given] = page
             while len(rendered) > MOST_RENDERED:

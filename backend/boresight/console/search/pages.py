@@ -5,6 +5,7 @@ Pages and the commands of the page at hand are in the page already, and the pale
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from itertools import islice
@@ -60,9 +61,24 @@ class Found:
 def search(session: Reading, q: str = "") -> JSONResponse:
     """Find what a text names; a number finds what has that number too, and a kind before either keeps to it: `run 9`."""
     text = " ".join(q.split())[:LONGEST_TEXT]
+    if meant := KINDS.get(text.lower()):
+        newest = islice((one for one in _newest(session) if one.kind == meant), MOST_OF_A_KIND)
+        unique = {one.href: one for one in (*newest, *_find(session, text))}
+        return JSONResponse({"found": [asdict(one) for one in unique.values()]})
     kind, name = _split(text)
-    found = [one for one in _find(session, name) if kind is None or one.kind == kind] if text else []
-    return JSONResponse({"found": [asdict(one) for one in found]})
+    found = {one.href: one for one in _find(session, name) if kind is None or one.kind == kind} if text else {}
+    return JSONResponse({"found": [asdict(one) for one in found.values()]})
+
+
+def _newest(session: Session) -> Iterator[Found]:
+    """Yield the newest of what a kind alone asks for."""
+    yield from (Found("Sensor", row.name, "", f"/sensors/{row.id}") for row in _rows(session, "sensors", "", "sensor"))
+    yield from map(_set, _rows(session, "parameter-sets", "", "-set"))
+    for row in lists.list_newest(session, Approval, limit=MOST_OF_A_KIND):
+        yield _request(row, session.get_one(ParameterSet, row.parameter_set_id))
+    yield from map(_run, _rows(session, "runs", "", "-run"))
+    yield from map(_telemetry, _rows(session, "telemetry", "", "-uploaded"))
+    yield from map(_alarm, lists.list_newest(session, Alarm, limit=MOST_OF_A_KIND))
 
 
 def _split(text: str) -> tuple[str | None, str]:
@@ -80,16 +96,18 @@ def _find(session: Session, text: str) -> Iterator[Found]:
     for row in _rows(session, "sensors", text, "sensor"):
         yield Found("Sensor", row.name, "simulated" if row.simulated else "", f"/sensors/{row.id}")
     sets = _rows(session, "parameter-sets", text, "-set")
-    for row in sets:
-        yield Found("Parameter set", row.name, f"{row.ground_state}, {row.onboard_state}", f"/parameter-sets/{row.id}")
+    yield from map(_set, sets)
     for row in sets:
         yield from (_request(one, row) for one in lists.list_newest(session, Approval, set=row.id, limit=1))
     yield from map(_run, _rows(session, "runs", text, "-run"))
-    for row in _rows(session, "telemetry", text, "-uploaded"):
-        yield Found("Telemetry", row.name, row.purpose, f"/telemetry/{row.id}")
+    yield from map(_telemetry, _rows(session, "telemetry", text, "-uploaded"))
     yield from map(_alarm, _alarms(session, text))
     if len(text) >= SHORTEST_WORD:
-        for fitting in (_settings(text.lower()), _terms(text.lower()), _help(text.lower())):
+        for fitting in (
+            _settings(re.sub("[-_]+", " ", text.lower()).strip()),
+            _terms(text.lower()),
+            _help(text.lower()),
+        ):
             yield from islice(fitting, MOST_OF_A_KIND)
 
 
@@ -104,10 +122,10 @@ def _alarms(session: Session, text: str) -> list[Alarm]:
 
 def _settings(text: str) -> Iterator[Found]:
     for option in OPTIONS.values():
-        if any(text in name.lower() for name in (option.title, option.name, option.flag or "")):
+        if any(text in name.lower().replace("-", " ") for name in (option.title, option.name, option.flag or "")):
             yield Found("Setting", option.title, option.sentence, f"/help/settings#option-{option.name}")
     for setting in SETTINGS:
-        if any(text in name.lower() for name in (setting.variable, setting.name.replace("_", " "))):
+        if any(text in name.lower() for name in (setting.variable.replace("_", " "), setting.name.replace("_", " "))):
             yield Found("Setting", setting.variable, setting.sentence, f"/help/settings#setting-{setting.name}")
 
 
@@ -133,7 +151,15 @@ def _of_number(session: Session, number: int) -> Iterator[Found]:
     if (alarm := session.get(Alarm, number)) is not None:
         yield _alarm(alarm)
     if (known := session.get(TelemetrySet, number)) is not None:
-        yield Found("Telemetry", known.name, known.purpose, f"/telemetry/{known.id}")
+        yield _telemetry(known)
+
+
+def _set(row: ParameterSet) -> Found:
+    return Found("Parameter set", row.name, f"{row.ground_state}, {row.onboard_state}", f"/parameter-sets/{row.id}")
+
+
+def _telemetry(row: TelemetrySet) -> Found:
+    return Found("Telemetry", row.name, row.purpose, f"/telemetry/{row.id}")
 
 
 def _run(row: Run) -> Found:

@@ -256,7 +256,7 @@ def _checked(
     other = None
     if catalogue is not None and cameras is not None:
         other = find_other_cameras(sample.get(), cameras.own, cameras.others, catalogue, cache_folder)
-    if other is not None and cameras is not None and not cameras.kept:
+    if other is not None and other.cameras and cameras is not None and not cameras.kept:
         raise _refusal_of(other, name, sensor, keepable=not quality.off_detector.too_many)
     try:
         quality.off_detector.refuse()
@@ -268,6 +268,9 @@ def _checked(
     if other is not None:
         said = (
             f"The stars are those of {_named(other)}, but the set was kept with {sensor.name} on purpose: {other.why}."
+            if other.cameras
+            else f"The stars are not those of {sensor.name}, nor of another registered sensor: {other.why}. Register the sensor "
+            f"that took them and upload the set there, or correct the focal length of {sensor.name}."
         )
         report = put_finding_first(report, Finding("OTHER_CAMERA", "CAUTION", said, 1), ())
     if catalogue is None or report["usable_exposures"]:

@@ -173,7 +173,7 @@ def _compare_crc(reference: SentTable, told: str) -> tuple[bool, dict[str, Any]]
     sentence = (
         f"{checksum.name} is {found}, as it was sent."
         if same
-        else f"{checksum.name} is {found} and was {expected} when it was sent: upload the dump to see where they differ."
+        else f"{checksum.name} is {found}, and was another when it was sent: upload the dump to see where they differ."
     )
     return same, {"sentence": sentence, "crc": {"name": checksum.name, "expected": expected, "found": found}}
 

@@ -268,7 +268,7 @@ def _step_of_set(viewer: _Viewer, row: ParameterSet, known: _Records) -> NextSte
     """What follows for a set in its state on the ground."""
     address, state = f"/parameter-sets/{row.id}", row.ground_state
     if state == "SUBMITTED" and known.request is not None:
-        return _signing_step(viewer, known.request)
+        return _signing_step(viewer, known.request, known.report)
     if state == "APPROVED":
         said = f"Promote {row.name}: it becomes the baseline, and nothing on board changes."
         return viewer.step_for(("operator",), said, "Promote", f"{address}#promote")
@@ -276,12 +276,26 @@ def _step_of_set(viewer: _Viewer, row: ParameterSet, known: _Records) -> NextSte
         return _step_of_former(viewer, row)
     if state == "BASELINE":
         return _uplink_step(viewer, row, known)
-    if known.report is None or gates.list_moved_since(viewer.session, known.report):
+    return _step_of_candidate(viewer, row, known.report)
+
+
+def _step_of_candidate(viewer: _Viewer, row: ParameterSet, report: GateReport | None) -> NextStep:
+    """What follows for a set that nobody submitted: its gates, and what they say."""
+    address = f"/parameter-sets/{row.id}"
+    if report is None or gates.list_moved_since(viewer.session, report):
         said = f"Assess {row.name} against the gates and the baseline."
         return viewer.step_for(gates.ASSESSORS, said, "Assess", f"{address}/assess", posts=True)
+    if stopped := gates.lay_waivers(viewer.session, report).blocking:
+        said = f"{row.name} is stopped by {count_gates(stopped)}: waive what can be waived, or calibrate again."
+        return viewer.step_for(gates.ASSESSORS, said, "Open its gates", f"{address}/gates")
     return viewer.step_for(
         ("analyst",), f"Submit {row.name} with a reason; another person signs it.", "Submit", f"{address}#reason"
     )
+
+
+def count_gates(stopped: Sequence[object]) -> str:
+    """Say how many gates stop a set."""
+    return f"{len(stopped)} gate{'s' if len(stopped) != 1 else ''}"
 
 
 def _step_of_former(viewer: _Viewer, row: ParameterSet) -> NextStep:
@@ -293,7 +307,7 @@ def _step_of_former(viewer: _Viewer, row: ParameterSet) -> NextStep:
     return viewer.step_for(("analyst", "operator"), said, "Roll back", f"/parameter-sets/{row.id}#roll-back")
 
 
-def _signing_step(viewer: _Viewer, request: Approval) -> NextStep:
+def _signing_step(viewer: _Viewer, request: Approval, report: GateReport | None) -> NextStep:
     able = [
         one.user
         for one in approvals.list_signers_of(viewer.session, request.id, policy=viewer.policy)
@@ -303,6 +317,10 @@ def _signing_step(viewer: _Viewer, request: Approval) -> NextStep:
     said = f"{missing} signature{'s' if missing != 1 else ''} by a second person {'are' if missing != 1 else 'is'} missing."
     mine = approvals.explain_why_not_sign(viewer.session, viewer.actor, request.id, policy=viewer.policy) is None
     names = tuple(user.printed_name for user in able)
+    stopped = () if report is None else gates.lay_waivers(viewer.session, report).blocking
+    if stopped:
+        said = f"It is stopped by {count_gates(stopped)}: it can be refused, and approved only once they are waived."
+        return NextStep(said, "Review", f"/approvals/{request.id}#gates", is_mine=mine, who=names, role="approver")
     return NextStep(said, "Review and sign", f"/approvals/{request.id}#sign", is_mine=mine, who=names, role="approver")
 
 
@@ -313,6 +331,12 @@ def _uplink_step(viewer: _Viewer, row: ParameterSet, known: _Records) -> NextSte
         said = "Export the uplink package; it contains the back-out."
         return viewer.step_for(("operator", "analyst"), said, "Export", f"{address}/package", posts=True)
     if row.onboard_state == "ACTIVE":
-        return NextStep("It is active on board: nothing more to do.")
+        turns = bool((row.document or {}).get("alignment"))
+        beside = (
+            " Unless its update of C_SD was loaded too, the reported attitude has turned: see Alignment."
+            if turns
+            else ""
+        )
+        return NextStep(f"It is active on board: no further step.{beside}")
     said, label, place = UPLINK_STEPS.get(row.onboard_state, UPLINK_STEPS["UNKNOWN"])
     return viewer.step_for(("operator",), said, label, f"{address}#{place}")

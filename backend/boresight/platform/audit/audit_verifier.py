@@ -67,7 +67,7 @@ def read(line: bytes) -> Optional[Dict[str, Any]]:  # noqa: UP006, UP045 - Pytho
 def read_anchors(lines: bytes, public_keys: bytes) -> Heads:
     """Return the head that was signed at each record; raise ValueError at one that none of the public keys signed."""
     from cryptography.exceptions import InvalidSignature  # noqa: PLC0415 - without anchors nothing but Python is needed
-    from cryptography.hazmat.primitives.serialization import load_pem_public_key  # noqa: PLC0415
+    from cryptography.hazmat.primitives.serialization import load_pem_public_key  # noqa: PLC0415 - as above
 
     keys: Any = [load_pem_public_key(pem) for pem in PEM.findall(public_keys)]
     heads: Heads = {}
@@ -97,8 +97,8 @@ def read_anchors(lines: bytes, public_keys: bytes) -> Heads:
 def verify(
     export: BinaryIO,
     expected_head: Optional[str] = None,  # noqa: UP045 - Python 3.8
-    anchored: Optional[Heads] = None,  # noqa: UP045
-) -> Tuple[bool, str]:  # noqa: UP006
+    anchored: Optional[Heads] = None,  # noqa: UP045 - Python 3.8
+) -> Tuple[bool, str]:  # noqa: UP006 - Python 3.8
     """Walk through an export, whose chain is to have the heads that were anchored."""
     anchored = anchored or {}
     previous, last_id, count, met = FIRST_HASH, 0, 0, expected_head in (None, FIRST_HASH)

@@ -97,7 +97,7 @@ def read_time(text: str) -> str:
         raise
     except (ValueError, OverflowError) as error:
         raise RefusedInputError(
-            f"{text[:60]!r} is not a time; write it like 2026-11-21T03:04:05Z or 2026-325 03:04:05Z."
+            f"{text[:60]!r} is not a time; write it like 2026-11-21T03:04:05Z, or with the day of the year."
         ) from error
 
 

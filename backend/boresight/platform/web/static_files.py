@@ -28,7 +28,7 @@ SHIPPED = {
     "swagger-ui-bundle.js": SWAGGER / "swagger-ui-bundle.js",
     "swagger-ui.css": SWAGGER / "swagger-ui.css",
 }
-NO_DOCUMENTATION = "The documentation was not built here, or not yet: run make docs in the checkout."
+NO_DOCUMENTATION = "The documentation is not here yet: load the page again in a minute, or have an administrator run make docs."
 COMPRESS_FROM_BYTES = 1024
 CACHED = "public, no-cache"  # the browser caches it, but revalidates
 TYPES = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".woff2": "font/woff2"}
@@ -62,6 +62,14 @@ def _place(name: str) -> Path:
     if name in SHIPPED:
         return SHIPPED[name]
     return _inside(folder("frontend") / "static", name, "There is no such file here; reload the page that needs it.")
+
+
+def has_documentation() -> bool:
+    """Tell whether the documentation was built, so that a page may lead there."""
+    try:
+        return (folder("documentation") / "index.html").is_file()
+    except FileNotFoundError:
+        return False
 
 
 def _page(name: str) -> Path:

@@ -109,6 +109,8 @@ def make_gates_panel(
     """Fill the panel of a set, as an actor sees it."""
     report = approval_queries.find_newest_report(session, row.id, report_sha256)
     moved = [] if report is None else gates.list_moved_since(session, report)
+    if row.ground_state in {"BASELINE", "SUPERSEDED"}:
+        moved = [one for one in moved if one != "incumbent"]  # it was replaced by this very set
     found = None if report is None else gates.lay_waivers(session, report)
     rows = [] if found is None else gate_rows(found.gates, found.blocking)
     now = utc_now()
