@@ -35,7 +35,9 @@ from boresight.console.jobs.broadcast import Broadcast
 from boresight.console.jobs.heartbeat import Heartbeat
 from boresight.console.jobs.ingest_watcher import IngestWatcher
 from boresight.console.jobs.maintenance import ExternalHeadFile, Maintenance
+from boresight.console.jobs.message_sender import MessageSender
 from boresight.console.jobs.webhook_sender import WebhookSender
+from boresight.console.messages.service import Outlets
 from boresight.console.pages.frame import FleetStatusCache
 from boresight.console.pages.rendering import bare_problem_page, is_page, problem_page
 from boresight.console.runs import service as runs
@@ -162,6 +164,9 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.blobs.tell_corrupt = state.maintenance.suspect
     state.secret_box = settings.secret_box
     state.webhook_sender = WebhookSender(state.engine, settings.targets, state.secret_box)
+    state.message_sender = MessageSender(
+        state.engine, settings.targets, state.secret_box, _outlets(settings), lambda: state.policy
+    )
     data_versions = DataVersionReader(state.engine)
     state.data_version_poller, state.fleet_status = (
         DataVersionPoller(data_versions),
@@ -176,6 +181,11 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.metrics = Metrics(lambda: _count_runs(app), lambda: state.broadcast.listeners)
 
 
+def _outlets(settings: Settings) -> Outlets:
+    """Return what messages to people may go by, and where the pages are that they lead to."""
+    return Outlets(settings.message_services, settings.mail_server, settings.page_root, settings.mode)
+
+
 def _beside(app: FastAPI) -> tuple[object, ...]:
     """Return what pages show besides the store: whether two are asked for, the light of the audit log, how the workers are."""
     workers = app.state.workers
@@ -186,6 +196,7 @@ def _tell(app: FastAPI) -> None:
     """Wake what follows the store after a service wrote to it."""
     app.state.broadcast.nudge()
     app.state.webhook_sender.nudge()
+    app.state.message_sender.nudge()
     if app.state.workers is not None:
         app.state.workers.notify()
 
@@ -223,6 +234,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     state.maintenance.start()
     state.passwords.start()
     state.webhook_sender.start()
+    state.message_sender.start()
     state.workers = RunDispatcher(state.engine, state.settings, state.broadcast.hear, suspect=state.maintenance.suspect)
     state.workers.start()
     state.ingest_watcher.start()
@@ -234,6 +246,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         await run_in_threadpool(state.alignment_thread.close)
         await run_in_threadpool(state.ingest_watcher.close)
         await run_in_threadpool(state.workers.stop)
+        await run_in_threadpool(state.message_sender.close)
         await run_in_threadpool(state.webhook_sender.close)
         await run_in_threadpool(state.heartbeat.close)
         await run_in_threadpool(state.passwords.close)

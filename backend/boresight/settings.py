@@ -54,6 +54,19 @@ def _site(text: str) -> str:
     return text
 
 
+def _words(text: str) -> tuple[str, ...]:
+    """Read words separated by commas or spaces."""
+    return tuple(dict.fromkeys(text.lower().replace(",", " ").split()))
+
+
+def _mail_server(text: str) -> str:
+    """Read the address of a mail server: empty, or mailto:// or mailtos:// with a host."""
+    parts = urlsplit(text)
+    if text and (parts.scheme not in {"mailto", "mailtos"} or not parts.hostname or "to=" in parts.query):
+        raise ValueError(text)
+    return text
+
+
 def _setting(default: str, unit: str, sentence: str, read: Callable[[str], object] | None = None) -> Any:
     """Declare a row of the table: a field of the settings, read by its own type where nothing else is said."""
     return field(metadata={"default": default, "unit": unit, "sentence": sentence, "read": read})
@@ -106,13 +119,31 @@ class Settings:
     login_attempts: int = _setting(
         "5", "", "Wrong passwords for a name from one place before each further try must wait."
     )
-    webhooks_local: int = _setting("0", "0 or 1", "1 = webhooks may go to this machine and link-local addresses.")
-    webhooks_private: int = _setting("0", "0 or 1", "1 = webhooks may go to private networks (RFC 1918, fc00::/7).")
+    webhooks_local: int = _setting(
+        "0", "0 or 1", "1 = webhooks and messages may go to this machine and link-local addresses."
+    )
+    webhooks_private: int = _setting(
+        "0", "0 or 1", "1 = webhooks and messages may go to private networks (RFC 1918, fc00::/7)."
+    )
     webhook_hosts: tuple[str, ...] = _setting(
-        "", "hosts", "The only hosts webhooks may go to, exact or *.suffix; empty = any.", read=read_hosts
+        "", "hosts", "The only hosts webhooks and messages may go to, exact or *.suffix; empty = any.", read=read_hosts
     )
     webhook_key: str = _setting(
-        "", "path", "File with the key that encrypts webhooks' secrets; empty = in the data folder."
+        "",
+        "path",
+        "File with the key that encrypts webhooks' secrets and people's addresses; empty = in the data folder.",
+    )
+    message_services: tuple[str, ...] = _setting(
+        "mailto slack workflows discord gchat ntfys mmosts rockets matrixs tgram wxteams pagerduty opsgenie",
+        "schemes",
+        "Services by which people may have messages sent to them, by apprise's scheme; empty = none.",
+        read=_words,
+    )
+    mail_server: str = _setting(
+        "",
+        "URL",
+        "Mail server of these messages, mailtos://user:password@host:port?from=address; empty = no mail.",
+        read=_mail_server,
     )
     watch_folder: str = _setting(
         "", "path", "Folder watched for new telemetry, with a sub-folder for each sensor, named as it; empty = none."
@@ -187,6 +218,12 @@ class Settings:
         if self.threads > 0:
             return self.threads
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+    @property
+    def page_root(self) -> str:
+        """Where the pages of this server are for whoever gets a message."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return self.public_url.rstrip("/") or f"http://{host}:{self.port}"
 
     @property
     def targets(self) -> WebhookTargets:
