@@ -17,6 +17,7 @@ from boresight.images.limits import ImageLimits
 from boresight.platform.actors import Policy, SessionLimits
 from boresight.platform.audit.external_head import refuse_place
 from boresight.platform.blobs.locations import BlobLocation, parse_address
+from boresight.platform.observability.logs import FORMATS
 from boresight.platform.web.targets import WebhookTargets, read_hosts
 from boresight.telemetry.read.limits import Limits
 
@@ -63,6 +64,13 @@ def _mail_server(text: str) -> str:
     """Read the address of a mail server: empty, or mailto:// or mailtos:// with a host."""
     parts = urlsplit(text)
     if text and (parts.scheme not in {"mailto", "mailtos"} or not parts.hostname or "to=" in parts.query):
+        raise ValueError(text)
+    return text
+
+
+def _log_format(text: str) -> str:
+    """Read the format of logs."""
+    if text not in FORMATS:
         raise ValueError(text)
     return text
 
@@ -180,6 +188,12 @@ class Settings:
     )
     timestamp_certificates: str = _setting(
         "", "path", "Certificates (PEM) of the authorities that its time-stamps must lead back to."
+    )
+    log_format: str = _setting(
+        "text", "text or json", "json = one JSON object a line, with request, person, run and trace.", read=_log_format
+    )
+    otlp_endpoint: str = _setting(
+        "", "URL", "Collector of traces by OTLP over HTTP, without /v1/traces; empty = no traces.", read=_site
     )
     secure_cookies: int = _setting("0", "0 or 1", "1 = the session cookie is sent over HTTPS only.")
 

@@ -113,6 +113,7 @@ BODIES: dict[str, dict[str, Any]] = {
     "get_run_camera_file": {"params": {"to": "opencv"}},
     **{f"{step}_ingest_policy": {"json": {"reason": "x"}} for step in ("pause", "resume", "switch_off")},
     "answer_ingest_decision": {"json": {"answer": "WAIT", "reason": "x"}},
+    "change_message_address": {"json": {}},
     "edit_sensor": {"json": {"name": "x"}},
     "record_opening": {"json": {"evidence": "radial"}},
     "attach": {"files": {"file": ("a.txt", b"x")}},

@@ -1,4 +1,4 @@
-"""Addresses at which people get messages, and the messages."""
+"""Addresses at which people get messages, the messages, and the trace that a run belongs to."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ depends_on = None
 
 
 def upgrade() -> None:
-    """Add the tables."""
+    """Add the tables, and the column."""
+    op.add_column("runs", sa.Column("traceparent", sa.Text(), nullable=True))
     op.create_table(
         "message_addresses",
         sa.Column("id", sa.Integer(), primary_key=True),
@@ -55,6 +56,7 @@ def upgrade() -> None:
 
 
 def downgrade() -> None:
-    """Take the tables away; nobody gets messages then."""
+    """Take the tables away; nobody gets messages then, and no run knows its trace."""
     op.drop_table("messages")
     op.drop_table("message_addresses")
+    op.drop_column("runs", "traceparent")
