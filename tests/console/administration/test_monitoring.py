@@ -23,6 +23,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from boresight.console.administration import fleet_metrics
 from boresight.console.administration.fleet_metrics import GAUGES, FleetMetrics, ServerParts, read_store
 from boresight.console.fleet import service as sensors
+from boresight.console.fleet.status import DriftVerdict
 from boresight.errors import UnavailableError
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.db.sessions import open_reading, open_writing
@@ -77,6 +78,15 @@ def test_ten_thousand_sensors_have_no_more_series_than_a_hundred(engine, monkeyp
         found = read_store(session)
     assert sum(found["sensors"].values()) == 7
     assert all(len(found[name]) <= 3 for name in ("baseline_start_timestamp_seconds", "drift_p_value"))
+
+
+def test_a_shift_against_a_ground_calibration_has_no_p_and_a_drift_has_its_smallest(engine, monkeypatch):
+    tests = {"baseline_holds": {"p": 1e-9}, "slope": {"p": 0.2}}
+    verdicts = {1: DriftVerdict("GROUND SHIFT", "", tests), 2: DriftVerdict("DRIFT", "", tests)}
+    with open_writing(engine) as session:
+        sensors.register_sensor(session, COMMAND_LINE, {**SENSOR, "name": "S-2"})
+        monkeypatch.setattr(fleet_metrics, "get_drift_verdicts", lambda *_, most: verdicts if most == 0 else {})
+        assert read_store(session)["drift_p_value"] == {("S-2",): 1e-9}
 
 
 def test_a_scrape_within_seconds_reads_the_store_once_and_one_of_a_store_that_is_away_says_so(engine, monkeypatch):

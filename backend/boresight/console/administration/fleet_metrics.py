@@ -169,7 +169,10 @@ def _by_state(counts: Mapping[str, int]) -> Values:
 
 
 def _smallest_p(session: Session) -> Values:
-    """Return the smallest p of each sensor whose trend was judged; a scrape judges none anew."""
+    """Return the smallest p of each sensor whose trend was judged; a scrape judges none anew.
+
+    A shift against a ground calibration is no drift, and has none.
+    """
     heads = fleet_rows.list_sensor_heads(session)
     names = {head.id: head.name for head in heads}
     baselines, stamps = fleet_rows.list_baseline_heads(session), fleet_rows.read_trend_stamps(session)
@@ -178,6 +181,6 @@ def _smallest_p(session: Session) -> Values:
     for sensor_id, verdict in judged.items():
         tests = (verdict.document["baseline_holds"], verdict.document["slope"])
         values = [float(test["p"]) for test in tests if test is not None and test["p"] is not None]
-        if values:
+        if values and verdict.verdict != "GROUND SHIFT":
             found[(names[sensor_id],)] = min(values)
     return dict(sorted(found.items(), key=lambda one: one[1])[:MOST])
