@@ -147,6 +147,7 @@ class Site:
             sensor_document=sensor_document(st16_sensor(1)),
             settings={"method": self._method, "match": "given"},
             chooses=False,
+            trace=None,
         )
         key = f"run-{RUN_ID}-{self._runs}"
         work = [(RUN_ID, self._runs, inputs)]

@@ -57,6 +57,7 @@ PLAIN = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)  # no TLS here, and reading who 
 def settings_in(folder: Path, **given: str) -> Settings:
     named = {f"BORESIGHT_{name.upper()}": value for name, value in given.items()}
     own = {"BORESIGHT_DATA_FOLDER": str(folder), "BORESIGHT_WORKERS": "0", "BORESIGHT_ANCHOR_MINUTES": "0"}
+    own["BORESIGHT_MAIL_SERVER"] = "mailto://127.0.0.1:9?from=boresight@mission.invalid"  # takes no mail
     own["BORESIGHT_SECOND_PERSON"] = "0"  # tests of it switch it on
     own |= environment_in(folder)
     return read_settings({**own, **named})

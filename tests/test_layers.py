@@ -29,6 +29,7 @@ NOUNS = (
     "campaigns",
     "ingest",
     "webhooks",
+    "messages",
     "audit",
     "help",
     "search",

@@ -23,29 +23,34 @@ from starlette.exceptions import HTTPException
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
 from starlette.responses import Response
+from uvicorn.config import LOGGING_CONFIG
 
 import boresight
 from boresight.console import pages
 from boresight.console import routes as api_routes
 from boresight.console.access.credentials import Authentication, CredentialCache, LogInCookie, authenticate
 from boresight.console.access.password_checks import PasswordWorker
+from boresight.console.administration.fleet_metrics import FleetMetrics, ServerParts
 from boresight.console.jobs.alignment_thread import AlignmentThread
 from boresight.console.jobs.anchoring import Anchoring
 from boresight.console.jobs.broadcast import Broadcast
 from boresight.console.jobs.heartbeat import Heartbeat
 from boresight.console.jobs.ingest_watcher import IngestWatcher
 from boresight.console.jobs.maintenance import ExternalHeadFile, Maintenance
+from boresight.console.jobs.message_sender import MessageSender
 from boresight.console.jobs.webhook_sender import WebhookSender
+from boresight.console.messages.service import Outlets
 from boresight.console.pages.frame import FleetStatusCache
 from boresight.console.pages.rendering import bare_problem_page, is_page, problem_page
-from boresight.console.runs import service as runs
 from boresight.console.webhooks.secrets import encrypt_all
 from boresight.disks import storage_error
 from boresight.errors import BoresightError, StorageError
 from boresight.platform.blobs.opening import open_blobs
 from boresight.platform.db.data_version import DataVersionPoller, DataVersionReader, VersionedCache
-from boresight.platform.db.sessions import migrate, open_engine, open_reading
+from boresight.platform.db.sessions import migrate, open_engine
 from boresight.platform.jobs.forecasts import ForecastSources
+from boresight.platform.observability import logs
+from boresight.platform.observability.traces import get_traces
 from boresight.platform.web import static_files
 from boresight.platform.web.concurrency_limit import ConcurrencyLimit, ConcurrencyLimits
 from boresight.platform.web.connections import Connections, open_file_limit
@@ -133,6 +138,7 @@ def create_app(settings: Settings, *, limits: ConcurrencyLimits | None = None, p
         four_eyes=lambda: app.state.policy.four_eyes,
         pace=pace,
         https_only=bool(settings.secure_cookies),
+        traces=app.state.traces,
     )
     return app
 
@@ -142,6 +148,7 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state = app.state
     state.settings = settings
     state.policy = settings.policy
+    state.traces = get_traces(settings.otlp_endpoint, "boresight")
     state.engine = open_engine(settings.database_url)
     state.blobs = open_blobs(settings.blob_place)
     if settings.blob_place.is_folder:
@@ -162,6 +169,9 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.blobs.tell_corrupt = state.maintenance.suspect
     state.secret_box = settings.secret_box
     state.webhook_sender = WebhookSender(state.engine, settings.targets, state.secret_box)
+    state.message_sender = MessageSender(
+        state.engine, settings.targets, state.secret_box, _outlets(settings), lambda: state.policy
+    )
     data_versions = DataVersionReader(state.engine)
     state.data_version_poller, state.fleet_status = (
         DataVersionPoller(data_versions),
@@ -173,7 +183,13 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.workers = None
     state.ingest_watcher = IngestWatcher(state.engine, state.forecast_sources, settings, lambda: _tell(app))
     state.alignment_thread = AlignmentThread(state.engine, state.forecast_sources, lambda: _tell(app))
-    state.metrics = Metrics(lambda: _count_runs(app), lambda: state.broadcast.listeners)
+    parts = ServerParts(lambda: state.workers.state() if state.workers else None, lambda: state.maintenance.broken)
+    state.metrics = Metrics(lambda: state.broadcast.listeners, [FleetMetrics(state.engine, parts)])
+
+
+def _outlets(settings: Settings) -> Outlets:
+    """Return what messages to people may go by, and where the pages are that they lead to."""
+    return Outlets(settings.message_services, settings.mail_server, settings.page_root, settings.mode)
 
 
 def _beside(app: FastAPI) -> tuple[object, ...]:
@@ -186,13 +202,9 @@ def _tell(app: FastAPI) -> None:
     """Wake what follows the store after a service wrote to it."""
     app.state.broadcast.nudge()
     app.state.webhook_sender.nudge()
+    app.state.message_sender.nudge()
     if app.state.workers is not None:
         app.state.workers.notify()
-
-
-def _count_runs(app: FastAPI) -> dict[str, int]:
-    with open_reading(app.state.engine) as session:
-        return runs.count_by_state(session)
 
 
 def _lazy_catalogue(settings: Settings) -> Callable[[], Catalogue]:
@@ -223,7 +235,14 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     state.maintenance.start()
     state.passwords.start()
     state.webhook_sender.start()
-    state.workers = RunDispatcher(state.engine, state.settings, state.broadcast.hear, suspect=state.maintenance.suspect)
+    state.message_sender.start()
+    state.workers = RunDispatcher(
+        state.engine,
+        state.settings,
+        state.broadcast.hear,
+        suspect=state.maintenance.suspect,
+        observe=state.metrics.observe_run,
+    )
     state.workers.start()
     state.ingest_watcher.start()
     state.alignment_thread.start()
@@ -234,11 +253,13 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         await run_in_threadpool(state.alignment_thread.close)
         await run_in_threadpool(state.ingest_watcher.close)
         await run_in_threadpool(state.workers.stop)
+        await run_in_threadpool(state.message_sender.close)
         await run_in_threadpool(state.webhook_sender.close)
         await run_in_threadpool(state.heartbeat.close)
         await run_in_threadpool(state.passwords.close)
         await run_in_threadpool(state.maintenance.close)
         await run_in_threadpool(state.broadcast.close)
+        await run_in_threadpool(state.traces.close)
         state.data_version_poller.close()
         state.engine.dispose()
 
@@ -321,6 +342,7 @@ def configured(app: FastAPI, settings: Settings, connections: Connections | None
         http=(connections or Connections()).protocol(),
         ws="none",
         log_level="warning",
+        log_config=None if settings.log_format == "json" else LOGGING_CONFIG,
         server_header=False,
         forwarded_allow_ips=settings.trusted_proxies,
         timeout_graceful_shutdown=DRAIN_S,
@@ -329,6 +351,7 @@ def configured(app: FastAPI, settings: Settings, connections: Connections | None
 
 def serve(settings: Settings, on_open: Callable[[], None] | None = None) -> None:
     """Serve until told to stop by SIGINT or SIGTERM; `on_open` is called once connections are accepted."""
+    logs.configure(settings.log_format)
     sys.setswitchinterval(SWITCH_S)
     gc.freeze()  # what was imported stays: no collection looks through it again
     gc.set_threshold(*COLLECTIONS)

@@ -17,6 +17,7 @@ from boresight.images.limits import ImageLimits
 from boresight.platform.actors import Policy, SessionLimits
 from boresight.platform.audit.external_head import refuse_place
 from boresight.platform.blobs.locations import BlobLocation, parse_address
+from boresight.platform.observability.logs import FORMATS
 from boresight.platform.web.targets import WebhookTargets, read_hosts
 from boresight.telemetry.read.limits import Limits
 
@@ -50,6 +51,26 @@ def _site(text: str) -> str:
     """Read the address of a site: empty, or a scheme and a host."""
     parts = urlsplit(text)
     if text and (parts.scheme not in {"http", "https"} or not parts.hostname or parts.port == 0):
+        raise ValueError(text)
+    return text
+
+
+def _words(text: str) -> tuple[str, ...]:
+    """Read words separated by commas or spaces."""
+    return tuple(dict.fromkeys(text.lower().replace(",", " ").split()))
+
+
+def _mail_server(text: str) -> str:
+    """Read the address of a mail server: empty, or mailto:// or mailtos:// with a host."""
+    parts = urlsplit(text)
+    if text and (parts.scheme not in {"mailto", "mailtos"} or not parts.hostname or "to=" in parts.query):
+        raise ValueError(text)
+    return text
+
+
+def _log_format(text: str) -> str:
+    """Read the format of logs."""
+    if text not in FORMATS:
         raise ValueError(text)
     return text
 
@@ -106,13 +127,31 @@ class Settings:
     login_attempts: int = _setting(
         "5", "", "Wrong passwords for a name from one place before each further try must wait."
     )
-    webhooks_local: int = _setting("0", "0 or 1", "1 = webhooks may go to this machine and link-local addresses.")
-    webhooks_private: int = _setting("0", "0 or 1", "1 = webhooks may go to private networks (RFC 1918, fc00::/7).")
+    webhooks_local: int = _setting(
+        "0", "0 or 1", "1 = webhooks and messages may go to this machine and link-local addresses."
+    )
+    webhooks_private: int = _setting(
+        "0", "0 or 1", "1 = webhooks and messages may go to private networks (RFC 1918, fc00::/7)."
+    )
     webhook_hosts: tuple[str, ...] = _setting(
-        "", "hosts", "The only hosts webhooks may go to, exact or *.suffix; empty = any.", read=read_hosts
+        "", "hosts", "The only hosts webhooks and messages may go to, exact or *.suffix; empty = any.", read=read_hosts
     )
     webhook_key: str = _setting(
-        "", "path", "File with the key that encrypts webhooks' secrets; empty = in the data folder."
+        "",
+        "path",
+        "File with the key that encrypts webhooks' secrets and people's addresses; empty = in the data folder.",
+    )
+    message_services: tuple[str, ...] = _setting(
+        "mailto slack workflows discord gchat ntfys mmosts rockets matrixs tgram wxteams pagerduty opsgenie",
+        "schemes",
+        "Services by which people may have messages sent to them, by apprise's scheme; empty = none.",
+        read=_words,
+    )
+    mail_server: str = _setting(
+        "",
+        "URL",
+        "Mail server of these messages, mailtos://user:password@host:port?from=address; empty = no mail.",
+        read=_mail_server,
     )
     watch_folder: str = _setting(
         "", "path", "Folder watched for new telemetry, with a sub-folder for each sensor, named as it; empty = none."
@@ -149,6 +188,12 @@ class Settings:
     )
     timestamp_certificates: str = _setting(
         "", "path", "Certificates (PEM) of the authorities that its time-stamps must lead back to."
+    )
+    log_format: str = _setting(
+        "text", "text or json", "json = one JSON object a line, with request, person, run and trace.", read=_log_format
+    )
+    otlp_endpoint: str = _setting(
+        "", "URL", "Collector of traces by OTLP over HTTP, without /v1/traces; empty = no traces.", read=_site
     )
     secure_cookies: int = _setting("0", "0 or 1", "1 = the session cookie is sent over HTTPS only.")
 
@@ -187,6 +232,12 @@ class Settings:
         if self.threads > 0:
             return self.threads
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+    @property
+    def page_root(self) -> str:
+        """Where the pages of this server are for whoever gets a message."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return self.public_url.rstrip("/") or f"http://{host}:{self.port}"
 
     @property
     def targets(self) -> WebhookTargets:

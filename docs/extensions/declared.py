@@ -25,7 +25,9 @@ from boresight.calibration.trust.causes import CAUSES, UNKNOWN
 from boresight.calibration.trust.trust_tests import TRUST_TESTS
 from boresight.cameras import CAMERA_MODELS
 from boresight.cli import main
+from boresight.console.administration.fleet_metrics import GAUGES
 from boresight.console.alarms import rules
+from boresight.console.messages.kinds import KINDS
 from boresight.settings import SETTINGS, read_settings
 from boresight.site import SITE_FIELDS
 from boresight.telemetry.declarations import DECLARATIONS
@@ -279,6 +281,20 @@ def import_schema() -> str:
     return _schema("import-profile.schema.json")
 
 
+# What a site is told.
+
+
+def metrics() -> str:
+    """Write every metric that is read from the store and the server."""
+    rows = ((f"`boresight_{one.name}`", ", ".join(map(_code, one.labels)), one.help) for one in GAUGES.values())
+    return table(("Metric", "Labels", "What"), rows)
+
+
+def message_kinds() -> str:
+    """Write every kind of message to people."""
+    return table(("Kind", "Told when"), ((f"`{one.name}`", one.title) for one in KINDS.values()))
+
+
 # The library, and why things are as they are.
 
 
@@ -311,7 +327,7 @@ WRITERS: dict[str, Callable[[], str]] = {
     function.__name__.replace("_", "-"): function
     for function in (
         alarms, calibration_schema, cameras, causes, columns, commands, decisions, declarations, gates, import_schema, library,
-        methods, operations, options, settings, site_fields, trust_tests,
+        message_kinds, methods, metrics, operations, options, settings, site_fields, trust_tests,
     )
 }  # fmt: skip
 

@@ -48,6 +48,7 @@ ADDRESSES = {
     "administration": "/administration",
     "glossary": "/help/glossary",
     "saved-views": "/saved-views",
+    "messages": "/preferences/messages",
     "settings": "/help/settings",
     "no-such-page": "/runs/999999",
     "forbidden": "/",

@@ -64,6 +64,14 @@ def _new_profile(house: House) -> dict[str, Any]:
     return {**PROFILE, "name": f"st-{len(known)}"}
 
 
+def _address(house: House, **options: Any) -> Made:
+    body = {"address": "victor@mission.invalid", "kinds": ["alarm"]}
+    return "victor", {
+        "address_id": house.person("victor").post("/api/v1/message-addresses", json=body).json()["id"],
+        **options,
+    }
+
+
 def _attachment(house: House) -> Made:
     noted = house.person("ada").post(f"/api/v1/sensors/{house.new_sensor()['id']}/notes", json={"text": "See there."})
     return "ada", {"note_id": noted.json()["id"], "files": {"file": ("pass.log", b"12:00 safe mode")}}
@@ -404,6 +412,13 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "list_api_keys": lambda _: ("ada", {}),
     "create_api_key": lambda _: ("ada", {"json": {"label": "nightly"}}),
     "revoke_api_key": _key,
+    "list_message_addresses": lambda _: ("victor", {}),
+    "add_message_address": lambda _: ("victor", {"json": {"address": "victor@mission.invalid", "kinds": ["alarm"]}}),
+    "get_message_address": _address,
+    "change_message_address": lambda house: _address(house, json={"kinds": ["mention"]}),
+    "remove_message_address": _address,
+    "try_message_address": _address,
+    "list_address_messages": _address,
     "list_webhooks": lambda _: ("adele", {}),
     "create_webhook": lambda _: ("adele", {"json": HOOK}),
     "get_webhook": _webhook,

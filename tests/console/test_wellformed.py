@@ -46,6 +46,7 @@ POSTS = (
     "/api/v1/presets",
     "/api/v1/users",
     "/api/v1/api-keys",
+    "/api/v1/message-addresses",
     "/api/v1/webhooks",
     "/api/v1/uplinks",
     "/api/v1/sensors/1/notes",

@@ -34,6 +34,7 @@ LISTS = {
     "package_id": "packages",
     "alarm_id": "alarms",
     "key_id": "api-keys",
+    "address_id": "message-addresses",
     "webhook_id": "webhooks",
     "user_id": "users",
 }

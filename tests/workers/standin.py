@@ -51,7 +51,7 @@ def mark(name):
 class Unwarmed(WorkerPlugin):
     name = "unwarmed"
 
-    def __init__(self, _catalogue_folder, *, ours, cameras=()):  # noqa: ARG002 - the real one has it
+    def __init__(self, _catalogue_folder, *, ours, cameras=(), log_format=""):  # noqa: ARG002 - the real one has them
         self.ours = ours
 
 

@@ -215,6 +215,7 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and eight choices of the c
     cache_folder: Path | None = None,
     scratch_folder: Path | None = None,
     executor: Executor | None = None,
+    staged: Callable[[str, float], None] | None = None,
 ) -> Calibration:
     """Estimate a sensor's parameters from a telemetry set, or from several as one.
 
@@ -240,6 +241,8 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and eight choices of the c
         Where the working copy of a large file is made, in a folder that is gone at the end; None is the temporary folder.
     executor
         What computes over a large file; None is this process. It must see the scratch folder under the same path.
+    staged
+        Told of each stage that is over, with the seconds it took.
 
     Returns
     -------
@@ -252,7 +255,7 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and eight choices of the c
     CancelledError
         When `cancelled` said so.
     """
-    clock = _Timer()
+    clock = _Timer(staged)
     context = CalibrationContext(cancelled or never, report, cache_folder, scratch_folder, executor)
     told = nullcontext() if report is None else report_waits_to(lambda message, _: report(Progress(0.0, message, None)))
     catalogue = catalogue.without(settings.leave_out_stars)
@@ -611,11 +614,14 @@ def _checked(problem: Problem, estimate: Estimate) -> Estimate:
 class _Timer:
     """Seconds spent, lap by lap."""
 
-    def __init__(self) -> None:
+    def __init__(self, staged: Callable[[str, float], None] | None = None) -> None:
         self._last = time.perf_counter()
+        self._staged = staged
         self.laps: dict[str, float] = {}
 
     def lap(self, name: str) -> None:
         """Book the time since the last lap under a name."""
         now = time.perf_counter()
         self.laps[name], self._last = now - self._last, now
+        if self._staged is not None:
+            self._staged(name, self.laps[name])

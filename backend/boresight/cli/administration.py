@@ -76,10 +76,11 @@ def webhook() -> None:
 @webhook.command(name="rotate-key")
 @click.option("--forget-old", is_flag=True, help="Then remove the former keys; older backups need them.")
 def rotate_key(*, forget_old: bool) -> None:
-    """Make a new key and encrypt every webhook's secret with it; servers that share the file keep working.
+    """Make a new key and encrypt every webhook's secret and every person's address with it; servers that share the file keep on.
 
     Secrets that no key here can decrypt stay as they are.
     """
+    from boresight.console.messages.service import encrypt_anew as encrypt_addresses
     from boresight.console.webhooks.secrets import encrypt_all, encrypt_anew
     from boresight.platform.db.sessions import open_store, open_writing
 
@@ -90,8 +91,12 @@ def rotate_key(*, forget_old: bool) -> None:
         box.add_key()
         with open_writing(engine) as session:
             count = encrypt_anew(session, box)
+            addresses = encrypt_addresses(session, box)
     forgotten = box.forget_old_keys() if forget_old else 0
-    click.echo(f"{box.file}: a new key encrypts the secrets of {count} webhooks; {forgotten} older keys were removed.")
+    click.echo(
+        f"{box.file}: a new key encrypts {addresses} addresses for messages and the secrets of {count} webhooks; "
+        f"{forgotten} older keys were removed."
+    )
     if kept.sentence is not None:
         click.echo(kept.sentence, err=True)
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import click
 
 from boresight.errors import RefusedInputError
+from boresight.platform.observability.logs import sayer
 from boresight.settings import Settings, private_files, read_settings, use_kernel_folder
 
 DEMO_FOLDER = ".demo"
@@ -39,7 +40,7 @@ def serve(host: str | None, port: int | None, data: Path | None) -> None:
     settings = read_serve_settings(data, host, port)
     _claim_port(settings)
     line = f"Boresight on {_address(settings)}, data in {settings.data_folder}. Stop it with Ctrl-C."
-    _serve(settings, lambda: click.echo(line))
+    _serve(settings, lambda: sayer(settings.log_format, click.echo)(line))
 
 
 @click.command()

@@ -29,6 +29,7 @@ from boresight.console.campaigns.tables import Campaign, CampaignRun
 from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
 from boresight.console.ingest.tables import IngestDecision, IngestPolicy
+from boresight.console.messages.tables import Message
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import CALIBRATIONS, ArchivedRun, JointSet, Preset, Run
 from boresight.console.telemetry.tables import ImportProfile, TelemetrySet
@@ -332,6 +333,7 @@ LISTS = {
         {"set": equals(Uplink.parameter_set_id), "sensor": _of_set_of(Uplink.parameter_set_id)},
     ),
     "deliveries": List(WebhookDelivery, {}, {"webhook": equals(WebhookDelivery.webhook_id)}),
+    "messages": List(Message, {}, {"address": equals(Message.address_id)}),
     "log-ins": List(
         LoginSession,
         {},

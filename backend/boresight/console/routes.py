@@ -18,6 +18,7 @@ from boresight.console.change_proposals import routes as change_proposals
 from boresight.console.fleet import routes as fleet
 from boresight.console.ingest import routes as ingest
 from boresight.console.jobs import routes as events
+from boresight.console.messages import routes as messages
 from boresight.console.notes import routes as notes
 from boresight.console.parameter_sets import routes as parameter_sets
 from boresight.console.runs import figure_routes as figures
@@ -40,6 +41,7 @@ NOUNS = (
     uplinks,
     alarms,
     ingest,
+    messages,
     notes,
     saved_views,
     events,

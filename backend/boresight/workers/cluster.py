@@ -144,7 +144,10 @@ class Cluster:
             client.subscribe_topic(TOPIC, lambda event: on_progress(Report(**event[1]["report"])))
             if settings.scheduler:
                 client.register_plugin(WorkerCheck(boresight.__version__, _shared_folder(settings)))
-            client.register_plugin(WarmUp(str(settings.catalogue_folder), ours=local is not None, cameras=cameras))
+            warm_up = WarmUp(
+                str(settings.catalogue_folder), ours=local is not None, cameras=cameras, log_format=settings.log_format
+            )
+            client.register_plugin(warm_up)
         except Exception:
             opened.close(())
             raise

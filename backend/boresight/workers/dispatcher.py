@@ -22,7 +22,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from statistics import median
 from typing import Any
@@ -47,6 +47,7 @@ from boresight.platform.db.data_version import DataVersionReader, VersionedCache
 from boresight.platform.db.documents import canonical
 from boresight.platform.db.sessions import Engine as Database
 from boresight.platform.db.sessions import Session, open_reading, open_writing, utc_now
+from boresight.platform.observability.traces import NO_SPAN, Span, get_traces, to_ns
 from boresight.settings import Settings
 from boresight.workers.cluster import Cluster, LostTaskError
 from boresight.workers.dispatched_tasks import DispatchedTask, DispatchedTasks
@@ -187,12 +188,22 @@ class Reconciler:
         with open_reading(self.database) as session:
             return list_camera_models(session)
 
-    def settle(self, ends: Sequence[RunEnd]) -> None:
-        """Write how attempts ended, unless they no longer hold their runs."""
+    def settle(self, ends: Sequence[RunEnd]) -> list[RunEnd]:
+        """Write how attempts ended, unless they no longer hold their runs; return those that were written."""
         with open_writing(self.database) as session:
             written = runs.finish_all(session, [_recordable(end) for end in ends])
+        for (run_id, attempt), state in written.items():
+            log.info(
+                "Run %d: attempt %d ended %s",
+                run_id,
+                attempt,
+                state,
+                extra={"told": {"run_id": run_id, "attempt": attempt}},
+            )
         for held in {(end.run_id, end.attempt) for end in ends} - written.keys():
             log.info("Run %d: a late end of attempt %d writes nothing", *held)
+        kept = [end for end in ends if (end.run_id, end.attempt) in written]
+        return [replace(end, state=written[end.run_id, end.attempt]) for end in kept]
 
     def give_up(self, members: Collection[HeldRun], cause: str, *, begun: bool = True) -> None:
         """Write that a task was lost with its worker.
@@ -329,6 +340,7 @@ class RunDispatcher:
         broadcast: Callable[[dict[str, Any]], None] | None = None,
         *,
         suspect: Callable[[str], None] | None = None,
+        observe: Callable[[str, float | None], None] | None = None,
         calculation: str = CALCULATION,
         cancel_grace_s: float = CANCEL_GRACE_S,
     ) -> None:
@@ -337,6 +349,7 @@ class RunDispatcher:
         self._rows = Reconciler(database, self.owner, settings.lease_s, settings.max_attempts)
         self._broadcast = broadcast or (lambda _event: None)
         self._suspect = suspect or (lambda _sha256: None)
+        self._observe = observe or (lambda _state, _seconds: None)
         self._calculation = calculation
         self._grace_s = cancel_grace_s
         self._cluster: Cluster | None = None
@@ -345,6 +358,8 @@ class RunDispatcher:
         self._joined = False  # whether any worker has ever joined
         self._alarm_check = AlarmCheck(database)
         self._reports = ProgressInbox()
+        self._traces = get_traces(settings.otlp_endpoint, "boresight")
+        self._spans: dict[HeldRun, Span] = {}
         self._renewed_s = self._looked_s = 0.0
         self._wake, self._stopping = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="boresight-dispatcher", daemon=True)
@@ -469,7 +484,9 @@ class RunDispatcher:
         if isinstance(answer, LostTaskError):
             self._rows.give_up(task.members, str(answer), begun=not task.behind)
         else:
-            self._rows.settle(answer)
+            for end in self._rows.settle(answer):
+                self._observe(end.state, (end.summary or {}).get("seconds"))
+            self._end_spans(answer)
             self._alarm_check.note(answer)
             for sha256 in {end.corrupt_sha256 for end in answer} - {None}:
                 self._suspect(str(sha256))
@@ -542,10 +559,29 @@ class RunDispatcher:
 
     def _hand_over(self, worker: str, group: RunGroup, runs: list[ClaimedRun], *, behind: bool) -> None:
         members = {(run.run_id, run.attempt) for run in runs}
-        work = [(run.run_id, run.attempt, gather_inputs(self._settings, run)) for run in runs]
+        work = [(run.run_id, run.attempt, gather_inputs(self._settings, run, self._begin_span(run))) for run in runs]
         future = self._on_cluster().submit(worker, work, self._calculation, self._wake.set)
         self._tasks.add(DispatchedTask(future, worker, members, group.short, group.seconds, behind))
         self._tell_moved(members)
+
+    def _begin_span(self, run: ClaimedRun) -> str | None:
+        """Tell how long a run waited, begin the span of its attempt, and return its place for the worker."""
+        if not self._traces.on:
+            return None
+        told: dict[str, str | int] = {"boresight.run_id": run.run_id, "boresight.attempt": run.attempt}
+        told |= {"boresight.sensor_id": run.sensor_id, "boresight.sensor": str(run.sensor_document.get("name", ""))}
+        self._traces.tell_past("queue", run.traceparent, to_ns(run.launched_utc), time.time_ns(), told)
+        span = self._traces.begin("run", run.traceparent, told, kind="PRODUCER")
+        self._spans[run.run_id, run.attempt] = span
+        return span.traceparent
+
+    def _end_spans(self, ends: Sequence[RunEnd]) -> None:
+        for end in ends:
+            span = self._spans.pop((end.run_id, end.attempt), NO_SPAN)
+            span.tell({"boresight.state": end.state, "boresight.result_sha256": end.result_sha256})
+            if end.state == "FAILED":
+                span.fail(end.reason or end.state)
+            span.end()
 
     def _recall(self) -> None:
         """Queue tasks again that wait behind one slower than predicted; another thread may be free sooner."""
@@ -556,7 +592,9 @@ class RunDispatcher:
             self._tell_moved(task.members)
 
     def _tell_moved(self, members: Collection[HeldRun]) -> None:
-        """Announce that the states of runs have changed."""
+        """Announce that the states of runs have changed; the span of an attempt that is over without an end ends too."""
+        for held in self._spans.keys() & set(members) - self._tasks.held():
+            self._spans.pop(held).end()
         for run_id, attempt in sorted(members):
             self._broadcast({"kind": "run", "run_id": run_id, "attempt": attempt})
 

@@ -22,6 +22,7 @@ from distributed import Security
 from distributed.core import rpc
 from distributed.system import MEMORY_LIMIT
 
+from boresight.platform.observability import logs
 from boresight.settings import Settings
 from boresight.workers.cluster import CONFIGURATION, MEMORY_SHARE, Nanny, Scheduler
 from boresight.workers.security import PROTOCOL, make_security, refuse_open_link
@@ -36,10 +37,12 @@ Say = Callable[[str], None]
 
 def run_scheduler(settings: Settings, host: str, port: int, say: Say) -> None:
     """Run a scheduler until SIGTERM or Ctrl-C."""
+    logs.configure(settings.log_format)
+    say = logs.sayer(settings.log_format, say)
     security = make_security(settings)
     if security is None:
         refuse_open_link(settings, host, f"--host {host}")
-    _configure()
+    _configure(settings)
     try:
         asyncio.run(_until_stopped(_scheduler(security, host, port, say)))
     except RuntimeError as error:
@@ -101,7 +104,7 @@ class WorkerService:
             memory_limit=self.memory_bytes,
             security=security,
             silence_logs=logging.CRITICAL,
-            plugins=(WarmUp(str(self.settings.catalogue_folder), ours=True),),
+            plugins=(WarmUp(str(self.settings.catalogue_folder), ours=True, log_format=self.settings.log_format),),
         )
         try:
             await nanny
@@ -116,8 +119,10 @@ class WorkerService:
 
 def run_workers(settings: Settings, processes: int, memory_bytes: int | None, say: Say) -> None:
     """Run a number of workers until SIGTERM or Ctrl-C."""
+    logs.configure(settings.log_format)
+    say = logs.sayer(settings.log_format, say)
     make_security(settings)
-    _configure()
+    _configure(settings)
     memory_bytes = memory_bytes or int(MEMORY_SHARE * MEMORY_LIMIT / max(processes, CPU_COUNT))
 
     async def all_of_them() -> None:
@@ -149,9 +154,10 @@ async def _until_stopped(work: Coroutine[Any, Any, None]) -> None:
         await task
 
 
-def _configure() -> None:
-    """Configure distributed without open ports and log messages, except those about memory."""
+def _configure(settings: Settings) -> None:
+    """Configure distributed without open ports and log messages of text, except those about memory."""
     dask.config.set(CONFIGURATION)
     for handler in logging.getLogger("distributed").handlers:
         handler.setLevel(logging.CRITICAL)
-    logging.getLogger("distributed.nanny.memory").addHandler(logging.StreamHandler())
+    if settings.log_format == "text":
+        logging.getLogger("distributed.nanny.memory").addHandler(logging.StreamHandler())

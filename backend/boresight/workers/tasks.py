@@ -21,7 +21,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import asdict, replace
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypedDict, cast
@@ -46,6 +46,9 @@ from boresight.platform.blobs.locations import BlobLocation
 from boresight.platform.blobs.opening import open_blobs
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.blobs.working_tables import working_table
+from boresight.platform.observability import logs
+from boresight.platform.observability.logs import belonging_to
+from boresight.platform.observability.traces import Span, Traces, get_traceparent, get_traces
 from boresight.settings import Settings, read_settings
 from boresight.simulation.sensors import st16_sensor
 from boresight.sky.catalogue import Catalogue, load_catalogue
@@ -69,14 +72,18 @@ class WarmUp(WorkerPlugin):  # type: ignore[misc]  # distributed ships no types
     name = "boresight-warm-up"
     idempotent = True
 
-    def __init__(self, catalogue_folder: str, *, ours: bool, cameras: Sequence[str] = ()) -> None:
+    def __init__(
+        self, catalogue_folder: str, *, ours: bool, cameras: Sequence[str] = (), log_format: str = "text"
+    ) -> None:
         self.catalogue_folder = catalogue_folder
         self.ours = ours
         self.cameras = tuple(cameras)
+        self.log_format = log_format
 
     def setup(self, worker: object) -> None:  # noqa: ARG002 - the interface gives it
         """Begin warming beside the worker's event loop, which must go on answering the scheduler."""
         if self.ours:  # Ctrl-C in a terminal reaches the whole process group; the server stops its workers itself
+            logs.configure(self.log_format)
             signal.signal(signal.SIGINT, signal.SIG_IGN)
         threading.Thread(target=self._warm, daemon=True, name="warm").start()
 
@@ -142,13 +149,14 @@ class Inputs(TypedDict):
     sensor_document: dict[str, Any]
     settings: dict[str, Any]
     chooses: bool  # a camera, instead of calibrating
+    trace: tuple[str, str] | None  # the endpoint of traces, and the place of the span that it belongs to
 
 
 Work = tuple[int, int, Inputs]  # run id, attempt, inputs
 Keep = Callable[[Callable[[], str]], "Future[str]"]
 
 
-def gather_inputs(settings: Settings, run: ClaimedRun) -> Inputs:
+def gather_inputs(settings: Settings, run: ClaimedRun, traceparent: str | None = None) -> Inputs:
     """Gather what a worker needs."""
     return Inputs(
         blob_address=settings.blob_place.address,
@@ -159,6 +167,7 @@ def gather_inputs(settings: Settings, run: ClaimedRun) -> Inputs:
         sensor_document=dict(run.sensor_document),
         settings=dict(run.settings),
         chooses=run.choice_of is not None,
+        trace=None if traceparent is None else (settings.otlp_endpoint, traceparent),
     )
 
 
@@ -173,6 +182,31 @@ def execute(
     run_id: int, attempt: int, inputs: Inputs, calculation: str, keep: Keep
 ) -> tuple[RunEnd, Future[str] | None]:
     """Compute one run; returns its end, whatever happens, and the address that its result will have."""
+    endpoint, parent = inputs["trace"] or ("", None)
+    told = {"boresight.run_id": run_id, "boresight.attempt": attempt}
+    with belonging_to(run_id=run_id, attempt=attempt):
+        traces = get_traces(endpoint, "boresight-worker")
+        with traces.span("compute", parent, told, kind="CONSUMER") as span:
+            found = _execute(run_id, attempt, inputs, calculation, _traced(keep, traces, span))
+            if found[0].state == "FAILED":
+                span.fail(found[0].reason or "FAILED")
+            return found
+
+
+def _traced(keep: Keep, traces: Traces, span: Span) -> Keep:
+    """Store a result as a span of the run that it is of, wherever that is done."""
+
+    def put_traced(put: Callable[[], str]) -> str:
+        with traces.span("store result", span.traceparent):
+            return put()
+
+    return keep if not traces.on else lambda put: keep(partial(put_traced, put))
+
+
+def _execute(
+    run_id: int, attempt: int, inputs: Inputs, calculation: str, keep: Keep
+) -> tuple[RunEnd, Future[str] | None]:
+    """Compute one run."""
     link = Link(run_id, attempt)
     try:
         link.refuse_if_cancelled()
@@ -299,6 +333,10 @@ def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) 
             folder = stack.enter_context(make_scratch_folder(scratch, link.run_id, link.attempt))
             executor = ClusterExecutor(f"{link.run_id}-{link.attempt}", folder, link.cancelled)
             folders = {"scratch_folder": folder, "executor": executor}
+        if inputs["trace"] is not None:
+            folders["staged"] = partial(
+                _tell_stage, get_traces(inputs["trace"][0], "boresight-worker"), get_traceparent()
+            )
         calibration: Calibration = _function(calculation)(
             source,
             sensor,
@@ -314,6 +352,12 @@ def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) 
         )
     summary = to_plain(summarise_run(calibration))
     return summary, calibration.to_dict(), str(summary["status"])
+
+
+def _tell_stage(traces: Traces, parent: str | None, stage: str, seconds: float) -> None:
+    """Add the span of a stage that is just over."""
+    now_ns = time.time_ns()
+    traces.tell_past(stage, parent, now_ns - round(1e9 * seconds), now_ns)
 
 
 def _table(blobs: BlobStore, sha256: str) -> StoredTable:

@@ -25,6 +25,7 @@ from boresight.console.approvals.tables import Approval, GateProfile, GateReport
 from boresight.console.campaigns.tables import Campaign, CampaignRun
 from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.ingest.tables import IngestDecision, IngestPolicy
+from boresight.console.messages.tables import MessageAddress
 from boresight.console.notes import service as notes
 from boresight.console.notes.attachments import attach, check_file
 from boresight.console.parameter_sets.tables import ParameterSet
@@ -106,6 +107,7 @@ def _fill_the_rest(session: Session) -> None:
         IngestDecision,
         JointSet,
         Alignment,
+        MessageAddress,
     ):
         if session.scalar(sa.select(sa.func.count()).select_from(model)) == 0:
             row = _plain(model)

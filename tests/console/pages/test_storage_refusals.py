@@ -11,6 +11,7 @@ from boresight.console.approvals.pages import gates as gate_report
 from boresight.console.fleet.pages import new_sensor
 from boresight.console.ingest import policies
 from boresight.console.ingest import service as ingest
+from boresight.console.jobs.message_sender import MessageSender
 from boresight.console.pages import rendering as attempts
 from boresight.console.telemetry import pages as telemetry
 from boresight.console.webhooks import service as webhooks
@@ -18,6 +19,7 @@ from boresight.disks import full
 from boresight.errors import StorageError
 from boresight.platform.actors import INGEST
 from boresight.platform.db.sessions import open_writing
+from boresight.platform.jobs.message_transport import CheckedAddress
 from tests.console.alarms.test_pages import drifting  # noqa: F401 - a fixture
 from tests.console.campaigns.test_routes import FORM as CAMPAIGN
 from tests.console.change_proposals.test_routes import _proposed, asking_site  # noqa: F401 - a fixture
@@ -36,6 +38,10 @@ FORMS = {  # who sends which form to which page
     "/sessions/{session_id:int}/end": ("ada", {}),
     "/sessions/end-others": ("ada", {}),
     "/preferences": ("ada", {"form": "iso"}),
+    "/preferences/messages": ("ada", {"address": "ada@mission.example"}),
+    "/preferences/messages/{address_id:int}": ("ada", {"kinds": ["alarm"]}),
+    "/preferences/messages/{address_id:int}/try": ("ada", {}),
+    "/preferences/messages/{address_id:int}/remove": ("ada", {}),
     "/users/keys": ("ada", {"label": "k", "scopes": ["read"]}),
     "/users/keys/{key_id}/revoke": ("ada", {}),
     "/change-proposals/{proposal_id:int}/decide": ("agnes", {"action": "confirm", "version": "1"}),
@@ -145,6 +151,7 @@ def test_a_full_disk_is_503_with_retry_after_by_every_form(request, site, monkey
         monkeypatch.setattr(telemetry, "_store", lambda *_: None)
     monkeypatch.setattr(gate_report, "_examine", lambda *_: "examined")
     monkeypatch.setattr(webhooks, "judge_address", lambda *_: None)
+    monkeypatch.setattr(MessageSender, "judge_address", lambda *_: ("x", CheckedAddress("mailto", "a…@x")))
 
     @asynccontextmanager
     async def on_a_full_disk(_request: object) -> AsyncIterator[None]:

@@ -6,6 +6,7 @@ import sqlalchemy as sa
 from boresight.console.access.tables import ApiKey, LoginSession, User, UserPreference
 from boresight.console.approvals.tables import FigureDelivery, Opening
 from boresight.console.fleet.tables import Sensor
+from boresight.console.messages.tables import Message
 from boresight.console.runs.queries import finish
 from boresight.console.runs.tables import ArchivedRun, Run, RunEvent
 from boresight.console.saved_views.tables import SavedView
@@ -47,7 +48,7 @@ def _records(engine: Engine) -> list[AuditRecord]:
 def test_every_table_is_sealed_or_says_why_not() -> None:
     tables = {mapper.class_ for mapper in Base.registry.mappers}
     unsealed = {LoginSession, Opening, RunEvent, WebhookDelivery, AuditAnchor, AuditRecord, IdempotentResponse, Blob}
-    unsealed |= {ArchivedRun, UserPreference, SavedView, FigureDelivery}
+    unsealed |= {ArchivedRun, UserPreference, SavedView, FigureDelivery, Message}
     assert {*seals.list_sealed()} == tables - unsealed
     assert all(model.sealing.unsealed for model in unsealed)
 

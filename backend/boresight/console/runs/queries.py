@@ -38,6 +38,7 @@ from boresight.platform.audit import chain, seals
 from boresight.platform.audit import seals as journals
 from boresight.platform.blobs.tables import Blob
 from boresight.platform.db.sessions import Session, utc_after, utc_now
+from boresight.platform.observability.traces import get_traceparent
 from boresight.verdicts.verdict import RunSummary, parse_run_summary
 
 LEVELS = ("info", "warning", "error")
@@ -161,6 +162,9 @@ class ClaimedRun:
     validation: ClaimedSet | None
     choice_of: int | None
     prior: ClaimedPrior | None
+    sensor_id: int = 0
+    launched_utc: str = ""
+    traceparent: str | None = None
 
 
 def list_waiting_runs(session: Session, limit: int) -> list[WaitingRun]:
@@ -216,6 +220,9 @@ def list_claimed_runs(session: Session, run_ids: Sequence[int]) -> list[ClaimedR
             validation=None if run.validation_set_id is None else sets[run.validation_set_id],
             choice_of=run.choice_of,
             prior=_claim_prior(session, run),
+            sensor_id=run.sensor_id,
+            launched_utc=run.launched_utc,
+            traceparent=run.traceparent,
         )
         for run in runs
     ]
@@ -265,7 +272,8 @@ HeldRun = tuple[int, int]  # (run id, attempt)
 
 def add_run(session: Session, *, joint_set_ids: Sequence[int] = (), **values: Any) -> Run:
     """Insert a run as QUEUED, with the sets that it takes with its first, and return its row."""
-    run = Run(state="QUEUED", attempt=0, cancel_requested=0, launched_utc=utc_now(), **values)
+    told = {"launched_utc": utc_now(), "traceparent": get_traceparent()}
+    run = Run(state="QUEUED", attempt=0, cancel_requested=0, **told, **values)
     session.put(run)
     further = [JointSet(run_id=run.id, telemetry_set_id=number) for number in joint_set_ids]
     session.add_all(further)

@@ -44,7 +44,10 @@ class Run(Base):
         STRICT,
     )
     sealing = Sealing(  # two promises: what was launched, and once it has ended everything about it
-        fleeting={"lease_until_utc": "is renewed while a run computes"},
+        fleeting={
+            "lease_until_utc": "is renewed while a run computes",
+            "traceparent": "leads to where traces are kept, and says nothing of the run",
+        },
         moving=frozenset(
             (
                 "state",
@@ -85,6 +88,7 @@ class Run(Base):
     choice_of: Mapped[int | None] = mapped_column(index=True)  # the run for whose data it chooses a camera
     prior_run_id: Mapped[int | None]  # the calibration that it starts from
     prior_set_id: Mapped[int | None]  # the parameter set that this was named by
+    traceparent: Mapped[str | None] = mapped_column(sa.Text)  # the span of the request that launched it
     further: Mapped[list[JointSet]] = relationship(lazy="selectin", order_by=JointSet.id, viewonly=True)
 
     @property

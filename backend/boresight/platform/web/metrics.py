@@ -1,43 +1,24 @@
-"""Metrics: requests by route, their durations, runs by state, open event streams."""
+"""Metrics of a server: requests by route and their durations, open event streams, the ends of runs; and what collectors add."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterable
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
-from prometheus_client.core import GaugeMetricFamily
 from prometheus_client.registry import Collector
 from starlette.types import Scope
 
 from boresight.errors import BoresightError
 
 UNROUTED = "none"
-
-
-class _RunsByState(Collector):
-    """A collector that counts the runs when scraped."""
-
-    def __init__(self, count: Callable[[], dict[str, int]]) -> None:
-        self._count = count
-
-    def collect(self) -> Iterator[GaugeMetricFamily]:
-        """Yield the number of runs in every state."""
-        family = GaugeMetricFamily("boresight_runs", "Runs in the store by state", labels=["state"])
-        for state, count in self._count().items():
-            family.add_metric([state], count)
-        yield family
-
-    def describe(self) -> list[Any]:
-        """Describe nothing at registration: the store may not be migrated yet."""
-        return []
+COMPUTE_BUCKETS_S = (0.1, 0.3, 1, 3, 10, 30, 100, 300, 1000, 3600)
 
 
 class Metrics:
     """The series of one server."""
 
-    def __init__(self, count_runs: Callable[[], dict[str, int]], count_listeners: Callable[[], int]) -> None:
+    def __init__(self, count_listeners: Callable[[], int], collectors: Iterable[Collector] = ()) -> None:
         self._registry = CollectorRegistry()
         labels = ("method", "route", "status")
         self._requests = Counter("boresight_http_requests", "Requests answered", labels, registry=self._registry)
@@ -45,7 +26,25 @@ class Metrics:
         self._by_kind: dict[tuple[str, str, int], tuple[Counter, Histogram]] = {}
         listeners = Gauge("boresight_event_streams", "Open event streams", registry=self._registry)
         listeners.set_function(count_listeners)
-        self._registry.register(_RunsByState(count_runs))
+        self._ended = Counter(
+            "boresight_runs_ended", "Runs that ended on this server", ["state"], registry=self._registry
+        )
+        self._computed = Histogram(
+            "boresight_run_compute_seconds",
+            "Time that a run which succeeded computed",
+            buckets=COMPUTE_BUCKETS_S,
+            registry=self._registry,
+        )
+        for state in ("SUCCEEDED", "FAILED", "CANCELLED"):
+            self._ended.labels(state)  # 0 until it happens
+        for collector in collectors:
+            self._registry.register(collector)
+
+    def observe_run(self, state: str, seconds: float | None) -> None:
+        """Count a run that ended, with the time that it computed."""
+        self._ended.labels(state).inc()
+        if seconds is not None:
+            self._computed.observe(seconds)
 
     def observe(self, scope: Scope, status: int, seconds: float) -> None:
         """Count one answered request."""

@@ -26,6 +26,8 @@ from starlette.responses import Response
 from starlette.routing import BaseRoute, Match
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from boresight.platform.observability.logs import BELONGS_TO, REQUESTS
+from boresight.platform.observability.traces import Span, Traces, read_traceparent
 from boresight.platform.web.request_bodies import BodyRate, RequestBody
 
 log = logging.getLogger(__name__)
@@ -67,6 +69,9 @@ ATTACHMENT_LIMIT_BYTES = 5_000_000
 ATTACHED = re.compile(r"/notes/(?:[a-z-]+/\d+|\d+/attachments)$")  # paths that take an attachment
 UPLOADED = ("/telemetry-sets", "/telemetry", "/sensors/propose")  # paths that take a file
 
+UNTRACED = ("/static/", "/healthz", "/readyz", "/metrics", "/api/v1/events")  # asked by machines, or endless
+SERVER_FAULT = 500
+
 HeaderPairs = tuple[tuple[bytes, bytes], ...]
 Observe = Callable[[Scope, int, float], None]
 Refuse = Callable[[Request, Exception], Awaitable[Response]]
@@ -91,8 +96,10 @@ class RequestMiddleware:
         *,
         pace: BodyRate | None = None,
         https_only: bool = False,
+        traces: Traces | None = None,
     ) -> None:
         self.app = app
+        self.traces = traces if traces is not None and traces.on else None
         self.pairs = (*SECURITY_PAIRS, STRICT_TRANSPORT) if https_only else SECURITY_PAIRS
         self.pace = pace or BodyRate()
         self.four_eyes = four_eyes
@@ -107,12 +114,19 @@ class RequestMiddleware:
             return
         headers = dict(scope["headers"])
         answer = _Response(scope, send, get_request_id(headers), self.pairs, four_eyes=self.four_eyes())
+        BELONGS_TO.set(scope["state"])
+        span = None if self.traces is None else _begin_span(self.traces, scope, headers)
         try:
             await self.app(scope, self._limited(scope, headers, receive), answer.send)
         except Exception as error:  # noqa: BLE001 - whatever it is, it is logged whole and answered without its words
             await answer.fail(error, self.refuse)
         finally:
-            self.observe(scope, answer.status, time.perf_counter() - answer.began_s)
+            seconds = time.perf_counter() - answer.began_s
+            self.observe(scope, answer.status, seconds)
+            if span is not None:
+                _end_span(span, scope, answer.status)
+            if REQUESTS.isEnabledFor(logging.INFO):
+                _log_request(scope, answer.status, seconds)
 
     def _limited(self, scope: Scope, headers: Mapping[bytes, bytes], receive: Receive) -> Receive:
         """Limit a body's size, announced or not, and its duration."""
@@ -130,6 +144,36 @@ class RequestMiddleware:
             )
         announced = headers.get(b"content-length", b"0")
         return RequestBody(receive, self.pace, limit, sentence, int(announced) if announced.isdigit() else 0).receive
+
+
+def _begin_span(traces: Traces, scope: Scope, headers: Mapping[bytes, bytes]) -> Span | None:
+    """Begin the span of a request, in its caller's trace where that names one; none of what is no act of anybody."""
+    if scope["path"].startswith(UNTRACED):
+        return None
+    parent = read_traceparent(headers.get(b"traceparent", b"").decode("latin-1"))
+    state = scope["state"]
+    told = {"http.request.method": scope["method"], "url.path": scope["path"][:200]}
+    told["boresight.request_id"] = state["request_id"]
+    span = traces.begin(scope["method"], parent, told, kind="SERVER")
+    state["traceparent"] = span.traceparent
+    return span
+
+
+def _end_span(span: Span, scope: Scope, status: int) -> None:
+    route = getattr(scope.get("route"), "path", None)
+    if route is not None:
+        span.rename(f"{scope['method']} {route}")
+    person = getattr(scope["state"].get("actor"), "name", None)
+    span.tell({"http.route": route, "http.response.status_code": status, "boresight.person": person})
+    if status >= SERVER_FAULT:
+        span.fail(f"Answered {status}.")
+    span.end()
+
+
+def _log_request(scope: Scope, status: int, seconds: float) -> None:
+    told = {"method": scope["method"], "route": getattr(scope.get("route"), "path", None), "status": status}
+    said = f"{scope['method']} {scope['path'][:200]} {status}"
+    REQUESTS.info("%s", said, extra={"told": told | {"milliseconds": round(1e3 * seconds, 1)}})
 
 
 class _Response:

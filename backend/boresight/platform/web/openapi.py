@@ -59,6 +59,7 @@ TAGS = [
     {"name": "webhooks", "description": "Programs that are notified of events."},
     {"name": "sessions", "description": "Logging in and out."},
     {"name": "preferences", "description": "How pages are shown to a person."},
+    {"name": "messages", "description": "Where a person gets messages, and of what."},
     {"name": "saved views", "description": "Pages with their filters and zoom under a name, and favourites."},
     {"name": "server", "description": "Health, readiness, metrics."},
 ]

@@ -1,0 +1,219 @@
+"""The kinds of messages, each declared once: which audit records tell of it, whom it is for, and what it says.
+
+A record is read when its message is made, a moment after its commit. A message names the sensor and what happened, and leads to the
+page; it holds no number, no comment and no reason, because it passes through the hands of others.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+
+from boresight.console.access import queries as user_rows
+from boresight.console.access.tables import User
+from boresight.console.alarms.tables import Alarm
+from boresight.console.approvals.signers import list_parts, list_signers
+from boresight.console.approvals.tables import Approval, Remark
+from boresight.console.change_proposals.service import MAY_CONFIRM, TITLES
+from boresight.console.change_proposals.tables import ChangeProposal
+from boresight.console.fleet.tables import Sensor
+from boresight.console.ingest.tables import IngestDecision
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.tables import Run
+from boresight.platform.actors import Policy
+from boresight.platform.audit.tables import AuditRecord
+from boresight.platform.db.sessions import Session
+
+
+@dataclass(frozen=True)
+class News:
+    """What a message says, which page it leads to, and whom it is for; `None` is everybody who asked for the kind."""
+
+    sensor_id: int | None
+    said: str
+    path: str
+    user_ids: Collection[int] | None = None
+
+
+@dataclass(frozen=True)
+class Source:
+    """An audit record with the number in its object, and what a kind may ask beside it."""
+
+    session: Session
+    record: AuditRecord
+    number: int
+    policy: Policy
+
+    @property
+    def after(self) -> Mapping[str, object]:
+        """What the record says of the state afterwards."""
+        return self.record.after or {}
+
+
+@dataclass(frozen=True)
+class MessageKind:
+    """A kind of messages: its name, the line of the form, the records it is made of, and how."""
+
+    name: str
+    title: str
+    records: re.Pattern[str]
+    tell: Callable[[Source], News | None]
+
+
+def _signature_waits(of: Source) -> News | None:
+    row = of.session.get_one(Approval, of.number)
+    if row.state != "OPEN":
+        return None
+    waits_for = [one.user.id for one in list_signers(of.session, row, of.policy) if one.refusal is None]
+    named = of.session.get_one(ParameterSet, row.parameter_set_id)
+    return News(
+        named.sensor_id,
+        f"request {row.id} for {named.name} waits for your signature",
+        f"/approvals/{row.id}",
+        waits_for,
+    )
+
+
+DECIDED = {
+    "approved": "is approved",
+    "refused": "is refused",
+    "withdrew": "was withdrawn",
+    "made stale": "is stale",
+    "let expire": "has expired",
+}
+
+
+def _decided(of: Source) -> News | None:
+    row = of.session.get_one(Approval, of.number)
+    if of.after.get("state") == "OPEN":
+        return None  # it needs another signature
+    named = of.session.get_one(ParameterSet, row.parameter_set_id)
+    concerned = {part.user_id for part in list_parts(of.session, row)} | {one.user_id for one in row.signatures}
+    said = f"request {row.id} for {named.name} {DECIDED[of.record.action]}"
+    return News(named.sensor_id, said, f"/approvals/{row.id}", concerned - {of.record.actor_id})
+
+
+def _promoted(of: Source) -> News:
+    row = of.session.get_one(ParameterSet, of.number)
+    return News(row.sensor_id, f"{row.name} is the baseline", f"/parameter-sets/{row.id}")
+
+
+def _on_board(of: Source) -> News:
+    row = of.session.get_one(ParameterSet, of.number)
+    state = of.record.action.removeprefix("recorded ").removesuffix(" for")
+    return News(row.sensor_id, f"{row.name} is {state} on board", f"/parameter-sets/{row.id}/uplink")
+
+
+def _alarm(of: Source) -> News:
+    row = of.session.get_one(Alarm, of.number)
+    again = " again, or graver" if of.record.action.endswith("again") else ""
+    return News(row.sensor_id, f"alarm {row.id}, {row.kind}, {row.level}, is raised{again}", f"/alarms/{row.id}")
+
+
+def _alarm_assigned(of: Source) -> News | None:
+    row = of.session.get_one(Alarm, of.number)
+    said = f"alarm {row.id} is assigned to you"
+    return None if row.assigned_to is None else News(row.sensor_id, said, f"/alarms/{row.id}", [row.assigned_to])
+
+
+def _request_assigned(of: Source) -> News | None:
+    row = of.session.get_one(Approval, of.number)
+    if row.assigned_to is None:
+        return None
+    sensor_id = of.session.get_one(ParameterSet, row.parameter_set_id).sensor_id
+    return News(sensor_id, f"request {row.id} is assigned to you", f"/approvals/{row.id}", [row.assigned_to])
+
+
+def _run_of(of: Source, states: Collection[str]) -> News | None:
+    row, state = of.session.get_one(Run, of.number), str(of.after.get("state"))
+    if state not in states or row.launched_by is None:
+        return None
+    return News(row.sensor_id, f"run {row.id} {state}", f"/runs/{row.id}", [row.launched_by])
+
+
+def _ingest_asks(of: Source) -> News | None:
+    row = of.session.get_one(IngestDecision, of.number)
+    if row.state != "ASKED":
+        return None
+    analysts = [user.id for user in user_rows.list_users(of.session) if "analyst" in user.roles]
+    said = f"new telemetry is outside of the baseline: decision {row.id} waits for an answer"
+    return News(row.sensor_id, said, f"/ingest/{row.id}", analysts)
+
+
+def _mentioned(of: Source) -> News | None:
+    row = of.session.get_one(Remark, int(of.record.object.rpartition("/")[2]))
+    named = {user.id for user in user_rows.list_users(of.session) if user.name in (row.mentions or ())}
+    if not named:
+        return None
+    sensor_id = of.session.get_one(ParameterSet, of.session.get_one(Approval, of.number).parameter_set_id).sensor_id
+    said = f"{row.printed_name} mentions you at request {of.number}"
+    return News(sensor_id, said, f"/approvals/{of.number}", named - {row.user_id})
+
+
+def _change_waits(of: Source) -> News | None:
+    row = of.session.get_one(ChangeProposal, of.number)
+    if row.state != "OPEN":
+        return None
+    may = [user.id for user in user_rows.list_users(of.session) if set(user.roles) & set(MAY_CONFIRM[row.kind])]
+    said = f"proposal {row.id}, new {TITLES[row.kind]}, waits for a second person"
+    return News(row.sensor_id, said, f"/change-proposals/{row.id}", {*may} - {row.proposed_by})
+
+
+def _account(of: Source) -> News | None:
+    if of.record.actor_id == of.number:
+        return None
+    person = of.session.get_one(User, of.number)
+    return News(None, f"{of.record.actor} {of.record.action} {person.printed_name}", "/sessions", [of.number])
+
+
+def _kind(name: str, title: str, records: str, tell: Callable[[Source], News | None]) -> MessageKind:
+    return MessageKind(name, title, re.compile(records), tell)
+
+
+#: A record is matched as `object action`; the first number in it is that of the row.
+KINDS: Mapping[str, MessageKind] = {
+    kind.name: kind
+    for kind in (
+        _kind("signature-waits", "A request waits for my signature", r"approvals/(\d+) opened", _signature_waits),
+        _kind("request-decided", "A request that I have a part in is decided, stale or expired",
+              rf"approvals/(\d+) (?:{'|'.join(DECIDED)})", _decided),
+        _kind("mention", "Somebody mentions me", r"approvals/(\d+)/remarks/\d+ remarked", _mentioned),
+        _kind("alarm-assigned", "An alarm is assigned to me", r"alarms/(\d+) alarm assigned", _alarm_assigned),
+        _kind("request-assigned", "A request is assigned to me", r"approvals/(\d+) assigned", _request_assigned),
+        _kind("promoted", "A parameter set becomes the baseline", r"parameter-sets/(\d+) promoted", _promoted),
+        _kind("on-board", "What is on board changes", r"parameter-sets/(\d+) recorded .+ for", _on_board),
+        _kind("alarm", "An alarm is raised, or becomes graver", r"alarms/(\d+) alarm raised(?: again)?", _alarm),
+        _kind("run-failed", "A run of mine fails or is lost", r"runs/(\d+) ended",
+              lambda of: _run_of(of, ("FAILED", "LOST"))),
+        _kind("run-ended", "A run of mine ends in another way", r"runs/(\d+) ended",
+              lambda of: _run_of(of, ("SUCCEEDED", "CANCELLED"))),
+        _kind("ingest-asks", "New telemetry needs an answer", r"ingest-decisions/(\d+) decided", _ingest_asks),
+        _kind("change-waits", "New limits or table layouts wait for a second person",
+              r"change-proposals/(\d+) proposed", _change_waits),
+        _kind("account", "Somebody else changes my account", r"users/(\d+) .+", _account),
+    )
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class KindNews:
+    """News of a kind, with the name of its sensor."""
+
+    kind: str
+    news: News
+    sensor: str
+
+
+def list_news(session: Session, record: AuditRecord, policy: Policy) -> list[KindNews]:
+    """Return what an audit record tells people, by kind."""
+    found = []
+    for kind in KINDS.values():
+        matched = kind.records.fullmatch(f"{record.object} {record.action}")
+        if matched is None:
+            continue
+        news = kind.tell(Source(session, record, int(matched[1]), policy))
+        if news is not None:
+            sensor = None if news.sensor_id is None else session.get(Sensor, news.sensor_id)
+            found.append(KindNews(kind.name, news, sensor.name if sensor else ""))
+    return found
