@@ -204,7 +204,7 @@ def test_the_choice_stands_on_the_tab_sentence_first_with_every_number(site, rea
         "31.00 (27.90 to 34.10)",
         "812.4",
         "0.120 ± 0.030",
-        "< 1e-6",
+        as_shown("< 1e-6"),
         "undetermined",
         "not needed",
         "by cross-validation",
