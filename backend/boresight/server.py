@@ -28,7 +28,9 @@ import boresight
 from boresight.console import pages
 from boresight.console import routes as api_routes
 from boresight.console.access.credentials import Authentication, CredentialCache, LogInCookie, authenticate
+from boresight.console.access.openid_connect import IdentityProvider, read_provider_settings
 from boresight.console.access.password_checks import PasswordWorker
+from boresight.console.access.second_factors import FactorRules
 from boresight.console.jobs.alignment_thread import AlignmentThread
 from boresight.console.jobs.anchoring import Anchoring
 from boresight.console.jobs.broadcast import Broadcast
@@ -42,6 +44,7 @@ from boresight.console.runs import service as runs
 from boresight.console.webhooks.secrets import encrypt_all
 from boresight.disks import storage_error
 from boresight.errors import BoresightError, StorageError
+from boresight.platform.audit.security_log import SecurityLog, tell
 from boresight.platform.blobs.opening import open_blobs
 from boresight.platform.db.data_version import DataVersionPoller, DataVersionReader, VersionedCache
 from boresight.platform.db.sessions import migrate, open_engine, open_reading
@@ -133,6 +136,7 @@ def create_app(settings: Settings, *, limits: ConcurrencyLimits | None = None, p
         four_eyes=lambda: app.state.policy.four_eyes,
         pace=pace,
         https_only=bool(settings.secure_cookies),
+        security_log=app.state.security_log,
     )
     return app
 
@@ -141,6 +145,7 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     settings.data_folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     state = app.state
     state.settings = settings
+    state.security_log = SecurityLog(settings.security_log)
     state.policy = settings.policy
     state.engine = open_engine(settings.database_url)
     state.blobs = open_blobs(settings.blob_place)
@@ -158,9 +163,11 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.own_key = settings.own_key
     state.anchoring = Anchoring(state.engine, state.own_key, settings.time_stamps, 60.0 * settings.anchor_minutes)
     state.maintenance = Maintenance(state.engine, settings.session_limits, state.blobs, external_head, state.anchoring)
-    state.passwords = PasswordWorker(state.engine, settings.login_attempts)
-    state.blobs.tell_corrupt = state.maintenance.suspect
     state.secret_box = settings.secret_box
+    state.factor_rules = FactorRules(settings.second_factor, state.secret_box)
+    state.passwords = PasswordWorker(state.engine, settings.login_attempts, state.factor_rules)
+    state.identity_provider = IdentityProvider(read_provider_settings(settings)) if settings.oidc_issuer else None
+    state.blobs.tell_corrupt = state.maintenance.suspect
     state.webhook_sender = WebhookSender(state.engine, settings.targets, state.secret_box)
     data_versions = DataVersionReader(state.engine)
     state.data_version_poller, state.fleet_status = (
@@ -220,7 +227,8 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     state.write_lock = asyncio.Lock()
     state.broadcast.start()
     state.heartbeat.start()
-    state.maintenance.start()
+    with state.security_log.following():
+        state.maintenance.start()
     state.passwords.start()
     state.webhook_sender.start()
     state.workers = RunDispatcher(state.engine, state.settings, state.broadcast.hear, suspect=state.maintenance.suspect)
@@ -228,6 +236,12 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     state.ingest_watcher.start()
     state.alignment_thread.start()
     threading.Thread(target=_warm, args=(state.catalogue,), name="boresight-catalogue", daemon=True).start()
+    with state.security_log.following():
+        tell(
+            "sys_startup", "success", version=boresight.__version__, host=state.settings.host, port=state.settings.port
+        )
+        for weak in state.settings.list_weaknesses():
+            tell("sys_weak_setting", "success", setting=weak.variable, value=weak.value, why=weak.why)
     try:
         yield
     finally:
@@ -241,6 +255,9 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         await run_in_threadpool(state.broadcast.close)
         state.data_version_poller.close()
         state.engine.dispose()
+        with state.security_log.following():
+            tell("sys_shutdown", "success")
+        state.security_log.close()
 
 
 def _encrypt_secrets(app: FastAPI) -> None:
