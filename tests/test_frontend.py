@@ -70,7 +70,10 @@ def test_every_class_and_id_of_a_style_sheet_is_given_to_something():
     assert {one for one in styled if one[1] not in given and not one[1].startswith(BEGINNINGS)} == set()
 
 
-ACTS = r'''action="[^"]*/(promote|roll-back|uplink/record|uplink/activate|disable|revoke)"|name="decision",? value="APPROVE"'''
+ACTS = (
+    r'action="[^"]*/(promote|roll-back|uplink/record|uplink/activate|disable|revoke|reset-second-factor)"'
+    r'|name="decision",? value="APPROVE"'
+)
 
 
 def test_no_act_with_consequences_is_without_its_dialog():
@@ -81,7 +84,8 @@ def test_no_act_with_consequences_is_without_its_dialog():
             before = text[: act.start()]
             assert before.rfind("call act_dialog(") > before.rfind("endcall"), f"{path.name}: {act[0]}"
             found.add(act[1] or "approve")
-    assert found == {"promote", "roll-back", "uplink/record", "uplink/activate", "disable", "revoke", "approve"}
+    acts = {"promote", "roll-back", "uplink/record", "uplink/activate", "disable", "revoke", "reset-second-factor"}
+    assert found == {*acts, "approve"}
 
 
 def test_only_one_module_touches_plotly_and_knows_its_private_fields():

@@ -158,7 +158,7 @@ def test_the_secret_is_encrypted_and_in_no_later_answer(house, enrolled):
 
 
 @pytest.mark.parametrize("act", ["begin", "renew-recovery-codes", "remove"])
-def test_no_second_factor_is_added_removed_or_recovered_without_the_one_that_is_there(house, enrolled, act):
+def test_no_second_factor_is_added_removed_or_recovered_without_the_one_that_is_there(enrolled, act):
     _, _, client, app, codes = enrolled
     number = client.get("/api/v1/second-factors").json()["items"][0]["id"]
     address = f"/api/v1/second-factors/{number}:remove" if act == "remove" else f"/api/v1/second-factors:{act}"

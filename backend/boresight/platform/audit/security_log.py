@@ -175,9 +175,13 @@ class SecurityLog:
                 self._emit(line)
 
     def _emit(self, line: Mapping[str, Any]) -> None:
-        if self._handler is not None:
-            text = json.dumps(line, ensure_ascii=True, separators=(",", ":"), default=str)
+        if self._handler is None:
+            return
+        text = json.dumps(line, ensure_ascii=True, separators=(",", ":"), default=str)
+        try:
             self._handler.emit(logging.LogRecord("boresight.security", logging.INFO, "", 0, text, None, None))
+        except OSError as error:  # what it tells of goes on: the audit log has what must not be lost
+            log.error("The security log cannot be written (%s): %s", error, text)  # noqa: TRY400 - the sentence says it all
 
     def close(self) -> None:
         """Close the file."""
@@ -185,25 +189,12 @@ class SecurityLog:
             self._handler.close()
 
 
-class _WatchedFile(WatchedFileHandler):
-    """A file that may be moved away by a program that rotates logs; a failure to write goes to the server's own log."""
-
-    def handleError(self, record: logging.LogRecord) -> None:
-        """Tell the server's own log what could not be written."""
-        log.error(
-            "The security log %s cannot be written: %s; the event was %s",
-            self.baseFilename,
-            sys.exc_info()[1],
-            record.msg,
-        )
-
-
 def _open(place: str) -> logging.StreamHandler[Any] | None:
     if not place:
         return None
     if place == STANDARD_OUTPUT:
         return logging.StreamHandler(sys.stdout)
-    return _WatchedFile(Path(place).expanduser(), encoding="utf-8", delay=True)
+    return WatchedFileHandler(Path(place).expanduser(), encoding="utf-8", delay=True)
 
 
 @dataclass

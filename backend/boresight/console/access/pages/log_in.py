@@ -153,6 +153,9 @@ async def give_second_factor(
         cookie.clear(response)
         return response
 
+    if outcome.refusal.is_ours:
+        raise outcome.refusal.error
+
     def again() -> Response:
         with open_reading(request.app.state.engine) as session:
             return _second_factor_page(request, next, outcome.refusal, session)
