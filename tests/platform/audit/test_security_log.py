@@ -38,7 +38,11 @@ def test_the_page_has_the_table_of_all_events_as_they_are_declared():
 def test_every_event_that_is_declared_is_told_somewhere_and_no_other():
     called = re.findall(r'(?:tell|tell_once|note)\((?:session, )?\n?\s*"(\w+)"', SOURCE)
     told = {name for name in called if name.startswith(("auth", "session_", "user_", "malicious_", "sys_"))}
-    told |= {"authn_password_change", "authn_password_reset", "sys_suppressed"}  # told by a choice, and by the log itself
+    told |= {
+        "authn_password_change",
+        "authn_password_reset",
+        "sys_suppressed",
+    }  # told by a choice, and by the log itself
     assert told == set(EVENTS)
     assert {event.level for event in EVENTS.values()} == {"INFO", "WARN"}
 

@@ -4,7 +4,7 @@ With secret K and time t [s], the code of step T is that of HOTP (RFC 4226)::
 
     T = floor(t / 30),   accepted: T' in {T - 1, T, T + 1} with T' > the newest step that was taken
 
-so no code is taken twice, and one that was seen is of no use. Of 10^6 codes three fit at a time. A recovery code has 79
+so no code is taken twice, and one that was seen is of no use. Of 10^6 codes three fit at a time. A recovery code has 118
 random bits and is kept as SHA-256, which is enough for what cannot be guessed. Secrets of apps are encrypted with the key of
 `SecretBox`. Every use is made inside the writing transaction of what it allows, of which there is one at a time: two
 requests never use the same code.
@@ -53,7 +53,7 @@ MOST_FAILURES = 5  # wrong answers to one challenge
 MOST_CHALLENGES = 60  # of one person in `WAITS_S`
 MOST_FACTORS = 10
 LONGEST_LABEL = 60
-CODES, CODE_LETTERS, CODE_GROUP = 10, 16, 4
+CODES, CODE_LETTERS, CODE_GROUP = 10, 24, 4
 LETTERS = "abcdefghjkmnpqrstuvwxyz23456789"  # none that looks like another
 LONGEST_CODE = 40
 
