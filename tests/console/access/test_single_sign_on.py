@@ -257,6 +257,7 @@ def test_a_disabled_account_stays_out_and_no_password_opens_one_of_single_sign_o
     name = provider.person["preferred_username"]
     for password in ("", PASSWORD):
         assert house.anybody().post("/api/v1/sessions", json={"name": name, "password": password}).status_code == 401
+    assert "by groups at the provider" in root.get("/users").text
     tag = root.get(f"/api/v1/users/{number}").headers["etag"]
     for act, body in (
         ("change-password", {"password": "kestrel over the moor 41"}),

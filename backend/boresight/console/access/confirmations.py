@@ -62,7 +62,7 @@ def require(session: Session, actor: Actor, proof: PasswordProof) -> None:
     if second_factors.is_asked_of(session, user.id, proof.given.rules):
         second_factors.use(session, actor, user, proof.given, "signature")
     elif user.is_external and not sessions.use_confirmation(session, actor):
-        raise SingleSignOnError("confirmation", CONFIRM_FIRST)
+        raise SingleSignOnError(CONFIRM_FIRST, "confirmation")
 
 
 def require_factor(session: Session, actor: Actor, given: GivenFactor) -> None:

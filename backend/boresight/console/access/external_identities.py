@@ -33,21 +33,21 @@ class Entering:
 def enter(session: Session, person: ProviderAnswer, request_id: str | None) -> Entering:
     """Return the account of a person of the provider, made or brought up to date; refuse who may not come in."""
     if not person.subject or len(person.subject) > LONGEST_SUBJECT:
-        raise SingleSignOnError("claims", "The provider's token names nobody; log in again, or tell an administrator.")
+        raise SingleSignOnError("The provider's token names nobody; log in again, or tell an administrator.", "claims")
     if {"administrator", "approver"} <= set(person.roles):
         raise SingleSignOnError(
-            "roles",
             "Your groups give both administrator and approver, which nobody may be; have one of them taken away.",
+            "roles",
         )
     known = rows.find_identity(session, person.issuer, person.subject)
     user = _make(session, person) if known is None else session.get_one(User, known.user_id)
     if user.disabled_utc is not None:
-        raise SingleSignOnError("disabled", "This account is disabled; ask an administrator.")
+        raise SingleSignOnError("This account is disabled; ask an administrator.", "disabled")
     if known is not None:
         users.follow_groups(session, user, person.roles)
     if not person.roles:
         keep_despite_refusal(session)  # the roles of before are gone all the same
-        raise SingleSignOnError("no role", NO_ROLE)
+        raise SingleSignOnError(NO_ROLE, "no role")
     return Entering(users.make_actor(user, request_id), known is None)
 
 
@@ -57,7 +57,7 @@ NO_ROLE = "None of your groups gives you a role here; ask whoever manages the gr
 def _make(session: Session, person: ProviderAnswer) -> User:
     """Make an account for somebody who comes for the first time."""
     if not person.roles:
-        raise SingleSignOnError("no role", NO_ROLE)
+        raise SingleSignOnError(NO_ROLE, "no role")
     name = person.name
     printed = person.printed_name or name
     if rows.find_user_by_printed_name(session, printed, comparison_key(printed)) is not None:
@@ -66,13 +66,13 @@ def _make(session: Session, person: ProviderAnswer) -> User:
         user = users.create_external_user(session, name=name, printed_name=printed, roles=person.roles)
     except ConflictError as error:
         raise SingleSignOnError(
-            "name taken",
             "Another account here has your name at the provider, and is not yours by that; ask an administrator to choose another "
             "claim for names, or another name at the provider.",
+            "name taken",
         ) from error
     except RefusedInputError as error:
         raise SingleSignOnError(
-            "name", f"Your name at the provider cannot be a log-in name here ({error}); have another one given to you."
+            f"Your name at the provider cannot be a log-in name here ({error}); have another one given to you.", "name"
         ) from error
     bound = ExternalIdentity(user_id=user.id, issuer=person.issuer, subject=person.subject, created_utc=utc_now())
     session.put(bound)
@@ -86,10 +86,10 @@ def confirm(session: Session, actor: Actor, person: ProviderAnswer, attempt: Att
     known = rows.find_identity(session, person.issuer, person.subject)
     if known is None or known.user_id != actor.user_id or attempt.session_id != str(actor.session_id):
         sentence = "The provider confirmed another person than the one who is logged in; log in as yourself."
-        raise SingleSignOnError("confirmation", sentence)
+        raise SingleSignOnError(sentence, "confirmation")
     if person.authenticated_s is None or person.authenticated_s < float(attempt.began_s) - CLOCKS_DIFFER_S:
         raise SingleSignOnError(
-            "auth_time",
             "The provider did not say that you logged in anew; try again, or have it set to state auth_time.",
+            "auth_time",
         )
     sessions.confirm(session, actor)

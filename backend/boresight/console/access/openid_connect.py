@@ -187,16 +187,16 @@ class IdentityProvider:
     async def finish(self, attempt: Attempt, answered: Mapping[str, str]) -> ProviderAnswer:
         """Check what a browser brought back, exchange its code, and return whom the ID token names."""
         if not hmac.compare_digest(answered.get("state", "").encode(), attempt.state.encode()):
-            raise SingleSignOnError("state", "This log-in was not begun in this browser; log in again.")
+            raise SingleSignOnError("This log-in was not begun in this browser; log in again.", "state")
         if "iss" in answered and answered["iss"] != self.settings.issuer:  # RFC 9207
             raise SingleSignOnError(
-                "issuer", "The answer came from another provider than the one of this server; log in again."
+                "The answer came from another provider than the one of this server; log in again.", "issuer"
             )
         if "error" in answered:
-            raise SingleSignOnError("denied", "The provider did not log you in; try again, or ask who manages it.")
+            raise SingleSignOnError("The provider did not log you in; try again, or ask who manages it.", "denied")
         code = answered.get("code", "")
         if not code or len(code) > LONGEST_CODE:
-            raise SingleSignOnError("code", "The provider's answer has no code; log in again.")
+            raise SingleSignOnError("The provider's answer has no code; log in again.", "code")
         found = await self._discover()
         token = await self._exchange(found, code, attempt.verifier)
         claims = await self._check(found, token, attempt)
@@ -225,7 +225,7 @@ class IdentityProvider:
             raise _unavailable(f"answered {status}")
         if status != httpx.codes.OK or not isinstance(answer.get("id_token"), str):
             raise SingleSignOnError(
-                "code", "The provider refused this log-in's code: it was used already or is too old; log in again."
+                "The provider refused this log-in's code: it was used already or is too old; log in again.", "code"
             )
         return answer
 
@@ -239,8 +239,8 @@ class IdentityProvider:
                 read = jwt.decode(given, (await self._discover(newer_than_s=found.read_s)).keys, algorithms=ALGORITHMS)
         except (JoseError, ValueError, TypeError) as error:
             raise SingleSignOnError(
-                "signature",
                 "The provider's token is not signed by a key of the provider; log in again, or tell an administrator.",
+                "signature",
             ) from error
         expected = {
             "iss": {"essential": True, "value": self.settings.issuer},
@@ -257,11 +257,11 @@ class IdentityProvider:
             claims.validate(leeway=CLOCKS_DIFFER_S)
         except ExpiredTokenError as error:
             raise SingleSignOnError(
-                "expired", "The provider's token has expired; log in again, and check both clocks."
+                "The provider's token has expired; log in again, and check both clocks.", "expired"
             ) from error
         except (JoseError, ValueError, TypeError) as error:
             claim = getattr(error, "claim", None) or "claims"
-            raise SingleSignOnError(REASONS.get(claim, "claims"), SENTENCES.get(claim, INCOMPLETE)) from error
+            raise SingleSignOnError(SENTENCES.get(claim, INCOMPLETE), REASONS.get(claim, "claims")) from error
         return claims
 
     def _read(self, claims: CodeIDToken) -> ProviderAnswer:
@@ -296,8 +296,8 @@ class IdentityProvider:
                 raise _unavailable(f"answered {status}")
             if document.get("issuer") != issuer:
                 raise SingleSignOnError(
-                    "issuer",
                     "The provider calls itself otherwise than BORESIGHT_OIDC_ISSUER does; have the setting corrected.",
+                    "issuer",
                 )
             keys_at = self._endpoint(_Discovered(document, KeySet([]), 0.0), "jwks_uri")
             status, keys = await _ask("GET", keys_at)

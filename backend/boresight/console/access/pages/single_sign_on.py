@@ -61,7 +61,7 @@ async def come_back(request: Request) -> Response:
     try:
         if begun is None:
             raise SingleSignOnError(
-                "state", "This log-in was not begun in this browser, or took too long; log in again."
+                "This log-in was not begun in this browser, or took too long; log in again.", "state"
             )
         person = await provider.finish(begun, dict(request.query_params))
         response = (
