@@ -233,7 +233,7 @@ def house_in(folder: Path, catalogue: Catalogue) -> Iterator[House]:
     telemetry = simulate(SCENARIO, np.random.default_rng(1), catalogue)
     write_csv(telemetry, folder / "telemetry.csv")
     result = calibrate(telemetry, SCENARIO.sensor, catalogue, CalibrationSettings(method="batch")).to_dict()
-    settings = settings_in(folder / "data", login_attempts="1000")
+    settings = settings_in(folder / "data", login_attempts="1000", second_factor="optional")
     add_people(settings)
     with serving(settings, catalogue) as (address, app):
         made = House(address, app, (folder / "telemetry.csv").read_bytes(), result)

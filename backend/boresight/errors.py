@@ -65,8 +65,24 @@ class PasswordDueError(ForbiddenError):
     """Somebody else set the person's password; they must set their own before anything else."""
 
 
+class FactorEnrolmentDueError(ForbiddenError):
+    """The person's roles need a second factor and none is enrolled; they must enrol one before anything else."""
+
+
 class UnauthenticatedError(BoresightError):
     """Nobody is logged in, or the log-in has expired."""
+
+
+class SecondFactorError(UnauthenticatedError):
+    """The second factor is missing, wrong or used already."""
+
+
+class SingleSignOnError(UnauthenticatedError):
+    """The identity provider's answer was refused; `reason` is the word for the security log."""
+
+    def __init__(self, sentence: str, reason: str) -> None:
+        super().__init__(sentence)
+        self.reason = reason
 
 
 class SessionEndedError(UnauthenticatedError):

@@ -29,7 +29,9 @@ import boresight
 from boresight.console import pages
 from boresight.console import routes as api_routes
 from boresight.console.access.credentials import Authentication, CredentialCache, LogInCookie, authenticate
+from boresight.console.access.openid_connect import IdentityProvider, read_provider_settings
 from boresight.console.access.password_checks import PasswordWorker
+from boresight.console.access.second_factors import FactorRules
 from boresight.console.administration.fleet_metrics import FleetMetrics, ServerParts
 from boresight.console.jobs.alignment_thread import AlignmentThread
 from boresight.console.jobs.anchoring import Anchoring
@@ -45,6 +47,7 @@ from boresight.console.pages.rendering import bare_problem_page, is_page, proble
 from boresight.console.webhooks.secrets import encrypt_all
 from boresight.disks import storage_error
 from boresight.errors import BoresightError, StorageError
+from boresight.platform.audit.security_log import SecurityLog, tell
 from boresight.platform.blobs.opening import open_blobs
 from boresight.platform.db.data_version import DataVersionPoller, DataVersionReader, VersionedCache
 from boresight.platform.db.sessions import migrate, open_engine
@@ -139,6 +142,7 @@ def create_app(settings: Settings, *, limits: ConcurrencyLimits | None = None, p
         pace=pace,
         https_only=bool(settings.secure_cookies),
         traces=app.state.traces,
+        security_log=app.state.security_log,
     )
     return app
 
@@ -147,6 +151,7 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     settings.data_folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     state = app.state
     state.settings = settings
+    state.security_log = SecurityLog(settings.security_log)
     state.policy = settings.policy
     state.traces = get_traces(settings.otlp_endpoint, "boresight")
     state.engine = open_engine(settings.database_url)
@@ -165,9 +170,11 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.own_key = settings.own_key
     state.anchoring = Anchoring(state.engine, state.own_key, settings.time_stamps, 60.0 * settings.anchor_minutes)
     state.maintenance = Maintenance(state.engine, settings.session_limits, state.blobs, external_head, state.anchoring)
-    state.passwords = PasswordWorker(state.engine, settings.login_attempts)
-    state.blobs.tell_corrupt = state.maintenance.suspect
     state.secret_box = settings.secret_box
+    state.factor_rules = FactorRules(settings.second_factor, state.secret_box)
+    state.passwords = PasswordWorker(state.engine, settings.login_attempts, state.factor_rules)
+    state.identity_provider = IdentityProvider(read_provider_settings(settings)) if settings.oidc_issuer else None
+    state.blobs.tell_corrupt = state.maintenance.suspect
     state.webhook_sender = WebhookSender(state.engine, settings.targets, state.secret_box)
     state.message_sender = MessageSender(
         state.engine, settings.targets, state.secret_box, _outlets(settings), lambda: state.policy
@@ -232,7 +239,8 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     state.write_lock = asyncio.Lock()
     state.broadcast.start()
     state.heartbeat.start()
-    state.maintenance.start()
+    with state.security_log.following():
+        state.maintenance.start()
     state.passwords.start()
     state.webhook_sender.start()
     state.message_sender.start()
@@ -247,6 +255,12 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     state.ingest_watcher.start()
     state.alignment_thread.start()
     threading.Thread(target=_warm, args=(state.catalogue,), name="boresight-catalogue", daemon=True).start()
+    with state.security_log.following():
+        tell(
+            "sys_startup", "success", version=boresight.__version__, host=state.settings.host, port=state.settings.port
+        )
+        for weak in state.settings.list_weaknesses():
+            tell("sys_weak_setting", "success", setting=weak.variable, value=weak.value, why=weak.why)
     try:
         yield
     finally:
@@ -262,6 +276,9 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         await run_in_threadpool(state.traces.close)
         state.data_version_poller.close()
         state.engine.dispose()
+        with state.security_log.following():
+            tell("sys_shutdown", "success")
+        state.security_log.close()
 
 
 def _encrypt_secrets(app: FastAPI) -> None:

@@ -75,9 +75,44 @@ def _log_format(text: str) -> str:
     return text
 
 
-def _setting(default: str, unit: str, sentence: str, read: Callable[[str], object] | None = None) -> Any:
+def _one_of(*words: str) -> Callable[[str], str]:
+    """Return what reads one of these words."""
+
+    def read(text: str) -> str:
+        if text not in words:
+            raise ValueError(text)
+        return text
+
+    return read
+
+
+def _read_roles(text: str) -> tuple[tuple[str, str], ...]:
+    """Read pairs `group=role` that are separated by semicolons; a group's name may contain = and commas."""
+    pairs = [pair.rpartition("=") for pair in text.split(";") if pair.strip()]
+    if any(not group.strip() or not role.strip() for group, _, role in pairs):
+        raise ValueError(text)
+    return tuple((group.strip(), role.strip()) for group, _, role in pairs)
+
+
+def _setting(
+    default: str,
+    unit: str,
+    sentence: str,
+    read: Callable[[str], object] | None = None,
+    *,
+    shown: bool = True,
+) -> Any:
     """Declare a row of the table: a field of the settings, read by its own type where nothing else is said."""
-    return field(metadata={"default": default, "unit": unit, "sentence": sentence, "read": read})
+    return field(repr=shown, metadata={"default": default, "unit": unit, "sentence": sentence, "read": read})
+
+
+@dataclass(frozen=True)
+class WeakSetting:
+    """A setting that weakens what protects an installation, its value, and what follows."""
+
+    variable: str
+    value: str
+    why: str
 
 
 @dataclass(frozen=True)
@@ -126,6 +161,30 @@ class Settings:
     session_idle_minutes: float = _setting("60", "min", "A log-in that is unused for this time ends; 0 = never.")
     login_attempts: int = _setting(
         "5", "", "Wrong passwords for a name from one place before each further try must wait."
+    )
+    second_factor: str = _setting(
+        "optional",
+        "",
+        "off, optional, or required-to-sign: approvers and administrators must enrol one before anything else.",
+        read=_one_of("off", "optional", "required-to-sign"),
+    )
+    security_log: str = _setting(
+        "",
+        "path or -",
+        "File that gets each security event as a line of JSON, for a SIEM; - = standard output; empty = none.",
+    )
+    oidc_issuer: str = _setting(
+        "", "URL", "OpenID Connect provider for single sign-on; empty = none. Needs BORESIGHT_PUBLIC_URL.", read=_site
+    )
+    oidc_client_id: str = _setting("", "", "Client id of this server at the provider.")
+    oidc_client_secret: str = _setting("", "", "Client secret at the provider; better in a file.", shown=False)
+    oidc_client_secret_file: str = _setting("", "path", "File with the client secret.")
+    oidc_label: str = _setting("Log in with single sign-on", "", "Label of the button on the log-in page.")
+    oidc_scopes: str = _setting("openid profile", "", "Scopes that the provider is asked for.")
+    oidc_name_claim: str = _setting("preferred_username", "", "Claim of the ID token that gives the log-in name.")
+    oidc_groups_claim: str = _setting("groups", "", "Claim of the ID token that lists the groups of a person.")
+    oidc_roles: tuple[tuple[str, str], ...] = _setting(
+        "", "group=role; ...", "Which group at the provider gives which role.", read=_read_roles
     )
     webhooks_local: int = _setting(
         "0", "0 or 1", "1 = webhooks and messages may go to this machine and link-local addresses."
@@ -196,6 +255,26 @@ class Settings:
         "", "URL", "Collector of traces by OTLP over HTTP, without /v1/traces; empty = no traces.", read=_site
     )
     secure_cookies: int = _setting("0", "0 or 1", "1 = the session cookie is sent over HTTPS only.")
+
+    def list_weaknesses(self) -> list[WeakSetting]:
+        """Return the settings that weaken what protects an installation, for the security log."""
+        reached = self.host not in {"127.0.0.1", "::1", "localhost"} or bool(self.public_url)
+        found = {
+            "four_eyes": (not self.four_eyes, "one person can submit and sign alone"),
+            "second_person": (not self.second_person, "one person changes gate limits and table layouts alone"),
+            "second_factor": (self.second_factor == "off", "a password alone logs in and signs"),
+            "promotion_password": (not self.promotion_password, "a log-in that was left open can promote"),
+            "secure_cookies": (reached and not self.secure_cookies, "the cookie is sent over plain HTTP too"),
+            "session_idle_minutes": (self.session_idle_minutes == 0, "a log-in that is left open does not end"),
+            "webhooks_local": (bool(self.webhooks_local), "webhooks reach this machine"),
+            "webhooks_private": (bool(self.webhooks_private), "webhooks reach private networks"),
+            "cluster_network_closed": (bool(self.cluster_network_closed), "links to workers may be plain"),
+        }
+        return [
+            WeakSetting(f"BORESIGHT_{name.upper()}", str(getattr(self, name)), why)
+            for name, (is_weak, why) in found.items()
+            if is_weak
+        ]
 
     @property
     def policy(self) -> Policy:

@@ -13,11 +13,14 @@ import httpx
 import sqlalchemy as sa
 from pydantic import BaseModel
 
-from boresight.console.access.tables import User
+from boresight.console.access.tables import SecondFactor, User
 from boresight.console.approvals import queries as approval_queries
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import open_writing, utc_after
 from boresight.platform.web.paging import Page
 from boresight.server import create_app
+from tests.console.access.authenticators import App, enrol_app
 from tests.console.alarms import alarms
 from tests.console.alignments import pairs
 from tests.console.approvals import gates
@@ -274,6 +277,40 @@ def _compare(house: House) -> Made:
     return "victor", {"params": {"runs": f"{house.finished()},{house.finished()}"}}
 
 
+def _enrolment(house: House) -> Made:
+    name, _ = house.new_person("viewer")
+    begun = house.person(name).post("/api/v1/second-factors:begin", json={"password": PASSWORD}).json()
+    return name, {"json": {"challenge_id": begun["challenge_id"], "factor": App(begun["secret"]).code()}}
+
+
+def _enrolled(house: House) -> tuple[Made, int]:
+    name, number = house.new_person("viewer")
+    app, _ = enrol_app(house.person(name))
+    factor_id = house.person(name).get("/api/v1/second-factors").json()["items"][0]["id"]
+    return (name, {"factor_id": factor_id, "json": {"password": PASSWORD, "factor": app.code()}}), number
+
+
+def _renewal(house: House) -> Made:
+    (name, options), _ = _enrolled(house)
+    return name, {"json": options["json"]}
+
+
+def _reset_factor(house: House) -> Made:
+    _, number = _enrolled(house)
+    tag = house.person("adele").get(f"/api/v1/users/{number}").headers["etag"]
+    return "adele", {"user_id": number, "headers": {"If-Match": tag}}
+
+
+def _with_security_key(house: House) -> Made:
+    name, number = house.new_person("viewer")
+    house.person(name)  # logged in before a key is asked for
+    about = {"user_id": number, "kind": "webauthn", "label": "key", "secret": "AA", "created_utc": utc_after(0.0)}
+    with open_writing(house.app.state.engine) as session:
+        session.put(SecondFactor(**about, credential_id=f"AA{number:06d}", rp_id="127.0.0.1"))
+        audit.append(session, COMMAND_LINE, "enrolled", f"users/{number}")
+    return name, {}
+
+
 GOOD: dict[str, Callable[[House], Made]] = {
     **alarms.GOOD,
     "compare_runs": _compare,
@@ -429,6 +466,13 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "list_webhook_deliveries": _webhook,
     "redeliver": _delivery,
     "log_in": lambda _: ("victor", {"json": {"name": "victor", "password": PASSWORD}}),
+    "list_second_factors": lambda _: ("victor", {}),
+    "begin_second_factor": lambda _: ("victor", {"json": {"password": PASSWORD}}),
+    "enrol_second_factor": _enrolment,
+    "challenge_security_key": _with_security_key,
+    "renew_recovery_codes": _renewal,
+    "remove_second_factor": lambda house: _enrolled(house)[0],
+    "reset_second_factor": _reset_factor,
     "get_session": lambda _: ("victor", {}),
     "list_sessions": lambda _: ("victor", {}),
     "end_session": _session,

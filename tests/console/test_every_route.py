@@ -140,6 +140,7 @@ BODIES: dict[str, dict[str, Any]] = {
     "change_roles": {"json": {"roles": []}},
     "change_password": {"json": {"password": "another good one"}},
     "read_back": {"data": {"source": "x", "crc": "1"}},
+    "remove_second_factor": {"json": {"password": PASSWORD}},
     "activate_parameter_set": {"json": {"source": "x", "meaning": "x", "password": PASSWORD}},
     "get_sensor_at": {"params": {"at": "2026-01-01"}},
     "get_figure": {"name": "radial"},

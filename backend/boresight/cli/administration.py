@@ -59,6 +59,25 @@ def add(name: str, roles: tuple[str, ...], printed_name: str, *, password_stdin:
         click.echo(f"Added {made.name} ({made.printed_name}): {', '.join(made.roles)}")
 
 
+@user.command(name="reset-second-factor")
+@click.argument("name")
+def reset_second_factor(name: str) -> None:
+    """Remove every second factor of the person with the log-in NAME, and end their log-ins.
+
+    For the only administrator who lost theirs; else another administrator does it on the page Users and keys.
+    """
+    from boresight.console.access import queries, second_factors
+    from boresight.platform.actors import COMMAND_LINE
+    from boresight.platform.db.sessions import open_store, open_writing
+    from boresight.platform.web.text_validation import comparison_key
+
+    with open_store(read_settings().database_url) as engine, open_writing(engine) as session:
+        found = queries.find_user(session, name, comparison_key(name))
+        if found is None:
+            raise RefusedInputError(f"Nobody has the log-in name {name!r}; check how it is written.")
+        click.echo(f"{second_factors.reset(session, COMMAND_LINE, found.id).name} has no second factor any more.")
+
+
 def _password(*, from_stdin: bool) -> str:
     if not from_stdin:
         return str(click.prompt("Password", hide_input=True, confirmation_prompt=True, err=True))
@@ -76,10 +95,11 @@ def webhook() -> None:
 @webhook.command(name="rotate-key")
 @click.option("--forget-old", is_flag=True, help="Then remove the former keys; older backups need them.")
 def rotate_key(*, forget_old: bool) -> None:
-    """Make a new key and encrypt every webhook's secret and every person's address with it; servers that share the file keep on.
+    """Make a new key and encrypt every secret of webhooks, authenticator apps and message addresses with it.
 
-    Secrets that no key here can decrypt stay as they are.
+    Servers that share the file keep working. Secrets that no key here can decrypt stay as they are.
     """
+    from boresight.console.access import second_factors
     from boresight.console.messages.service import encrypt_anew as encrypt_addresses
     from boresight.console.webhooks.secrets import encrypt_all, encrypt_anew
     from boresight.platform.db.sessions import open_store, open_writing
@@ -91,11 +111,12 @@ def rotate_key(*, forget_old: bool) -> None:
         box.add_key()
         with open_writing(engine) as session:
             count = encrypt_anew(session, box)
+            factors = second_factors.encrypt_anew(session, box)
             addresses = encrypt_addresses(session, box)
     forgotten = box.forget_old_keys() if forget_old else 0
     click.echo(
-        f"{box.file}: a new key encrypts {addresses} addresses for messages and the secrets of {count} webhooks; "
-        f"{forgotten} older keys were removed."
+        f"{box.file}: a new key encrypts the secrets of {count} webhooks and {factors} authenticator apps, and {addresses} addresses "
+        f"for messages; {forgotten} older keys were removed."
     )
     if kept.sentence is not None:
         click.echo(kept.sentence, err=True)

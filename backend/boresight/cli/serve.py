@@ -22,6 +22,7 @@ DEMO_FOLDER = ".demo"
 DEMO_SETTINGS = {
     "BORESIGHT_WORKERS": "3",  # two are held for ten minutes by filters that are watched
     "BORESIGHT_SECOND_PERSON": "0",  # it has one administrator
+    "BORESIGHT_SECOND_FACTOR": "off",  # its passwords are on the screen
 }
 POLL_S = 0.1
 REST_S = 0.3  # between two steps of the demonstration, so that its visitor's pages come first

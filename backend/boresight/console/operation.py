@@ -43,7 +43,7 @@ from boresight.platform.web.openapi import dependency_refusals, refusals
 PREFIX = "/api/v1"
 KEPT_FOR_S = 24 * 3600.0
 LONGEST_KEY = 200
-PASSWORDS = ("password", "current")
+PASSWORDS = ("password", "current", "factor")
 NUMBERS = orjson.OPT_SERIALIZE_NUMPY
 FORM_CONTENT = "form_content"  # in the request's state: a function that returns the content of its form as bytes
 CREDENTIALS = (

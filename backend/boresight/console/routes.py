@@ -7,6 +7,7 @@ from types import ModuleType
 
 from fastapi import APIRouter
 
+from boresight.console.access import factor_routes as second_factors
 from boresight.console.access import routes as access
 from boresight.console.administration import routes as administration
 from boresight.console.alarms import routes as alarms
@@ -47,6 +48,7 @@ NOUNS = (
     events,
     audit,
     access,
+    second_factors,
     webhooks,
 )
 

@@ -9,7 +9,7 @@ import pytest
 from zxcvbn.matching import RANKED_DICTIONARIES
 
 from boresight.console import list_queries as lists
-from boresight.console.access import passwords, users
+from boresight.console.access import confirmations, passwords, users
 from boresight.console.access.log_in_attempts import FORGET_S, HELD_S, LoginAttempt, LoginLimiter, name_place
 from boresight.console.access.passwords import describe_weakness, name_password_setter
 from boresight.console.approvals import queries as approval_queries
@@ -43,7 +43,7 @@ def test_whoever_comes_with_a_given_password_may_only_set_their_own(engine, cy):
     with open_reading(engine) as session, pytest.raises(PasswordDueError, match="set your own first"):
         users.get_actor(session, cy.user_id)
     with open_reading(engine) as session, pytest.raises(PasswordDueError):
-        users.require_password(session, cy, proved(session, cy, GIVEN))
+        confirmations.require(session, cy, proved(session, cy, GIVEN))
     with open_writing(engine) as session:
         actor = users.get_actor(session, cy.user_id, sets_password=True)
         users.change_password(session, actor, cy.user_id, new_password(OWN), proved(session, cy, GIVEN))

@@ -19,7 +19,7 @@ from itsdangerous import URLSafeTimedSerializer
 
 from boresight.console.access import sessions
 from boresight.console.access.credentials import SESSION_COOKIE, LogInCookie, read_secret
-from boresight.console.access.pages import local_path
+from boresight.console.access.pages.log_in import local_path
 from boresight.console.access.tables import LoginSession
 from boresight.console.jobs.maintenance import Maintenance
 from boresight.errors import SessionEndedError, UnauthenticatedError

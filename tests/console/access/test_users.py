@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from boresight.console.access import api_keys, sessions, users
+from boresight.console.access import api_keys, confirmations, sessions, users
 from boresight.console.access.tables import ApiKey, User
 from boresight.console.approvals import service as approvals
 from boresight.errors import (
@@ -155,7 +155,7 @@ def test_what_was_proven_of_a_password_that_was_changed_meanwhile_proves_nothing
     with open_reading(engine) as session:
         another = proved(session, "cy", PASSWORD)
         with pytest.raises(UnauthenticatedError, match="Wrong name or password"):
-            users.require_password(session, people["bo"], another)
+            confirmations.require(session, people["bo"], another)
 
 
 def test_the_last_administrator_stays(session, people):

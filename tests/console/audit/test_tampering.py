@@ -16,6 +16,7 @@ import sqlalchemy as sa
 
 from boresight.console import list_queries as lists
 from boresight.console.access import api_keys, users
+from boresight.console.access.tables import ExternalIdentity, RecoveryCode, SecondFactor
 from boresight.console.alarms import rules
 from boresight.console.alarms.rules import check_chain
 from boresight.console.alignments.tables import Alignment
@@ -108,6 +109,9 @@ def _fill_the_rest(session: Session) -> None:
         JointSet,
         Alignment,
         MessageAddress,
+        ExternalIdentity,
+        RecoveryCode,
+        SecondFactor,
     ):
         if session.scalar(sa.select(sa.func.count()).select_from(model)) == 0:
             row = _plain(model)
@@ -119,6 +123,10 @@ def _fill_the_rest(session: Session) -> None:
                 row.state, row.source, row.answer = "ANSWERED", "FOLDER", "WAIT"
             if isinstance(row, Alignment):
                 row.state, row.result_sha256 = "SUCCEEDED", _any_blob()
+            if isinstance(row, RecoveryCode | SecondFactor):
+                row.ended_because = "reset"
+            if isinstance(row, SecondFactor):
+                row.kind = "totp"
             session.add(row)
             session.flush()
     audit.append(session, COMMAND_LINE, "filled", "tables")

@@ -16,6 +16,7 @@ from boresight.console.access.tables import ApiKey, User
 from boresight.errors import ForbiddenError, RefusedInputError, UnauthenticatedError
 from boresight.platform.actors import SCOPES, Actor, refuse_key, require_person
 from boresight.platform.audit import log as audit
+from boresight.platform.audit.security_log import note
 from boresight.platform.db.sessions import Session, utc_after, utc_now
 from boresight.platform.web.text_validation import refuse_control_characters
 
@@ -48,6 +49,8 @@ def create_key(
     )
     session.put(key)
     audit.append(session, actor, "created", _subject(key), None, {"label": key.label, "scopes": key.scopes})
+    told = {"key": key.prefix, "scopes": key.scopes, "expires_utc": key.expires_utc}
+    note(session, "authn_token_created", actor, **told)
     return key, secret
 
 
@@ -97,6 +100,7 @@ def revoke_key(session: Session, actor: Actor, key_id: int) -> ApiKey:
         audit.append(
             session, actor, "revoked", _subject(key), {"revoked": False}, {"revoked": True, "label": key.label}
         )
+        note(session, "authn_token_revoked", actor, key=key.prefix)
     return key
 
 

@@ -33,8 +33,15 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from boresight.console.access import api_keys, preferences, sessions, users
 from boresight.console.access.queries import CredentialRows
-from boresight.errors import BoresightError, PasswordDueError, SessionEndedError, UnauthenticatedError
+from boresight.errors import (
+    BoresightError,
+    FactorEnrolmentDueError,
+    PasswordDueError,
+    SessionEndedError,
+    UnauthenticatedError,
+)
 from boresight.platform.actors import Actor
+from boresight.platform.audit.security_log import tell_actor, tell_once
 from boresight.platform.db.data_version import DataVersion, DataVersionReader
 from boresight.platform.db.sessions import Engine, open_reading
 from boresight.platform.db.times import STYLE, TimeStyle
@@ -113,6 +120,10 @@ class LogInCookie:
         """Take the cookie away from the browser."""
         response.delete_cookie(self.name, path="/", secure=self._secure, httponly=True, samesite="lax")
 
+    def short(self, name: str, longest_s: float) -> ShortCookie:
+        """Return a cookie of the same installation for what takes a person some minutes."""
+        return ShortCookie(self, name, longest_s)
+
     def read(self, value: str) -> CookieContent:
         """Return what a cookie says."""
         try:
@@ -127,6 +138,43 @@ class LogInCookie:
         return CookieContent(token, csrf_token, signed.timestamp() + self._max_age_s)
 
 
+class ShortCookie:
+    """A signed cookie of some minutes, out of reach of scripts: what a log-in waits with before it is one."""
+
+    def __init__(self, installation: LogInCookie, name: str, longest_s: float) -> None:
+        self._secure = installation._secure  # noqa: SLF001 - the cookies of one installation
+        self._serializer = installation._serializer  # noqa: SLF001 - likewise
+        self.name = SECURE_PREFIX + name if self._secure else name
+        self._salt, self._max_age_s = name, round(longest_s)
+
+    def write(self, response: Response, content: list[str]) -> None:
+        """Set it."""
+        value = self._serializer.dumps(content, salt=self._salt)
+        response.set_cookie(
+            self.name,
+            value if isinstance(value, str) else value.decode(),
+            max_age=self._max_age_s,
+            path="/",
+            secure=self._secure,
+            httponly=True,
+            samesite="lax",
+        )
+
+    def read(self, request: Request) -> list[str] | None:
+        """Return what it says; None where there is none that counts."""
+        try:
+            value = request.cookies.get(self.name, "")
+            content = self._serializer.loads(value, max_age=self._max_age_s, salt=self._salt)
+        except (BadData, ValueError, TypeError):
+            return None
+        is_ours = isinstance(content, list) and all(isinstance(one, str) for one in content)
+        return content if is_ours else None
+
+    def clear(self, response: Response) -> None:
+        """Take it away from the browser."""
+        response.delete_cookie(self.name, path="/", secure=self._secure, httponly=True, samesite="lax")
+
+
 MOST_REMEMBERED = 10_000
 THEME_COOKIE, THEME_S = "boresight-theme", 365 * 86_400
 LISTENING = "/api/v1/events"
@@ -138,6 +186,12 @@ WHILE_PASSWORD_IS_DUE = (
     "/password",
     "/logout",
 )  # what remains allowed until a person has set a password of their own
+WHILE_FACTOR_IS_DUE = (*WHILE_PASSWORD_IS_DUE, "/second-factor", "/api/v1/second-factors")
+ENROLMENT = (
+    "/second-factor/",
+    "/api/v1/second-factors:",
+    "/login/single-sign-on",
+)  # what begins so is allowed then too
 T = TypeVar("T")
 U = TypeVar("U")
 Carried = tuple[tuple[bytes, bytes], ...]
@@ -235,7 +289,9 @@ async def authenticate(scope: Scope) -> None:
     if not carries_credentials(scope, server.log_in_cookie.name):
         return
     state[DATA_VERSION] = await server.data_version_poller.now()
-    with suppress(UnauthenticatedError, PasswordDueError):  # the endpoint says so, where it asks for somebody
+    with suppress(
+        UnauthenticatedError, PasswordDueError, FactorEnrolmentDueError
+    ):  # the endpoint says so, where it asks for somebody
         await get_actor(Request(scope))
 
 
@@ -284,6 +340,7 @@ def _note(request: Request, known: Identity) -> Actor:
     state[TIMES] = known.times
     actor = known.actor.with_request(state["request_id"])
     state["actor"] = actor
+    tell_actor(actor)
     return actor
 
 
@@ -300,7 +357,11 @@ def _identify_key_owner(request: Request) -> Identity | None:
     if secret is None:
         return None
     with open_reading(request.app.state.engine) as session:
-        actor = api_keys.find_actor_of_key(session, secret)
+        try:
+            actor = api_keys.find_actor_of_key(session, secret)
+        except UnauthenticatedError as error:
+            tell_once("authn_token_fail", "failure", reason=str(error))
+            raise
         rows = CredentialRows.read(session, "key", actor.credential.removeprefix("key:"))
     use = partial(request.app.state.maintenance.used, actor.credential)
     use(active=True)
@@ -319,7 +380,9 @@ def _identify_log_in_owner(request: Request) -> Identity:
         log_in = sessions.find(session, content.token)
         due = f"/api/v1/users/{log_in.user_id}:change-password"
         sets_password = request.url.path in (*WHILE_PASSWORD_IS_DUE, due)
-        actor = users.get_actor(session, log_in.user_id, log_in.id, sets_password=sets_password)
+        enrols = sets_password or is_for_enrolment(request.url.path)
+        rules = None if enrols else request.app.state.factor_rules
+        actor = users.get_actor(session, log_in.user_id, log_in.id, sets_password=sets_password, rules=rules)
         rows = CredentialRows.read(session, "session", log_in.id)
         times = preferences.get_time_style(session, log_in.user_id)
     use = partial(request.app.state.maintenance.session_used, log_in.id, log_in.last_used_utc)
@@ -327,8 +390,13 @@ def _identify_log_in_owner(request: Request) -> Identity:
         raise SessionEndedError("idle")
     others = tuple(sorted(pair for pair in request.cookies.items() if pair[0] != cookie.name))
     gaps = (content.csrf_token.encode(), str(escape(actor.printed_name or actor.name)).encode())
-    sharing = None if sets_password else Sharing((actor.user_id, others), (actor.roles, times, others), gaps)
+    sharing = None if enrols else Sharing((actor.user_id, others), (actor.roles, times, others), gaps)
     return Identity(actor, content.csrf_token, sharing, content.ends_s, use, rows, times=times)
+
+
+def is_for_enrolment(path: str) -> bool:
+    """Whether somebody whose roles need a second factor may ask for this before one is enrolled."""
+    return path in WHILE_FACTOR_IS_DUE or path.startswith(ENROLMENT)
 
 
 def get_times(request: Request) -> TimeStyle:

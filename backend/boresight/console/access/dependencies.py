@@ -14,15 +14,19 @@ from typing import Annotated, Any, Protocol, cast
 
 from fastapi import Depends, Header, Query
 from fastapi.concurrency import contextmanager_in_threadpool
-from pydantic import BaseModel, SecretStr
+from pydantic import BaseModel, Field, SecretStr
 from starlette.requests import Request
 from starlette.responses import Response
 
-from boresight.console.access import preferences, sessions, users
-from boresight.console.access.credentials import THEME_COOKIE, LogInCookie, bearer, get_actor
+from boresight.console.access import confirmations, preferences, second_factors, sessions, users
+from boresight.console.access.confirmations import Needed
+from boresight.console.access.credentials import THEME_COOKIE, LogInCookie, ShortCookie, bearer, get_actor
 from boresight.console.access.password_checks import PasswordWorker
 from boresight.console.access.passwords import NO_PROOF, PasswordProof
+from boresight.console.access.second_factors import WAITS_S, FactorRules, GivenFactor
 from boresight.console.access.sessions import ClientAddress
+from boresight.console.access.tables import User
+from boresight.console.access.webauthn_ceremonies import Site
 from boresight.console.schemas import Row
 from boresight.errors import (
     ForbiddenError,
@@ -32,6 +36,7 @@ from boresight.errors import (
     UnauthenticatedError,
 )
 from boresight.platform.actors import Actor, Policy, require_person
+from boresight.platform.audit.security_log import note, tell
 from boresight.platform.audit.signing import SigningKey
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.secret_box import SecretBox
@@ -135,6 +140,7 @@ async def csrf(request: Request) -> None:
         return  # neither is there with a log-in that has ended; it must not keep anybody from logging in anew
     given = request.headers.get(CSRF_HEADER) or await _form_token(request)
     if not hmac.compare_digest(given.encode(), request.state.csrf_token.encode()):
+        tell("malicious_csrf", "failure")
         raise ForbiddenError(
             f"The {CSRF_HEADER} is missing or belongs to another log-in; reload the page and try again."
         )
@@ -193,6 +199,30 @@ async def seen_version(given: Annotated[Seen, Depends(seen)]) -> int:
     return version
 
 
+def password_field(description: str) -> Any:
+    """Return the field of a body for a password; people who log in by single sign-on have none and leave it out."""
+    return Field(SecretStr(""), description=f"{description} Left out with single sign-on.")
+
+
+def factor_field() -> Any:
+    """Return the field of a body for a second factor."""
+    return Field(
+        SecretStr(""),
+        description="The second factor, where one is enrolled: an app's code, a recovery code, or a security key's answer as JSON.",
+    )
+
+
+def own_factor(body: Any) -> Any:
+    """Return a dependency that checks the acting person's second factor, a field of the body, which may be left out."""
+
+    @refuses(429)
+    async def proven(actor: Who, request: Request, given: Any = None) -> GivenFactor:
+        return await check_own_factor(request, actor, "" if given is None else given.factor.get_secret_value())
+
+    proven.__annotations__["given"] = body
+    return Depends(proven)
+
+
 class WorkerControl(Protocol):
     """The part of the dispatcher that endpoints use; absent until the server has started."""
 
@@ -230,17 +260,60 @@ def depend_on_server(name: str) -> Any:
     return Depends(part)
 
 
+def get_site(request: Request) -> Site:
+    """Return the site that a browser sees this server as: its public address, or the one that the request was sent to."""
+    return Site.of(get_server(request).settings.public_url or str(request.base_url))
+
+
+def get_factor_rules(request: Request) -> FactorRules:
+    """Return of whom this server asks a second factor."""
+    rules: FactorRules = request.app.state.factor_rules
+    return rules
+
+
+def get_needed(request: Request, session: Session, actor: Actor) -> Needed:
+    """Return what the acting person is asked for where something must be confirmed."""
+    return confirmations.describe_needed(session, actor, get_factor_rules(request))
+
+
+def waiting_cookie(request: Request) -> ShortCookie:
+    """Return the cookie of a log-in that waits for its second factor."""
+    cookie: LogInCookie = request.app.state.log_in_cookie
+    return cookie.short("boresight_second_factor", WAITS_S)
+
+
 def log_in_person(request: Request, response: Response, session: Session, proof: PasswordProof) -> tuple[Actor, str]:
-    """Create a log-in for a person who was authenticated, set its cookie, and return the person and the CSRF token."""
+    """Log a person in by one request, with the second factor that it carries where one is asked for."""
     actor = users.authenticate(session, proof, request.state.request_id)
+    user_id, kind = require_person(actor, "log in"), None
+    if second_factors.is_asked_of(session, user_id, get_factor_rules(request)):
+        kind = second_factors.use(session, actor, session.get_known(User, user_id), proof.given, "log-in")
+    return actor, begin_session(request, response, session, actor, "password", kind)
+
+
+def log_in_or_wait(request: Request, response: Response, session: Session, actor: Actor, method: str) -> bool:
+    """Log in a person whose password or provider was right; whether the log-in waits for a second factor instead."""
     user_id = require_person(actor, "log in")
-    _, token = sessions.begin(session, user_id, get_client(request))
+    if not second_factors.is_asked_of(session, user_id, get_factor_rules(request)):
+        begin_session(request, response, session, actor, method)
+        return False
+    waiting_cookie(request).write(response, [second_factors.begin_waiting(session, user_id, method)])
+    return True
+
+
+def begin_session(
+    request: Request, response: Response, session: Session, actor: Actor, method: str, factor_kind: str | None = None
+) -> str:
+    """Begin a log-in of somebody who gave all that is asked for, set its cookie, and return the CSRF token."""
+    user_id = require_person(actor, "log in")
+    row, token = sessions.begin(session, user_id, get_client(request), method, factor_kind)
+    note(session, "authn_login_success", actor, method=method, factor=factor_kind, log_in=row.id)
     cookie: LogInCookie = request.app.state.log_in_cookie
     csrf_token = cookie.write(response, token)
     theme = preferences.get_preferences(session, user_id)["theme"]
     if theme != request.cookies.get(THEME_COOKIE, "system"):
         cookie.write_theme(response, theme)
-    return actor, csrf_token
+    return csrf_token
 
 
 def get_client(request: Request) -> ClientAddress:
@@ -254,18 +327,25 @@ def clear_cookie(request: Request, response: Response) -> None:
     request.app.state.log_in_cookie.clear(response)
 
 
-async def check_own(request: Request, actor: Actor, password: str) -> PasswordProof:
-    """Check the acting person's password before any transaction begins."""
-    return await get_server(request).passwords.check_own(actor, password, get_client(request))
+async def check_own(request: Request, actor: Actor, password: str, code: str = "") -> PasswordProof:
+    """Check what confirms the acting person before any transaction begins."""
+    return await get_server(request).passwords.check_own(actor, password, get_client(request), code, get_site(request))
+
+
+async def check_own_factor(request: Request, actor: Actor, code: str) -> GivenFactor:
+    """Check the acting person's second factor alone before any transaction begins."""
+    return await get_server(request).passwords.check_own_factor(actor, code, get_site(request))
 
 
 def own_password(body: type[BaseModel]) -> Any:
-    """Return a dependency that checks the acting person's password, a field of the body, which may be optional."""
+    """Return a dependency that checks what confirms the acting person, fields of the body, which may be optional."""
 
     @refuses(429)
     async def proven(signed: Any, actor: Who, request: Request) -> PasswordProof:
-        given: SecretStr | None = signed.password
-        return NO_PROOF if given is None else await check_own(request, actor, given.get_secret_value())
+        password: SecretStr | None = signed.password
+        if password is None:
+            return NO_PROOF
+        return await check_own(request, actor, password.get_secret_value(), signed.factor.get_secret_value())
 
     proven.__annotations__["signed"] = body  # the same parameter as its endpoint's, so the body is one
     return Depends(proven)
@@ -288,6 +368,7 @@ OwnKey = Annotated[SigningKey, depend_on_server("own_key")]
 SecretKeeper = Annotated[SecretBox, depend_on_server("secret_box")]
 ServerPolicy = Annotated[Policy, depend_on_server("policy")]
 PasswordChecks = Annotated[PasswordWorker, depend_on_server("passwords")]
+ServerFactorRules = Annotated[FactorRules, depend_on_server("factor_rules")]
 ServerSettings = Annotated[Settings, depend_on_server("settings")]
 DryRunSources = Annotated[ForecastSources, depend_on_server("forecast_sources")]
 Stars = Annotated[Callable[[], Catalogue], depend_on_server("catalogue")]

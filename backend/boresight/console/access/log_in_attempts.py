@@ -7,7 +7,7 @@ With f failures counted under a key and n of them free, an attempt begins no ear
 after the one before. It is counted under its name at its place, under its name at the console where another one is
 logged in, and, unless the name logged in from that place before, under its name at all such places and under the place
 alone. So strangers share some 50 tries an hour at an account and a known place has 50 of its own (OWASP ASVS 4.0,
-2.2.1).
+2.2.1). Codes of second factors are counted apart, and a right password clears none of their failures.
 """
 
 from __future__ import annotations
@@ -23,10 +23,12 @@ from boresight.console.access import queries as rows
 from boresight.errors import TooManyAttemptsError
 from boresight.platform.actors import SYSTEM
 from boresight.platform.audit import log as audit
+from boresight.platform.audit.security_log import tell
 from boresight.platform.db.sessions import Session, utc_now
 from boresight.platform.web.text_validation import comparison_key
 
 LONGEST_OF_NAME_S, LONGEST_OF_ACCOUNT_S, LONGEST_OF_PLACE_S = 100.0, 120.0, 10.0
+LONGEST_OF_CODE_S = 1800.0  # of six digits three in a million fit: 48 tries a day find one in 19 years on average
 PLACES_A_NAME = 3  # times as many failures are free to strangers together at a name as to one of them
 NAMES_A_PLACE = 6  # times as many failures are free to a place as to a name at it
 HELD_S = 4.0  # a wait up to so long is waited out
@@ -54,6 +56,7 @@ class LoginAttempt:
     place: str
     known: bool = False
     console: str | None = None
+    is_code: bool = False  # of a second factor: counted apart from the passwords of the name
 
 
 @dataclass
@@ -88,7 +91,9 @@ class LoginLimiter:
         begins_s = max(self._begins_s(key, now_s) for key in limits)
         if begins_s - now_s > HELD_S:
             wait_s = math.ceil(begins_s - now_s)
-            raise TooManyAttemptsError(f"Too many wrong passwords were tried; wait {wait_s} s and try again.", wait_s)
+            what = "second factors" if tried.is_code else "passwords"
+            tell("authn_login_lock", "failure", name=tried.name, wait_s=wait_s)
+            raise TooManyAttemptsError(f"Too many wrong {what} were tried; wait {wait_s} s and try again.", wait_s)
         for key, (free, longest_s) in limits.items():
             count = self._counts.setdefault(key, _Count(free, longest_s))
             self._counts.move_to_end(key)
@@ -110,13 +115,16 @@ class LoginLimiter:
                 continue
             count.pending = max(count.pending - 1, 0)
             count.failures += failed is True
-            if failed is False and key in {(tried.name, tried.place), ("console", tried.name, tried.console)}:
+            own = {(tried.name, tried.place), ("console", tried.name, tried.console), _code_key(tried)}
+            if failed is False and key in own:
                 count.failures = 0
             if not count.pending and not count.failures:
                 del self._counts[key]
 
     def _limits(self, tried: LoginAttempt) -> dict[Hashable, tuple[float, float]]:
         """Return the keys under which an attempt is counted, each with its number of free failures and its longest wait."""
+        if tried.is_code:
+            return {_code_key(tried): (self._free, LONGEST_OF_CODE_S)}
         of_name = (self._free, LONGEST_OF_NAME_S)
         limits: dict[Hashable, tuple[float, float]] = {(tried.name, tried.place): of_name}
         if tried.console is not None:
@@ -133,6 +141,11 @@ class LoginLimiter:
             del self._counts[key]
             count = None
         return now_s if count is None else count.begins_s(now_s)
+
+
+def _code_key(tried: LoginAttempt) -> Hashable:
+    """Return the key under which codes are counted: those from strange places together, any other place by itself."""
+    return ("code", tried.name, tried.place if tried.known else None)
 
 
 MOST_RECORDS = 10

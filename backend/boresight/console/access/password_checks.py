@@ -14,13 +14,14 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from typing import TypeVar
 
 from fastapi.concurrency import run_in_threadpool
 
 from boresight.console.access import log_in_attempts as failed_log_ins
-from boresight.console.access import passwords, sessions, users
+from boresight.console.access import passwords, second_factors, sessions, users
 from boresight.console.access.log_in_attempts import (
     FailedAttempt,
     Failures,
@@ -29,9 +30,12 @@ from boresight.console.access.log_in_attempts import (
     name_place,
 )
 from boresight.console.access.passwords import NO_PROOF, NewPassword, PasswordProof, StoredPassword
+from boresight.console.access.second_factors import FactorRules, GivenFactor
 from boresight.console.access.sessions import ClientAddress
+from boresight.console.access.webauthn_ceremonies import Site
 from boresight.errors import BoresightError, OverloadedError
 from boresight.platform.actors import Actor
+from boresight.platform.audit.security_log import tell
 from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing
 from boresight.platform.jobs.periodic_thread import PeriodicThread
 from boresight.platform.web.text_validation import comparison_key
@@ -76,8 +80,9 @@ def _yield_processors() -> None:
 class PasswordWorker:
     """The passwords of one server's requests."""
 
-    def __init__(self, database: Engine, free: int) -> None:
+    def __init__(self, database: Engine, free: int, rules: FactorRules | None = None) -> None:
         self._database = database
+        self._rules = rules
         self._limiter = LoginLimiter(free)
         self._known, self._returning = (
             _PasswordThread("passwords", yields=False),
@@ -104,27 +109,55 @@ class PasswordWorker:
         self._returning.close()
         self._anybody.close()
 
-    async def check_log_in(self, name: str, password: str, client: ClientAddress) -> PasswordProof:
-        """Check name and password of somebody who is not known yet."""
+    async def check_log_in(
+        self, name: str, password: str, client: ClientAddress, code: str = "", site: Site | None = None
+    ) -> PasswordProof:
+        """Check name and password of somebody who is not known yet, and the code of a second factor where one is given."""
         place = name_place(client.address)
         stored, known = await self._read(partial(_read_stored_at, name=name, place=place))
         tried = LoginAttempt(comparison_key(name), place, known)
         lane = self._returning if known else self._anybody
-        return await self._check(FailedAttempt.of(name, client.address), tried, lane, stored, password)
+        proof = await self._check(FailedAttempt.of(name, client.address), tried, lane, stored, password)
+        return await self._with_factor(proof, tried, code, site)
 
-    async def check_own(self, actor: Actor, password: str, client: ClientAddress) -> PasswordProof:
-        """Check the acting person's password; only failures under the same log-in delay it."""
+    async def check_own(
+        self, actor: Actor, password: str, client: ClientAddress, code: str = "", site: Site | None = None
+    ) -> PasswordProof:
+        """Check the acting person's password, and a second factor; only failures under the same log-in delay it."""
         if actor.is_key:
             return NO_PROOF  # whatever it says: a key never signs
         attempt = FailedAttempt.of(actor.name, client.address, actor.session_id)
         stored = await self._read(partial(passwords.read_stored, user_id=actor.user_id))
         tried = LoginAttempt(comparison_key(actor.name), f"session {actor.session_id}", known=True)
-        return await self._check(attempt, tried, self._known, stored, password)
+        if await self._read(partial(users.is_external, user_id=actor.user_id)):
+            return await self._with_factor(NO_PROOF, tried, code, site, actor.user_id)
+        proof = await self._check(attempt, tried, self._known, stored, password)
+        return await self._with_factor(proof, tried, code, site)
+
+    async def check_own_factor(self, actor: Actor, code: str, site: Site) -> GivenFactor:
+        """Check the acting person's second factor alone."""
+        tried = LoginAttempt(comparison_key(actor.name), f"session {actor.session_id}", known=True)
+        user_id = None if actor.is_key else actor.user_id
+        return (await self._with_factor(NO_PROOF, tried, code, site, user_id)).given
+
+    async def check_code(self, user_id: int, code: str, client: ClientAddress, site: Site) -> GivenFactor:
+        """Check the code of a person whose log-in waits for a second factor."""
+        place = name_place(client.address)
+        names = await self._read(partial(users.get_person_names, user_id=user_id))
+        known = await self._read(partial(sessions.has_logged_in_from, user_id=user_id, place=place))
+        tried = LoginAttempt(comparison_key(names[0] if names else ""), place, known)
+        return (await self._with_factor(NO_PROOF, tried, code, site, user_id)).given
 
     async def check_beside(
-        self, actor: Actor, name: str, password: str, client: ClientAddress, refuse: Callable[[Session], None]
+        self,
+        actor: Actor,
+        name: str,
+        password: str,
+        client: ClientAddress,
+        refuse: Callable[[Session], None],
+        code: str = "",
     ) -> PasswordProof:
-        """Check name and password of a second person at the acting person's console."""
+        """Check name and password of a second person at the acting person's console, and the code of their second factor."""
         place = name_place(client.address)
 
         def read(session: Session) -> tuple[StoredPassword, bool] | None:
@@ -140,7 +173,33 @@ class PasswordWorker:
         stored, known = found
         tried = LoginAttempt(comparison_key(name), place, known, console=f"person {actor.user_id}")
         attempt = FailedAttempt.of(name, client.address, actor.session_id)
-        return await self._check(attempt, tried, self._known, stored, password)
+        proof = await self._check(attempt, tried, self._known, stored, password)
+        return await self._with_factor(proof, tried, code, None)
+
+    async def _with_factor(
+        self, proof: PasswordProof, tried: LoginAttempt, code: str, site: Site | None, user_id: int | None = None
+    ) -> PasswordProof:
+        """Look at a typed code when the limiter allows it; it is used in the transaction of what it allows."""
+        rules, typed = self._rules, code.strip()
+        owner_id = proof.stored.user_id if proof.fits else user_id
+        if rules is None or not rules.are_on:
+            return proof
+        given = GivenFactor(typed, site, rules)
+        if owner_id is None or not typed or typed.startswith("{"):
+            return replace(proof, given=given)
+        if not await self._read(partial(second_factors.is_asked_of, user_id=owner_id, rules=rules)):
+            return replace(proof, given=given)
+        tried = replace(tried, is_code=True)
+        wait_s, failed = self._limiter.admit(tried), None
+        try:
+            await self._wait(wait_s)
+            fits = await self._read(partial(second_factors.fits, user_id=owner_id, code=typed, rules=rules))
+            failed = not fits
+        finally:
+            self._limiter.ended(tried, failed=failed)
+        if failed:
+            self._note(FailedAttempt.of(tried.name, tried.place))
+        return replace(proof, given=replace(given, fits=fits))
 
     async def prepare(self, password: str, *names: str) -> NewPassword:
         """Hash a password that is to be stored."""
@@ -181,6 +240,7 @@ class PasswordWorker:
         finally:
             self._limiter.ended(tried, failed=failed)
         if failed:
+            tell("authn_login_fail", "failure", name=attempt.name, reason="password", method="password")
             self._note(attempt)
         return proof
 

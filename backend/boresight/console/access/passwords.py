@@ -16,6 +16,7 @@ from argon2 import PasswordHasher
 from argon2.exceptions import InvalidHashError, VerificationError
 
 from boresight.console.access import queries as rows
+from boresight.console.access.second_factors import NO_FACTOR, GivenFactor
 from boresight.console.access.tables import User
 from boresight.errors import RefusedInputError, UnauthenticatedError
 from boresight.platform.audit import queries as records
@@ -90,10 +91,14 @@ class StoredPassword:
 
 @dataclass(frozen=True)
 class PasswordProof:
-    """Whether a password was the person's when it was checked, outside any transaction, against what was stored then."""
+    """Whether a password was the person's when it was checked, outside any transaction, against what was stored then.
+
+    `given` is the second factor that came with it, which is used inside the transaction.
+    """
 
     stored: StoredPassword
     fits: bool
+    given: GivenFactor = NO_FACTOR
 
 
 NO_PROOF = PasswordProof(StoredPassword(), fits=False)  # where no password was given
@@ -125,7 +130,7 @@ def read_stored(session: Session, user_id: int | None) -> StoredPassword:
 
 
 def _stored(user: User | None) -> StoredPassword:
-    known = user is not None and user.disabled_utc is None
+    known = user is not None and user.disabled_utc is None and not user.is_external
     return StoredPassword(user.id, user.password_hash) if known and user is not None else StoredPassword()
 
 
@@ -181,6 +186,8 @@ def name_password_setter(session: Session, user_id: int) -> str | None:
     It is somebody else's when they gave the one that is in use, and may be when the person set one within `TOLD_FOR_S`
     after somebody else had given one: whoever gave it could log in with it and set the next.
     """
+    if (user := session.get(User, user_id)) is not None and user.is_external:
+        return None
     subject, actions = f"users/{user_id}", (CREATED, CHANGED, RESET)
     newest = records.find_newest(session, subject, actions)
     given = records.find_newest(session, subject, actions, not_by=user_id)

@@ -1,4 +1,4 @@
-"""Queries on people, API keys, log-ins and preferences, and on the rows that a cached identity depends on."""
+"""Queries on people, API keys, log-ins, second factors and preferences, and on the rows that a cached identity depends on."""
 
 from __future__ import annotations
 
@@ -8,7 +8,16 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from boresight.console.access.tables import ApiKey, LoginSession, User, UserPreference
+from boresight.console.access.tables import (
+    ApiKey,
+    ExternalIdentity,
+    FactorChallenge,
+    LoginSession,
+    RecoveryCode,
+    SecondFactor,
+    User,
+    UserPreference,
+)
 from boresight.platform.db.data_version import DataVersionReader
 from boresight.platform.db.sessions import Session
 
@@ -85,6 +94,15 @@ def has_lapsed(session: Session, *, created_before_utc: str, used_before_utc: st
     return session.scalar(query) is not None
 
 
+def list_lapsed_log_ins(
+    session: Session, *, created_before_utc: str, used_before_utc: str
+) -> Sequence[tuple[int, int, str]]:
+    """Return id, person and beginning of the open log-ins that were made or used too long ago."""
+    columns = (LoginSession.id, LoginSession.user_id, LoginSession.created_utc)
+    query = sa.select(*columns).where(_lapsed(created_before_utc, used_before_utc))
+    return [(row[0], row[1], row[2]) for row in session.execute(query)]
+
+
 def end_lapsed_log_ins(session: Session, ended_utc: str, *, created_before_utc: str, used_before_utc: str) -> None:
     """Write the end of the log-ins that were made or used too long ago."""
     because = sa.case((LoginSession.created_utc < created_before_utc, "expired"), else_="idle")
@@ -113,6 +131,87 @@ def read_newest_revocation(session: Session) -> tuple[str | None, str | None]:
     """Return when a key was last revoked and a person last disabled."""
     revoked = session.scalar(sa.select(sa.func.max(ApiKey.revoked_utc)))
     return revoked, session.scalar(sa.select(sa.func.max(User.disabled_utc)))
+
+
+def find_identity(session: Session, issuer: str, subject: str) -> ExternalIdentity | None:
+    """Return the account that is bound to a person of a provider."""
+    query = sa.select(ExternalIdentity).where(ExternalIdentity.issuer == issuer, ExternalIdentity.subject == subject)
+    return session.scalar(query)
+
+
+def find_identity_of(session: Session, user_id: int) -> ExternalIdentity | None:
+    """Return whom at a provider an account is bound to."""
+    return session.scalar(sa.select(ExternalIdentity).where(ExternalIdentity.user_id == user_id))
+
+
+def list_factors(session: Session, user_id: int) -> Sequence[SecondFactor]:
+    """Return the second factors that a person has, in the order of their enrolment."""
+    query = sa.select(SecondFactor).where(SecondFactor.user_id == user_id, SecondFactor.ended_utc.is_(None))
+    return session.scalars(query.order_by(SecondFactor.id)).all()
+
+
+def list_encrypted_factors(session: Session) -> Sequence[SecondFactor]:
+    """Return everybody's second factors that have not ended."""
+    return session.scalars(sa.select(SecondFactor).where(SecondFactor.ended_utc.is_(None))).all()
+
+
+def list_enrolled_ids(session: Session) -> frozenset[int]:
+    """Return who has a second factor."""
+    query = sa.select(SecondFactor.user_id).where(SecondFactor.ended_utc.is_(None)).distinct()
+    return frozenset(session.scalars(query))
+
+
+def find_credential(session: Session, credential_id: str) -> SecondFactor | None:
+    """Return the second factor of a security key's credential, whoever has or had it."""
+    return session.scalar(sa.select(SecondFactor).where(SecondFactor.credential_id == credential_id))
+
+
+def list_recovery_codes(session: Session, user_id: int) -> Sequence[RecoveryCode]:
+    """Return a person's recovery codes that can be used."""
+    query = sa.select(RecoveryCode).where(RecoveryCode.user_id == user_id, RecoveryCode.ended_utc.is_(None))
+    return session.scalars(query).all()
+
+
+def find_challenge_by_token(session: Session, token_hash: str) -> FactorChallenge | None:
+    """Return the log-in that waits under a cookie."""
+    return session.scalar(sa.select(FactorChallenge).where(FactorChallenge.token_hash == token_hash))
+
+
+def find_challenge(session: Session, user_id: int, session_id: int, challenge: str) -> FactorChallenge | None:
+    """Return the challenge of these random bytes that was given to a person under one log-in."""
+    query = sa.select(FactorChallenge).where(
+        FactorChallenge.user_id == user_id,
+        FactorChallenge.session_id == session_id,
+        FactorChallenge.challenge == challenge,
+    )
+    return session.scalar(query)
+
+
+def count_challenges(session: Session, user_id: int, since_utc: str) -> int:
+    """Count the challenges that a person was given since a time."""
+    query = sa.select(sa.func.count()).where(
+        FactorChallenge.user_id == user_id, FactorChallenge.created_utc > since_utc
+    )
+    return session.scalar(query) or 0
+
+
+def end_challenges(session: Session, user_id: int, ended_utc: str) -> None:
+    """End everything of a person that waits for a second factor."""
+    open_ones = sa.update(FactorChallenge).where(
+        FactorChallenge.user_id == user_id, FactorChallenge.ended_utc.is_(None)
+    )
+    session.execute(open_ones.values(ended_utc=ended_utc))
+
+
+def has_old_challenge(session: Session, before_utc: str) -> bool:
+    """Whether a challenge was made before a time."""
+    query = sa.select(FactorChallenge.id).where(FactorChallenge.created_utc < before_utc).limit(1)
+    return session.scalar(query) is not None
+
+
+def forget_challenges(session: Session, before_utc: str) -> None:
+    """Remove the challenges that were made before a time."""
+    session.execute(sa.delete(FactorChallenge).where(FactorChallenge.created_utc < before_utc))
 
 
 def read_preferences(session: Session, user_id: int) -> dict[str, Any]:

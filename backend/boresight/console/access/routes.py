@@ -22,7 +22,9 @@ from boresight.console.access.dependencies import (
     Who,
     Writing,
     clear_cookie,
+    factor_field,
     get_client,
+    get_site,
     log_in_person,
     refuse_dry_run,
 )
@@ -64,7 +66,7 @@ class Password(Shape):
     current: SecretStr = SecretStr("")
 
 
-def _require_seen(session: Session, user_id: int, seen: Seen) -> None:
+def require_seen(session: Session, user_id: int, seen: Seen) -> None:
     """Refuse a change by someone who saw older roles or an older state of the person."""
     row = session.get_known(User, user_id)
     seen.require(schemas.User, row, row.printed_name)
@@ -117,21 +119,21 @@ def get_user(user_id: Id, session: Reading) -> User:
 @router.post("/{user_id}:change-roles", summary="Change roles", response_model=schemas.User)
 def change_roles(user_id: Id, given: Roles, actor: Who, seen: SeenTag, session: Writing) -> User:
     """Replace the roles of a person; administrators only."""
-    _require_seen(session, user_id, seen)
+    require_seen(session, user_id, seen)
     return users.change_roles(session, actor, user_id, given.roles)
 
 
 @router.post("/{user_id}:disable", summary="Disable a person", response_model=schemas.User)
 def disable_user(user_id: Id, actor: Who, seen: SeenTag, session: Writing) -> User:
     """Disable a person and end every log-in; what they did stays on record."""
-    _require_seen(session, user_id, seen)
+    require_seen(session, user_id, seen)
     return users.disable_user(session, actor, user_id)
 
 
 @router.post("/{user_id}:enable", summary="Enable a person", response_model=schemas.User)
 def enable_user(user_id: Id, actor: Who, seen: SeenTag, session: Writing) -> User:
     """Enable a disabled person."""
-    _require_seen(session, user_id, seen)
+    require_seen(session, user_id, seen)
     return users.enable_user(session, actor, user_id)
 
 
@@ -147,14 +149,14 @@ def change_password(
 
     A person whose password an administrator set must first set their own.
     """
-    _require_seen(session, user_id, seen)
+    require_seen(session, user_id, seen)
     return users.change_password(session, actor, user_id, *prepared)
 
 
 @router.post("/{user_id}:end-sessions", summary="End every log-in", status_code=204)
 def end_sessions(user_id: Id, actor: Who, seen: MaybeSeenTag, session: Writing) -> None:
     """End every log-in of a person: one's own, or as an administrator another's."""
-    _require_seen(session, user_id, seen)
+    require_seen(session, user_id, seen)
     users.end_sessions(session, actor, user_id)
 
 
@@ -205,13 +207,14 @@ class Credentials(Shape):
 
     name: str = Field(examples=["ana"])
     password: SecretStr
+    factor: SecretStr = factor_field()
 
 
 @refuses(429)
 async def proven(credentials: Credentials, passwords: PasswordChecks, request: Request) -> PasswordProof:
-    """Check name and password before any transaction begins."""
-    password = credentials.password.get_secret_value()
-    return await passwords.check_log_in(credentials.name, password, get_client(request))
+    """Check name and password, and a second factor, before any transaction begins."""
+    password, factor = credentials.password.get_secret_value(), credentials.factor.get_secret_value()
+    return await passwords.check_log_in(credentials.name, password, get_client(request), factor, get_site(request))
 
 
 def _who(session: Session, actor: Actor, csrf_token: str | None) -> Answer:
@@ -227,7 +230,10 @@ def _who(session: Session, actor: Actor, csrf_token: str | None) -> Answer:
 
 @entrance.post("", summary="Log in", status_code=201, response_model=schemas.Session, dependencies=NO_DRY_RUN)
 def log_in(proof: Annotated[PasswordProof, Depends(proven)], session: LoggingIn, request: Request) -> Answer:
-    """Log in: sets the cookie and returns the token for `X-CSRF-Token`. Failures make further tries from there wait."""
+    """Log in: sets the cookie and returns the token for `X-CSRF-Token`. Failures make further tries from there wait.
+
+    Who has a second factor gives it too, a code or a recovery code; a security key logs in on the page `/login` alone.
+    """
     carrier = Response()
     answer = _who(session, *log_in_person(request, carrier, session, proof))
     return replace(answer, headers={**answer.headers, "Set-Cookie": carrier.headers["Set-Cookie"]})

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import BaseModel, Field
 
-from boresight.console.access.tables import SESSION_ENDINGS
+from boresight.console.access.tables import FACTOR_KINDS, SESSION_ENDINGS
 from boresight.console.schemas import Row
 
 
@@ -60,6 +60,51 @@ class LoginSession(Row):
     user_agent: str = Field(description="User agent of the program, cut to 200 characters.")
     ends_utc: str = Field(description="When it ends at the latest.")
     current: bool = Field(description="Whether it is the one of this request.")
+    method: str = Field(description="password, or single sign-on.")
+    factor_kind: str | None = Field(description="The second factor that was given: totp, webauthn or recovery.")
+
+
+class SecondFactor(Row):
+    """A second factor, without its secret."""
+
+    id: int
+    kind: Literal[FACTOR_KINDS]  # type: ignore[valid-type]  # the words of the table
+    label: str
+    created_utc: str
+    ended_utc: str | None
+    last_used_utc: str | None
+
+
+class NewSecondFactor(SecondFactor):
+    """A second factor just enrolled."""
+
+    recovery_codes: list[str] | None = Field(
+        description="Ten, with the first second factor, shown this once; null otherwise, and when the answer is replayed."
+    )
+
+
+class FactorOffer(Row):
+    """What is needed to enrol a second factor; `:enrol` names it by `challenge_id`."""
+
+    challenge_id: int
+    kind: Literal[FACTOR_KINDS]  # type: ignore[valid-type]  # the words of the table
+    secret: str | None = Field(description="Of an app, in base32; shown this once.")
+    uri: str | None = Field(description="The same as the otpauth:// address that a QR code holds.")
+    options: dict[str, Any] | None = Field(
+        description="For `navigator.credentials.create`, in the JSON form of WebAuthn."
+    )
+
+
+class KeyChallenge(BaseModel):
+    """What a security key is asked."""
+
+    options: dict[str, Any] = Field(description="For `navigator.credentials.get`, in the JSON form of WebAuthn.")
+
+
+class RecoveryCodes(BaseModel):
+    """Codes that stand in for a second factor, each once."""
+
+    recovery_codes: list[str] | None = Field(description="Shown this once; null when the answer is replayed.")
 
 
 class EndedSessions(BaseModel):

@@ -15,13 +15,16 @@ from dataclasses import dataclass
 from boresight.console import list_queries as lists
 from boresight.console.access import queries as rows
 from boresight.console.access.log_in_attempts import name_place
+from boresight.console.access.second_factors import FORGET_S
 from boresight.console.access.tables import LoginSession
 from boresight.errors import ForbiddenError, NotFoundError, SessionEndedError, UnauthenticatedError
-from boresight.platform.actors import Actor, SessionLimits, refuse_key, require_person
+from boresight.platform.actors import SYSTEM, Actor, SessionLimits, refuse_key, require_person
 from boresight.platform.audit import log as audit
+from boresight.platform.audit.security_log import note
 from boresight.platform.db.sessions import Session, utc_after, utc_now
 
 KEPT_FOR_S = 90 * 24 * 3600.0
+CONFIRMED_FOR_S = 300.0
 LONGEST_ADDRESS, LONGEST_USER_AGENT = 64, 200
 
 
@@ -42,8 +45,10 @@ def _printable(text: str | None, longest: int) -> str:
     return "".join(letter for letter in (text or "")[:longest] if letter.isprintable())
 
 
-def begin(session: Session, user_id: int, client: ClientAddress) -> tuple[LoginSession, str]:
-    """Begin a log-in of an authenticated person; returns the row and the secret for the cookie."""
+def begin(
+    session: Session, user_id: int, client: ClientAddress, method: str = "password", factor_kind: str | None = None
+) -> tuple[LoginSession, str]:
+    """Begin a log-in of an authenticated person; returns the row and the secret for the cookie, which is always new."""
     token, now = secrets.token_urlsafe(32), utc_now()
     row = LoginSession(
         user_id=user_id,
@@ -52,9 +57,37 @@ def begin(session: Session, user_id: int, client: ClientAddress) -> tuple[LoginS
         last_used_utc=now,
         address=client.address,
         user_agent=client.user_agent,
+        method=method,
+        factor_kind=factor_kind,
     )
     session.put(row)
     return row, token
+
+
+def confirm(session: Session, actor: Actor) -> None:
+    """Record that the provider confirmed the acting person anew, for one act soon."""
+    row = _current(session, actor)
+    if row is not None:
+        row.confirmed_utc = utc_now()
+        note(session, "authn_confirm_success", actor, log_in=row.id)
+
+
+def is_confirmed(session: Session, actor: Actor) -> bool:
+    """Whether the provider confirmed the acting person a short time ago, and nothing was done with it."""
+    row = _current(session, actor)
+    return row is not None and (row.confirmed_utc or "") > utc_after(-CONFIRMED_FOR_S)
+
+
+def use_confirmation(session: Session, actor: Actor) -> bool:
+    """Use the provider's confirmation, which is good for one act; returns whether there was one."""
+    confirmed, row = is_confirmed(session, actor), _current(session, actor)
+    if row is not None:
+        row.confirmed_utc = None
+    return confirmed
+
+
+def _current(session: Session, actor: Actor) -> LoginSession | None:
+    return None if actor.session_id is None else session.get(LoginSession, actor.session_id)
 
 
 def _hash(token: str) -> str:
@@ -104,6 +137,7 @@ def end_session(session: Session, actor: Actor, session_id: int) -> LoginSession
     if row.ended_utc is None:
         row.ended_utc, row.ended_because = utc_now(), "ended" if own else "ended_by_administrator"
         audit.append(session, actor, "ended a log-in of", f"users/{row.user_id}", None, {"log_in": row.id})
+        note(session, "session_ended", actor, user=row.user_id, reason=row.ended_because, log_ins=1, log_in=row.id)
     return row
 
 
@@ -113,15 +147,17 @@ def end_other_sessions(session: Session, actor: Actor) -> int:
     count = rows.end_open_log_ins(session, user_id, utc_now(), "ended", spare_id=actor.session_id)
     if count:
         audit.append(session, actor, "ended the other log-ins of", f"users/{user_id}", None, {"log_ins": count})
+        note(session, "session_ended", actor, user=actor.name, reason="ended", log_ins=count)
     return count
 
 
 def log_out(session: Session, actor: Actor) -> None:
     """End the current log-in."""
     refuse_key(actor, "log out")
-    row = None if actor.session_id is None else session.get(LoginSession, actor.session_id)
+    row = _current(session, actor)
     if row is not None and row.ended_utc is None:
         row.ended_utc, row.ended_because = utc_now(), "logged_out"
+        note(session, "session_ended", actor, user=actor.name, reason="logged_out", log_ins=1, log_in=row.id)
 
 
 def write_uses(session: Session, used_utc: dict[int, str]) -> None:
@@ -131,13 +167,20 @@ def write_uses(session: Session, used_utc: dict[int, str]) -> None:
 
 def need_tidying(session: Session, limits: SessionLimits, grace_s: float) -> bool:
     """Whether `tidy` would write anything."""
-    return rows.has_lapsed(session, **_bounds(limits, grace_s)) or rows.has_ended_before(
-        session, utc_after(-KEPT_FOR_S)
+    return (
+        rows.has_lapsed(session, **_bounds(limits, grace_s))
+        or rows.has_ended_before(session, utc_after(-KEPT_FOR_S))
+        or rows.has_old_challenge(session, utc_after(-FORGET_S))
     )
 
 
 def tidy(session: Session, limits: SessionLimits, grace_s: float) -> None:
-    """Write the end of the log-ins that lapsed, and forget those that ended long ago."""
+    """Write the end of the log-ins that lapsed, and forget those that ended long ago and what waited for a second factor."""
+    oldest = _bounds(limits, grace_s)["created_before_utc"]
+    for log_in, user_id, created_utc in rows.list_lapsed_log_ins(session, **_bounds(limits, grace_s)):
+        reason = "expired" if created_utc < oldest else "idle"
+        note(session, "session_ended", SYSTEM, user=user_id, reason=reason, log_ins=1, log_in=log_in)
+    rows.forget_challenges(session, utc_after(-FORGET_S))
     rows.end_lapsed_log_ins(session, utc_now(), **_bounds(limits, grace_s))
     rows.forget_ended_log_ins(session, utc_after(-KEPT_FOR_S))
 

@@ -6,9 +6,10 @@ Who was given a password by somebody else must set their own before anything els
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 from boresight.console.access import queries as rows
+from boresight.console.access import second_factors
 from boresight.console.access.passwords import (
     CHANGED,
     CREATED,
@@ -18,10 +19,18 @@ from boresight.console.access.passwords import (
     PasswordProof,
     require_proof,
 )
+from boresight.console.access.second_factors import FactorRules
 from boresight.console.access.tables import ROLES, User
-from boresight.errors import ConflictError, PasswordDueError, RefusedInputError, SessionEndedError
+from boresight.errors import (
+    ConflictError,
+    FactorEnrolmentDueError,
+    PasswordDueError,
+    RefusedInputError,
+    SessionEndedError,
+)
 from boresight.platform.actors import COMMAND_LINE, SYSTEM, Actor, refuse_key, require_person, require_role
 from boresight.platform.audit import log as audit
+from boresight.platform.audit.security_log import note
 from boresight.platform.db.sessions import Session, utc_now
 from boresight.platform.web.text_validation import comparison_key, normal_name
 
@@ -52,6 +61,25 @@ def create_user(
 ) -> User:
     """Add a person, who with `must_change_password` sets a password of their own at the first log-in."""
     _require_administrator(actor)
+    return _add(session, actor, name, printed_name, password.hash, roles, must_change_password=must_change_password)
+
+
+def create_external_user(session: Session, *, name: str, printed_name: str, roles: Collection[str]) -> User:
+    """Add a person who logs in by single sign-on alone; names that others have are refused, for no account is taken over."""
+    return _add(session, SYSTEM, name, printed_name, lambda: "", roles, source="single sign-on")
+
+
+def _add(
+    session: Session,
+    actor: Actor,
+    name: str,
+    printed_name: str,
+    password_hash: Callable[[], str],
+    roles: Collection[str],
+    *,
+    must_change_password: bool = False,
+    source: str = "administrator",
+) -> User:
     name = normal_name("log-in name", name, LONGEST_LOGIN_NAME)
     if not LOGIN_NAME.fullmatch(name):
         raise RefusedInputError(f"{name!r} is not a log-in name: use 1 to 64 letters, digits and . _ @ -.")
@@ -60,7 +88,7 @@ def create_user(
     user = User(
         name=name,
         printed_name=printed_name,
-        password_hash=password.hash(),
+        password_hash=password_hash(),
         roles=known_roles(roles),
         created_utc=utc_now(),
         must_change_password=int(must_change_password),
@@ -70,6 +98,7 @@ def create_user(
     session.put(user)
     after = {"name": name, "printed_name": user.printed_name, "roles": user.roles}
     audit.append(session, actor, CREATED, _subject(user), None, after)
+    note(session, "user_created", actor, user=user.id, name=name, roles=user.roles, source=source)
     return user
 
 
@@ -92,25 +121,35 @@ def get_person_names(session: Session, user_id: int) -> tuple[str, ...]:
 
 def authenticate(session: Session, proof: PasswordProof, request_id: str | None = None) -> Actor:
     """Return the person whose name and password were proven."""
-    return _make_actor(require_proof(session, proof), request_id)
+    return make_actor(require_proof(session, proof), request_id)
 
 
-def _make_actor(user: User, request_id: str | None = None, session_id: int | None = None) -> Actor:
+def make_actor(user: User, request_id: str | None = None, session_id: int | None = None) -> Actor:
+    """Return a person as an actor."""
     roles = frozenset(user.roles)
     return Actor(user.id, user.name, user.printed_name, roles, "session", None, request_id, session_id=session_id)
 
 
-def get_actor(session: Session, user_id: int, session_id: int | None = None, *, sets_password: bool = False) -> Actor:
-    """Return a person as the actor of a log-in, with the roles held now."""
+def get_actor(
+    session: Session,
+    user_id: int,
+    session_id: int | None = None,
+    *,
+    sets_password: bool = False,
+    rules: FactorRules | None = None,
+) -> Actor:
+    """Return a person as the actor of a log-in, with the roles held now; with `rules` only one who has what their roles need."""
     user = session.get(User, user_id)
     if user is None or user.disabled_utc is not None:
         raise SessionEndedError("disabled")
     if not sets_password:
-        _refuse_password_of_another(user)
-    return _make_actor(user, session_id=session_id)
+        refuse_password_of_another(user)
+    if rules is not None and rules.demand(user.roles) and not second_factors.is_asked_of(session, user.id, rules):
+        raise FactorEnrolmentDueError("Your roles need a second factor: enrol one first, then continue.")
+    return make_actor(user, session_id=session_id)
 
 
-def _refuse_password_of_another(user: User) -> None:
+def refuse_password_of_another(user: User) -> None:
     """Refuse a person whose password somebody else knows."""
     if user.must_change_password:
         raise PasswordDueError("Somebody else set your password: set your own first, then continue.")
@@ -121,11 +160,10 @@ def must_change_password(session: Session, actor: Actor) -> bool:
     return actor.user_id is not None and bool(session.get_known(User, actor.user_id).must_change_password)
 
 
-def require_password(session: Session, actor: Actor, proof: PasswordProof) -> None:
-    """Require the acting person's password again, as a signature needs."""
-    user = session.get_known(User, require_person(actor, "confirm with a password"))
-    _refuse_password_of_another(user)
-    require_proof(session, proof, user.id)
+def is_external(session: Session, user_id: int | None) -> bool:
+    """Whether a person logs in by single sign-on and has no password here."""
+    user = None if user_id is None else session.get(User, user_id)
+    return user is not None and user.is_external
 
 
 def change_password(
@@ -135,16 +173,21 @@ def change_password(
     refuse_key(actor, "set a password")
     user = session.get_known(User, user_id)
     own = actor.user_id == user_id
+    if not own:
+        _require_administrator(actor)
+    if user.is_external:
+        raise ConflictError(
+            f"{user.printed_name} logs in by single sign-on and has no password here; set it at the provider."
+        )
     if own:
         require_person(actor, "set a password")
         require_proof(session, current, user_id)
-    else:
-        _require_administrator(actor)
     before = {"must_change_password": bool(user.must_change_password)}
     user.password_hash = password.hash()
     _end_sessions(session, user, "password_changed")
     user.must_change_password = int(not own)
     audit.append(session, actor, CHANGED if own else RESET, _subject(user), before, {"must_change_password": not own})
+    note(session, "authn_password_change" if own else "authn_password_reset", actor, user=user.name)
     return user
 
 
@@ -162,20 +205,39 @@ def end_sessions(session: Session, actor: Actor, user_id: int) -> None:
 def _end_sessions(session: Session, user: User, because: str) -> None:
     """End every log-in of a person; the number of times is part of the row that the audit log seals."""
     user.session_epoch += 1
-    rows.end_open_log_ins(session, user.id, utc_now(), because)
+    ended = rows.end_open_log_ins(session, user.id, utc_now(), because)
+    rows.end_challenges(session, user.id, utc_now())
+    if ended:
+        note(session, "session_ended", None, user=user.name, reason=because, log_ins=ended)
 
 
 def change_roles(session: Session, actor: Actor, user_id: int, roles: Collection[str]) -> User:
     """Give a person these roles instead of the ones held. Every log-in then ends."""
     _require_administrator(actor)
     user = session.get_known(User, user_id)
-    before, after = user.roles, known_roles(roles)
+    after = known_roles(roles)
+    if user.is_external:
+        raise ConflictError(
+            f"The roles of {user.printed_name} follow from groups at the provider; change the groups there."
+        )
     if "administrator" not in after:
         _keep_an_administrator(session, user)
-    user.roles = after
+    _set_roles(session, actor, user, after, "administrator")
+    return user
+
+
+def follow_groups(session: Session, user: User, roles: Collection[str]) -> None:
+    """Give a person the roles of their groups at the provider, also the last administrator: the provider decides."""
+    after = known_roles(roles)
+    if user.roles != after:
+        _set_roles(session, SYSTEM, user, after, "single sign-on")
+
+
+def _set_roles(session: Session, actor: Actor, user: User, after: list[str], source: str) -> None:
+    before, user.roles = user.roles, after
     _end_sessions(session, user, "roles_changed")
     audit.append(session, actor, "changed the roles of", _subject(user), {"roles": before}, {"roles": after})
-    return user
+    note(session, "authz_change", actor, user=user.name, before=before, after=after, source=source)
 
 
 def disable_user(session: Session, actor: Actor, user_id: int) -> User:
@@ -187,6 +249,7 @@ def disable_user(session: Session, actor: Actor, user_id: int) -> User:
         user.disabled_utc = utc_now()
         _end_sessions(session, user, "disabled")
         audit.append(session, actor, "disabled", _subject(user), {"disabled": False}, {"disabled": True})
+        note(session, "user_disabled", actor, user=user.name)
     return user
 
 
@@ -197,6 +260,7 @@ def enable_user(session: Session, actor: Actor, user_id: int) -> User:
     if user.disabled_utc is not None:
         user.disabled_utc = None
         audit.append(session, actor, "enabled", _subject(user), {"disabled": True}, {"disabled": False})
+        note(session, "user_enabled", actor, user=user.name)
     return user
 
 

@@ -21,7 +21,7 @@ from typing import Any
 from boresight.calibration.calibration import Calibration, parse_calibration, to_plain
 from boresight.calibration.options import CalibrationSettings
 from boresight.console import list_queries as lists
-from boresight.console.access import users
+from boresight.console.access import confirmations
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.approvals import queries as rows
 from boresight.console.approvals import staleness
@@ -348,7 +348,7 @@ def waive(  # noqa: PLR0913, PLR0917 - a waiver has all of these, and a form giv
     require_seen(session, row, seen_version)
     until = _checked(gate, code, reason, expires_utc)
     report = _get_blocking_report(session, parameter_set_id, row.name, gate)
-    users.require_password(session, actor, proof)
+    confirmations.require(session, actor, proof)
     waiver = Waiver(
         parameter_set_id=row.id,
         gate_report_id=report.id,

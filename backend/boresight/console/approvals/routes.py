@@ -25,9 +25,11 @@ from boresight.console.access.dependencies import (
     ServerPolicy,
     Who,
     Writing,
+    factor_field,
     get_client,
     open_write_session,
     own_password,
+    password_field,
 )
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.approvals import gate_profiles, gates, review, schemas, threads
@@ -137,7 +139,8 @@ class Waiving(Shape):
         description=f"ISO 8601, within {gates.LONGEST_DAYS} days; the gate then blocks again.",
         examples=["2026-12-01T00:00:00Z"],
     )
-    password: SecretStr = Field(description="Your own password again.")
+    password: SecretStr = password_field("Your own password again.")
+    factor: SecretStr = factor_field()
 
 
 ProvenWaiver = Annotated[PasswordProof, own_password(Waiving)]
@@ -222,7 +225,8 @@ class Signing(Shape):
     """A signature: what it means, and the password again."""
 
     meaning: str = Field(examples=["I reviewed the evidence and approve this set for baseline."])
-    password: SecretStr = Field(description="The signer's own password again.")
+    password: SecretStr = password_field("The signer's own password again.")
+    factor: SecretStr = factor_field()
     comment: str = Field("", description="Required to refuse.")
     acknowledged: list[Acknowledged] | None = Field(
         None,
@@ -260,7 +264,8 @@ async def proven_beside(
         approvals.refuse_beside(session, actor, approval_id, signed.decided(signed.decision), seen)
 
     password = signed.password.get_secret_value()
-    return await passwords.check_beside(actor, signed.name, password, get_client(request), refuse)
+    factor = signed.factor.get_secret_value()
+    return await passwords.check_beside(actor, signed.name, password, get_client(request), refuse, factor)
 
 
 @router.get("", summary="List requests", response_model=Page[schemas.Approval])

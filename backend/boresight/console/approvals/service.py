@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from boresight.console.access import users
+from boresight.console.access import confirmations
 from boresight.console.access.passwords import PasswordProof, name_password_setter
+from boresight.console.access.second_factors import NO_FACTOR, GivenFactor
 from boresight.console.access.tables import User
 from boresight.console.alarms import rules as alarm_rules
 from boresight.console.alarms.rules import update_alarms
@@ -139,7 +140,7 @@ def sign(
     approval = session.get_known(Approval, approval_id)
     refuse_signer(session, actor, approval, policy)
     _refuse_undecidable(session, approval, decided, seen_version)
-    users.require_password(session, actor, proof)
+    confirmations.require(session, actor, proof)
     return _sign(session, actor, approval, decided, policy)
 
 
@@ -157,7 +158,7 @@ def sign_over_the_shoulder(
     refuse_beside(session, console, approval_id, decided, seen_version)
     owner_id = require_person(console, "lend a console")
     approval = session.get_known(Approval, approval_id)
-    actor = users.authenticate(session, proof, console.request_id)
+    actor = confirmations.authenticate_beside(session, proof, console.request_id)
     if actor.user_id == owner_id:
         raise ForbiddenError("This is your own console; sign without a name, or have another approver enter theirs.")
     refuse_signer(session, actor, approval, policy)
@@ -352,10 +353,11 @@ def promote(
     proof: PasswordProof | None = None,
     *,
     policy: Policy = POLICY,
+    factor: GivenFactor = NO_FACTOR,
 ) -> ParameterSet:
     """Make an approved set the baseline, supersede the old one and make every other request stale, all in one.
 
-    `proof`: of the actor's password, where it was asked for.
+    `proof`: of the actor's password, where it was asked for; else `factor`, of a person who has one.
     """
     require_role(actor, "operator")
     require_scope(actor, "parameter-sets")
@@ -375,7 +377,9 @@ def promote(
     if (policy.promotion_reason or policy.rest_review) and not reason:
         raise RefusedInputError(f"Give the reason why {row.name} becomes the baseline now.")
     if proof is not None:
-        users.require_password(session, actor, proof)
+        confirmations.require(session, actor, proof)
+    else:
+        confirmations.require_factor(session, actor, factor)
     incumbent = set_rows.find_baseline(session, row.sensor_id)
     now = utc_now()
     if incumbent is not None:

@@ -30,7 +30,7 @@ from boresight.console.fleet import service as sensors
 from boresight.console.fleet import status as fleet
 from boresight.console.jobs.maintenance import ChainStatus
 from boresight.console.pages.formats import LEVELS, sensor_word
-from boresight.errors import PasswordDueError, UnauthenticatedError
+from boresight.errors import FactorEnrolmentDueError, PasswordDueError, UnauthenticatedError
 from boresight.platform.actors import Actor
 from boresight.platform.db.data_version import DataVersion, DataVersionReader
 from boresight.platform.db.sessions import Engine, Session, open_reading
@@ -263,7 +263,7 @@ def _taken(request: Request, look: FleetReading) -> tuple[FleetStatus, int, int]
 async def know_fleet(request: Request) -> None:
     """Read what the frame shows of the store, for a request by somebody who is logged in."""
     memory: FleetStatusCache = request.app.state.fleet_status
-    with suppress(UnauthenticatedError, PasswordDueError):
+    with suppress(UnauthenticatedError, PasswordDueError, FactorEnrolmentDueError):
         actor = await get_actor(request)
         known = memory.known_now(request.state.came_s)
         request.state.fleet = (

@@ -28,7 +28,8 @@ from starlette.exceptions import HTTPException
 import boresight
 from boresight.console.access import users
 from boresight.console.access.credentials import current_actor
-from boresight.console.access.dependencies import check_own, get_server, open_write_session
+from boresight.console.access.dependencies import check_own, check_own_factor, get_server, open_write_session
+from boresight.console.access.passwords import NO_PROOF
 from boresight.console.fleet.timeline import describe_source
 from boresight.console.help.glossary import mark_terms
 from boresight.console.pages import formats
@@ -36,6 +37,7 @@ from boresight.console.pages.formats import LEVELS, get_level, show_numbers, sho
 from boresight.console.pages.frame import FLASH_COOKIE, make_page_frame
 from boresight.errors import (
     BoresightError,
+    FactorEnrolmentDueError,
     Fault,
     NotFoundError,
     PasswordDueError,
@@ -145,11 +147,15 @@ async def read_again(request: Request, render_page: Callable[[Session], HTMLResp
     return await run_in_threadpool(read)
 
 
-def proof_of_own(request: Request, actor: Actor, password: str) -> Callable[[], Awaitable[Sequence[object]]]:
-    """Return a function that checks the acting person's password, for `attempt` to call first."""
+def proof_of_own(
+    request: Request, actor: Actor, form: Mapping[str, str], *, with_password: bool = True
+) -> Callable[[], Awaitable[Sequence[object]]]:
+    """Return a function that checks what a form gives to confirm the acting person, for `attempt` to call first."""
 
     async def prepare() -> Sequence[object]:
-        return (await check_own(request, actor, password),)
+        if not with_password:
+            return (replace(NO_PROOF, given=await check_own_factor(request, actor, form.get("factor", ""))),)
+        return (await check_own(request, actor, form.get("password", ""), form.get("factor", "")),)
 
     return prepare
 
@@ -295,6 +301,8 @@ def problem_page(request: Request, error: Exception) -> Response:
     """Answer an error as a page; who is not logged in is sent to the log-in and back."""
     if isinstance(error, PasswordDueError):
         return redirect("/password")
+    if isinstance(error, FactorEnrolmentDueError):
+        return redirect("/second-factor")
     if isinstance(error, UnauthenticatedError):
         ended = f"&ended={error.because}" if isinstance(error, SessionEndedError) else ""
         return redirect(f"/login?next={quote(_way_back(request), safe='')}{ended}")

@@ -19,7 +19,7 @@ from boresight.calibration.parameter_set import ParameterSetDocument, parse_para
 from boresight.cameras import CAMERA_MODELS
 from boresight.console import list_queries as lists
 from boresight.console.access.credentials import get_actor
-from boresight.console.access.dependencies import Reading, Who, csrf, get_server, same_for_roles
+from boresight.console.access.dependencies import Reading, Who, csrf, get_needed, get_server, same_for_roles
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.approvals import gates
 from boresight.console.approvals import queries as approval_queries
@@ -300,6 +300,7 @@ def _page(
         uplinks=lists.list_newest(session, Uplink, set=set_id),
         conversions=list_conversions(session, row),
         panel=make_gates_panel(session, actor, row),
+        needed=get_needed(request, session, actor),
         policy=policy,
         baseline=baseline,
         act_rows=set_rows(*read_set_and_incumbent(row, baseline), sensor.document["typical_sigma"]),
@@ -364,11 +365,12 @@ async def promote(request: Request, session: Reading, actor: Who, set_id: int) -
     form = await read_texts(request)
     policy, reason = get_server(request).policy, form.get("reason", "")
 
-    def change(session: Session, proof: PasswordProof | None = None) -> ParameterSet:
-        asked = replace(policy, promotion_reason=True)
-        return approvals.promote(session, actor, set_id, seen_version(form), reason, proof, policy=asked)
+    def change(session: Session, proof: PasswordProof) -> ParameterSet:
+        asked, signed = replace(policy, promotion_reason=True), proof if policy.promotion_password else None
+        seen = seen_version(form)
+        return approvals.promote(session, actor, set_id, seen, reason, signed, policy=asked, factor=proof.given)
 
-    prove = proof_of_own(request, actor, form.get("password", "")) if policy.promotion_password else None
+    prove = proof_of_own(request, actor, form, with_password=policy.promotion_password)
     outcome = await attempt(request, change, prove)
     if outcome.value is None:
         page = partial(_page, request, session, actor, set_id, refusal=outcome.refusal, reason=reason, act="promote")

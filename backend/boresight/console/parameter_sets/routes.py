@@ -5,12 +5,23 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import Query
-from pydantic import Field
+from pydantic import Field, SecretStr
 from starlette.responses import Response
 
 from boresight.cameras import CAMERA_MODELS, DEFAULT_CAMERA
 from boresight.console import list_queries as lists
-from boresight.console.access.dependencies import SAME_FOR_ALL, Blobs, Reading, SeenVersion, ServerPolicy, Who, Writing
+from boresight.console.access.dependencies import (
+    SAME_FOR_ALL,
+    Blobs,
+    Reading,
+    SeenVersion,
+    ServerPolicy,
+    Who,
+    Writing,
+    factor_field,
+    own_factor,
+)
+from boresight.console.access.second_factors import GivenFactor
 from boresight.console.approvals import schemas as approval_schemas
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.dependencies import AssessedBefore
@@ -52,6 +63,7 @@ class PromotionRequest(Shape):
         description="Required where BORESIGHT_PROMOTION_REASON or BORESIGHT_REST_REVIEW is 1.",
         examples=["To be loaded in tonight's pass."],
     )
+    factor: SecretStr = factor_field()
 
 
 class Withdrawal(Shape):
@@ -188,9 +200,13 @@ def promote_parameter_set(
     actor: Who,
     seen: SeenVersion,
     policy: ServerPolicy,
+    factor: Annotated[GivenFactor, own_factor(PromotionRequest | None)],
     session: Writing,
-    promotion: PromotionRequest | None = None,
+    given: PromotionRequest | None = None,
 ) -> ParameterSet:
-    """Make an approved set the sensor's baseline; the one before is superseded in the same transaction."""
-    reason = promotion.reason if promotion else ""
-    return approvals.promote(session, actor, parameter_set_id, seen, reason, policy=policy)
+    """Make an approved set the sensor's baseline; the one before is superseded in the same transaction.
+
+    A person who is logged in and has a second factor gives it; a key needs none.
+    """
+    reason = given.reason if given else ""
+    return approvals.promote(session, actor, parameter_set_id, seen, reason, policy=policy, factor=factor)

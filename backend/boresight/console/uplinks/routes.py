@@ -25,7 +25,9 @@ from boresight.console.access.dependencies import (
     ServerPolicy,
     Who,
     Writing,
+    factor_field,
     own_password,
+    password_field,
 )
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.approvals.tables import GateProfile
@@ -61,6 +63,7 @@ class Record(Shape):
     happened_utc: str | None = Field(None, description="When it happened, if earlier than now.")
     meaning: str | None = Field(None, description="For ACTIVE: what the signature means.")
     password: SecretStr | None = Field(None, description="For ACTIVE: your password again, because a person signs.")
+    factor: SecretStr = factor_field()
 
     @property
     def signed(self) -> bool:
@@ -222,7 +225,8 @@ class Activation(Shape):
 
     source: str = Field(description="Source of the statement.", examples=["TM page STR-2, pass 4711"])
     meaning: str = Field(description="What the signature means.", examples=["I saw this table active in telemetry."])
-    password: SecretStr = Field(description="Your password again: the person signs, not the log-in.")
+    password: SecretStr = password_field("Your password again: the person signs, not the log-in.")
+    factor: SecretStr = factor_field()
     happened_utc: str | None = Field(None, description="When it became active, if earlier than now.")
 
 

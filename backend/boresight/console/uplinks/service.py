@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from boresight.console import list_queries as lists
-from boresight.console.access import users
+from boresight.console.access import confirmations, users
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.alarms.rules import update_alarms
 from boresight.console.fleet.timeline import happened_on
@@ -173,7 +173,7 @@ def activate(
     if not meaning.strip():
         raise RefusedInputError("Say what your signature means, for example: I saw this table active in telemetry.")
     details = happened_on(happened) | {"shown_sha256": compute_shown_sha256(session, row)}
-    users.require_password(session, actor, proof)
+    confirmations.require(session, actor, proof)
     _retire_active(session, actor, row, source.strip())
     signed = EntryBasis(details, printed_name=actor.printed_name, meaning=meaning.strip())
     return add_entry(session, actor, row, "ACTIVE", source, signed)

@@ -25,6 +25,7 @@ from sqlalchemy.orm import Session as OrmSession
 from boresight.errors import BoresightError, ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.audit.chain import forget, seal, seal_everything, write_before_reading
 from boresight.platform.audit.seals import chain_new, note_flushed, refuse_bulk
+from boresight.platform.audit.security_log import write_noted
 from boresight.platform.db.declared import Base
 from boresight.platform.db.engines import be_the_only_writer, open_engine
 from boresight.platform.db.times import utc_after, utc_now, utc_text
@@ -120,6 +121,7 @@ def open_writing(engine: Engine) -> Iterator[Session]:
         except BoresightError:
             if session.info.get(KEPT):
                 session.commit()
+                write_noted(session)
             raise
         _end(session)
 
@@ -131,6 +133,7 @@ def _end(session: Session) -> None:
         session.rollback()
     else:
         session.commit()
+        write_noted(session)
 
 
 def mark_dry_run(session: Session) -> None:

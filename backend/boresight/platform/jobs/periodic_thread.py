@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Sequence
+from contextvars import copy_context
+from functools import partial
 
 log = logging.getLogger(__name__)
 
@@ -29,9 +31,10 @@ class PeriodicThread:
         return self._closing.is_set()
 
     def start(self) -> None:
-        """Start the thread; the first round is at once."""
+        """Start the thread in the context of who starts it; the first round is at once."""
         self._closing.clear()
-        self._thread = threading.Thread(target=self._run, name=f"boresight-{self._name}", daemon=True)
+        run = partial(copy_context().run, self._run)
+        self._thread = threading.Thread(target=run, name=f"boresight-{self._name}", daemon=True)
         self._thread.start()
 
     def nudge(self) -> None:

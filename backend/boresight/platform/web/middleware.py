@@ -26,6 +26,7 @@ from starlette.responses import Response
 from starlette.routing import BaseRoute, Match
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from boresight.platform.audit.security_log import SecurityLog
 from boresight.platform.observability.logs import BELONGS_TO, REQUESTS
 from boresight.platform.observability.traces import Span, Traces, read_traceparent
 from boresight.platform.web.request_bodies import BodyRate, RequestBody
@@ -97,9 +98,11 @@ class RequestMiddleware:
         pace: BodyRate | None = None,
         https_only: bool = False,
         traces: Traces | None = None,
+        security_log: SecurityLog | None = None,
     ) -> None:
         self.app = app
         self.traces = traces if traces is not None and traces.on else None
+        self.security_log = security_log or SecurityLog()
         self.pairs = (*SECURITY_PAIRS, STRICT_TRANSPORT) if https_only else SECURITY_PAIRS
         self.pace = pace or BodyRate()
         self.four_eyes = four_eyes
@@ -116,8 +119,11 @@ class RequestMiddleware:
         answer = _Response(scope, send, get_request_id(headers), self.pairs, four_eyes=self.four_eyes())
         BELONGS_TO.set(scope["state"])
         span = None if self.traces is None else _begin_span(self.traces, scope, headers)
+        client = scope.get("client")
+        about = (scope["state"]["request_id"], client[0] if client else None, scope["method"], scope["path"])
         try:
-            await self.app(scope, self._limited(scope, headers, receive), answer.send)
+            with self.security_log.following(*about):
+                await self.app(scope, self._limited(scope, headers, receive), answer.send)
         except Exception as error:  # noqa: BLE001 - whatever it is, it is logged whole and answered without its words
             await answer.fail(error, self.refuse)
         finally:

@@ -58,6 +58,7 @@ TAGS = [
     {"name": "API keys", "description": "Keys for programs."},
     {"name": "webhooks", "description": "Programs that are notified of events."},
     {"name": "sessions", "description": "Logging in and out."},
+    {"name": "second factors", "description": "Authenticator apps, security keys and recovery codes of one's own."},
     {"name": "preferences", "description": "How pages are shown to a person."},
     {"name": "messages", "description": "Where a person gets messages, and of what."},
     {"name": "saved views", "description": "Pages with their filters and zoom under a name, and favourites."},

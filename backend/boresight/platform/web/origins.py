@@ -18,6 +18,7 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from boresight.errors import ForbiddenError
+from boresight.platform.audit.security_log import tell
 
 SAFE_METHODS = frozenset({HTTPMethod.GET, HTTPMethod.HEAD, HTTPMethod.OPTIONS})
 DEFAULT_PORTS = {"http": 80, "https": 443}
@@ -38,6 +39,7 @@ class OriginCheck:
         if scope["type"] == "http" and scope["method"] not in SAFE_METHODS:
             headers = Headers(scope=scope)
             if not _carries_key(headers) and is_foreign(headers, self._public_url):
+                tell("malicious_cors", "failure", origin=headers.get("origin"))
                 await self._refuse(Request(scope), ForbiddenError(SENTENCE))(scope, receive, send)
                 return
         await self.app(scope, receive, send)

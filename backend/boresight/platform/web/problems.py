@@ -15,6 +15,7 @@ from starlette.responses import Response
 
 from boresight import errors
 from boresight.disks import storage_error
+from boresight.platform.audit.security_log import tell_once
 
 MEDIA_TYPE = "application/problem+json"
 
@@ -41,7 +42,10 @@ KINDS: Mapping[type[Exception], ProblemKind] = {
     errors.PreconditionRequiredError: ProblemKind(428, "Precondition required"),
     errors.ForbiddenError: ProblemKind(403, "Forbidden"),
     errors.PasswordDueError: ProblemKind(403, "Password to be set"),
+    errors.FactorEnrolmentDueError: ProblemKind(403, "Second factor to be enrolled"),
     errors.UnauthenticatedError: ProblemKind(401, "Unauthenticated"),
+    errors.SecondFactorError: ProblemKind(401, "Second factor needed"),
+    errors.SingleSignOnError: ProblemKind(401, "Single sign-on refused"),
     errors.SessionEndedError: ProblemKind(401, "Session ended"),
     errors.TooManyAttemptsError: ProblemKind(429, "Too many attempts"),
     errors.TooLargeError: ProblemKind(413, "Too large"),
@@ -78,6 +82,8 @@ def make_problem(error: Exception) -> Problem:
         return Problem(_find_kind(error.status_code), detail, headers=error.headers)
     if isinstance(error, OSError) and (of_disk := storage_error(error)) is not None:
         error = of_disk
+    if isinstance(error, errors.ForbiddenError):
+        tell_once("authz_fail", "failure", sentence=str(error))
     for kind in type(error).__mro__:
         if kind in KINDS:
             return Problem(KINDS[kind], str(error), _faults(error), _headers(error))

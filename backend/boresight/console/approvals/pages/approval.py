@@ -15,7 +15,7 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.calibration.calibration import Calibration
-from boresight.console.access.dependencies import Reading, Who, csrf, get_client, get_server
+from boresight.console.access.dependencies import Reading, Who, check_own, csrf, get_client, get_needed, get_server
 from boresight.console.access.password_checks import PasswordWorker
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.approvals import gates, review, threads
@@ -186,6 +186,7 @@ def request_page(
         typed=typed or TypedText(),
         may_speak=bool(actor.roles - {"viewer"}),
         may_promote="operator" in actor.roles,
+        needed=get_needed(request, session, actor),
         policy=policy,
     )
 
@@ -334,8 +335,9 @@ async def _signed(request: Request, actor: Actor, approval_id: int, kind: str) -
     async def prove() -> tuple[PasswordProof]:
         client = get_client(request)
         if kind == "sign":
-            return (await checks.check_own(actor, form.get("password", ""), client),)
-        return (await checks.check_beside(actor, typed.name, form.get("their_password", ""), client, refuse),)
+            return (await check_own(request, actor, form.get("password", ""), form.get("factor", "")),)
+        password, factor = form.get("their_password", ""), form.get("their_factor", "")
+        return (await checks.check_beside(actor, typed.name, password, client, refuse, factor),)
 
     def change(session: Session, proof: PasswordProof) -> int:
         sign = approvals.sign if kind == "sign" else approvals.sign_over_the_shoulder

@@ -15,7 +15,7 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.console.access.dependencies import Who, csrf, get_server
+from boresight.console.access.dependencies import Who, csrf, get_needed, get_server
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.access.tables import User
 from boresight.console.approvals import gate_profiles, gates
@@ -159,6 +159,7 @@ def _page(
             sensor=session.get_known(Sensor, row.sensor_id),
             workflow=make_workflow(session, actor, get_server(request).policy, row),
             panel=make_gates_panel(session, actor, row, typed),
+            needed=get_needed(request, session, actor),
             refusal=refusal,
         )
 
@@ -193,7 +194,7 @@ async def waive(request: Request, actor: Who, set_id: int) -> Response:
     """Let a set pass in spite of a gate."""
     given = await read_texts(request)
     typed = TypedWaiver(**{name: given.get(name, "") for name in ("gate", "code", "reason", "days")})
-    prove = proof_of_own(request, actor, given.get("password", ""))
+    prove = proof_of_own(request, actor, given)
     outcome = await attempt(request, partial(_waived, actor, set_id, typed, given), prove)
     if outcome.value is None:
         return await run_in_threadpool(_page, request, actor, set_id, outcome.refusal, typed)

@@ -21,7 +21,17 @@ from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import UploadFile
 
 from boresight.console import list_queries as lists
-from boresight.console.access.dependencies import Blobs, Database, OwnKey, Reading, ServerPolicy, Who, csrf, get_server
+from boresight.console.access.dependencies import (
+    Blobs,
+    Database,
+    OwnKey,
+    Reading,
+    ServerPolicy,
+    Who,
+    csrf,
+    get_needed,
+    get_server,
+)
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.fleet import timeline
 from boresight.console.fleet.tables import Sensor
@@ -201,6 +211,7 @@ def _page(
         readable=row.onboard_state in read_backs.READABLE,
         blocked=None if "operator" in actor.roles else NO_ROLE,
         names=names,
+        needed=get_needed(request, session, actor),
         shown=shown,
     )
 
@@ -326,6 +337,6 @@ async def activate(request: Request, actor: Who, blobs: Blobs, set_id: int) -> R
         happened = typed.get("happened_utc")
         return uplinks.activate(session, actor, set_id, source, meaning, proof, seen, happened=happened)
 
-    prove = proof_of_own(request, actor, typed.get("password", ""))
+    prove = proof_of_own(request, actor, typed)
     said = "Signed: the set is ACTIVE on board."
     return await _taken_step(request, actor, blobs, "activate", typed, change, said, prove)

@@ -1,4 +1,4 @@
-"""Pages of people, API keys and log-ins, of logging in and out, and of one's own password and preferences."""
+"""Pages of people, API keys and log-ins, and of one's own password and preferences."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from fastapi import APIRouter, Depends, Form, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.console.access import api_keys, preferences, sessions, users
-from boresight.console.access.credentials import current_actor
+from boresight.console.access import api_keys, preferences, second_factors, sessions, users
 from boresight.console.access.dependencies import (
     KNOWN,
     Cookie,
@@ -24,16 +23,14 @@ from boresight.console.access.dependencies import (
     clear_cookie,
     csrf,
     get_client,
-    log_in_person,
 )
 from boresight.console.access.passwords import MINIMUM_PASSWORD_LENGTH, NewPassword, PasswordProof
 from boresight.console.access.tables import User
 from boresight.console.pages.rendering import RefusalContext, attempt, make_change, read_again, redirect, render
-from boresight.errors import RefusedInputError, SessionEndedError, UnauthenticatedError
+from boresight.errors import RefusedInputError
 from boresight.platform.actors import SCOPES, Actor, SessionLimits, require_person, require_role
 from boresight.platform.db.sessions import Session, utc_now
 from boresight.platform.db.times import TimeForm, TimeStyle, list_zones
-from boresight.platform.web.origins import is_own_path
 from boresight.platform.web.paging import parse_row_id
 
 router = APIRouter(dependencies=[Depends(csrf)])
@@ -83,6 +80,7 @@ def _page(request: Request, actor: Actor, shown: UsersContext, session: Session)
         scopes=SCOPES,
         minimum_length=MINIMUM_PASSWORD_LENGTH,
         administrator=administrator,
+        enrolled=second_factors.list_enrolled_ids(session) if administrator else (),
         now=utc_now(),
         shown=shown,
     )
@@ -189,6 +187,14 @@ async def reset_password(
     return await _change(request, actor, change, said, prepare=prepare)
 
 
+@router.post("/users/{user_id}/reset-second-factor", response_class=HTMLResponse)
+async def reset_second_factor(request: Request, actor: Who, user_id: int) -> Response:
+    """Remove the second factors of a person who lost theirs."""
+    change = partial(second_factors.reset, actor=actor, user_id=user_id)
+    said = "{.printed_name} is logged out and has no second factor any more."
+    return await _change(request, actor, change, said)
+
+
 @router.post("/users/{user_id}/end-sessions", response_class=HTMLResponse)
 async def end_sessions(request: Request, actor: Who, user_id: int) -> Response:
     """End every log-in of a person."""
@@ -287,68 +293,6 @@ async def revoke_key(request: Request, actor: Who, key_id: int) -> Response:
     """End a key."""
     change = partial(api_keys.revoke_key, actor=actor, key_id=key_id)
     return await _change(request, actor, change, "The key {0.label!r} is revoked.", "keys")
-
-
-login_router = APIRouter()
-
-
-def local_path(address: str) -> str:
-    """Return an address of this server unchanged, and the start page in place of any other."""
-    return address if is_own_path(address) else "/"
-
-
-@login_router.get("/login", response_class=HTMLResponse)
-def login_page(request: Request, next: str = "/", ended: str = "") -> Response:  # noqa: A002 - the name in the address
-    """Show the log-in form, and why the last log-in ended; redirect a person who is logged in already."""
-    try:
-        current_actor(request)
-    except UnauthenticatedError:
-        said = SessionEndedError.SENTENCES.get(ended)
-        return render(request, "access/login.html", next=local_path(next), name="", refusal=None, ended=said)
-    return redirect(local_path(next))
-
-
-@login_router.post("/login", response_class=HTMLResponse)
-async def log_in(
-    request: Request,
-    checks: PasswordChecks,
-    name: Annotated[str, Form()] = "",
-    password: Annotated[str, Form()] = "",
-    next: Annotated[str, Form()] = "/",  # noqa: A002 - the name in the form
-) -> Response:
-    """Check name and password; the answer to a wrong one does not tell which of the two it was."""
-    response = redirect(local_path(next))
-
-    async def prove() -> tuple[PasswordProof]:
-        return (await checks.check_log_in(name, password, get_client(request)),)
-
-    refusal = (await attempt(request, partial(log_in_person, request, response), prove)).refusal
-    if refusal is None:
-        return response
-    return render(
-        request,
-        "access/login.html",
-        refused=refusal,
-        next=local_path(next),
-        name=name,
-        refusal=refusal.sentence,
-        ended=None,
-    )
-
-
-@login_router.post("/logout", dependencies=[Depends(csrf)])
-async def log_out(request: Request) -> Response:
-    """End this log-in, wherever its cookie was copied to."""
-    response = redirect("/login", flash="You are logged out.")
-    clear_cookie(request, response)
-    try:
-        actor = await run_in_threadpool(current_actor, request)
-    except UnauthenticatedError:
-        return response  # the log-in has ended already
-    outcome = await attempt(request, partial(sessions.log_out, actor=actor))
-    if outcome.refusal is not None and outcome.refusal.is_ours:
-        raise outcome.refusal.error  # a copied cookie would still be let in
-    return response
 
 
 password_router = APIRouter(prefix="/password", dependencies=[Depends(csrf)])
