@@ -35,6 +35,7 @@ from boresight.console.jobs.broadcast import Broadcast
 from boresight.console.jobs.heartbeat import Heartbeat
 from boresight.console.jobs.ingest_watcher import IngestWatcher
 from boresight.console.jobs.maintenance import ExternalHeadFile, Maintenance
+from boresight.console.jobs.mission_control import MissionControl
 from boresight.console.jobs.webhook_sender import WebhookSender
 from boresight.console.pages.frame import FleetStatusCache
 from boresight.console.pages.rendering import bare_problem_page, is_page, problem_page
@@ -172,6 +173,7 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.response_cache = ResponseCache(state.data_version_poller, authenticate, lambda: _beside(app))
     state.workers = None
     state.ingest_watcher = IngestWatcher(state.engine, state.forecast_sources, settings, lambda: _tell(app))
+    state.mission_control = MissionControl(state.engine, state.forecast_sources, settings, lambda: _tell(app))
     state.alignment_thread = AlignmentThread(state.engine, state.forecast_sources, lambda: _tell(app))
     state.metrics = Metrics(lambda: _count_runs(app), lambda: state.broadcast.listeners)
 
@@ -226,12 +228,14 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     state.workers = RunDispatcher(state.engine, state.settings, state.broadcast.hear, suspect=state.maintenance.suspect)
     state.workers.start()
     state.ingest_watcher.start()
+    state.mission_control.start()
     state.alignment_thread.start()
     threading.Thread(target=_warm, args=(state.catalogue,), name="boresight-catalogue", daemon=True).start()
     try:
         yield
     finally:
         await run_in_threadpool(state.alignment_thread.close)
+        await run_in_threadpool(state.mission_control.close)
         await run_in_threadpool(state.ingest_watcher.close)
         await run_in_threadpool(state.workers.stop)
         await run_in_threadpool(state.webhook_sender.close)

@@ -8,6 +8,7 @@ from boresight.console.campaigns import tables as campaign_tables
 from boresight.console.change_proposals import tables as change_proposal_tables
 from boresight.console.fleet import tables as fleet_tables
 from boresight.console.ingest import tables as ingest_tables
+from boresight.console.mission_control import tables as mission_control_tables
 from boresight.console.notes import tables as note_tables
 from boresight.console.parameter_sets import tables as parameter_set_tables
 from boresight.console.runs import tables as run_tables
@@ -29,6 +30,7 @@ TABLES = (
     change_proposal_tables,
     fleet_tables,
     ingest_tables,
+    mission_control_tables,
     note_tables,
     parameter_set_tables,
     run_tables,
