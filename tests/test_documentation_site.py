@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import subprocess
 import sys
@@ -12,7 +13,11 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 
+from benchmarks import screenshots
 from boresight.console.alarms.tables import ALARM_KINDS
+from boresight.figures.charts import FIGURES
+from boresight.telemetry.quality.findings import SEVERITIES
+from boresight.verdicts.gates.measurements import GATES
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -112,6 +117,14 @@ def test_no_formula_is_left_as_it_was_typed(site):
     assert any('class="katex"' in path.read_text(encoding="utf-8") for path in site.rglob("*.html"))
 
 
+def test_every_picture_of_a_page_is_one_that_the_script_takes_and_every_chart_one_of_the_gallery():
+    texts = [path.read_text(encoding="utf-8") for path in (*DOCS.rglob("*.md"), ROOT / "README.md")]
+    shown = {Path(found).name for text in texts for found in re.findall(r"!\[[^]]*\]\(([^)]+\.png)\)", text)}
+    taken = {f"{name}.png" for name in screenshots.NAMES}
+    assert shown == taken == {path.name for path in DOCS.rglob("*.png")}
+    assert {path.stem for path in (DOCS / "figures").iterdir()} <= set(FIGURES)
+
+
 def test_every_document_of_the_folder_is_a_page(site):
     sources = [
         path.relative_to(DOCS).with_suffix(".html") for path in DOCS.rglob("*") if path.suffix in {".md", ".ipynb"}
@@ -122,6 +135,29 @@ def test_every_document_of_the_folder_is_a_page(site):
 def test_every_alarm_has_its_place_in_the_guide(pages, site):
     guide = pages[site / "how-to" / "respond-to-an-alarm.html"]
     assert {kind.lower() for kind in ALARM_KINDS} <= guide.names
+
+
+def test_every_gate_and_every_finding_on_telemetry_has_its_place_in_a_guide_and_pages_link_to_it(pages, site):
+    calls = [
+        node
+        for path in (ROOT / "backend" / "boresight").rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and ast.unparse(node.func).rpartition(".")[2] in {"Finding", "marked_rows"}
+    ]
+    within = [one for call in calls for argument in call.args[:2] for one in ast.walk(argument)]
+    words = {str(one.value) for one in within if isinstance(one, ast.Constant)} - set(SEVERITIES)
+    codes = {f"finding-{word.lower().replace('_', '-')}" for word in words if word.isupper()}
+    assert len(codes) > 30
+    assert codes - pages[site / "how-to" / "respond-to-a-finding.html"].names == set()
+    gates = {f"gate-{name}" for name in GATES}
+    assert gates - pages[site / "how-to" / "respond-to-a-gate.html"].names == set()
+    templates = ROOT / "frontend" / "templates"
+    for name, guide in {
+        "approvals/approval.html": "respond-to-a-gate.html#gate-",
+        "approvals/gates_panel.html": "respond-to-a-gate.html#gate-",
+        "telemetry/telemetry_set.html": "respond-to-a-finding.html#finding-",
+    }.items():
+        assert f"/docs/how-to/{guide}" in (templates / name).read_text(encoding="utf-8")
 
 
 def test_the_words_are_spelled_as_they_are():

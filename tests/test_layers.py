@@ -28,6 +28,7 @@ NOUNS = (
     "change_proposals",
     "campaigns",
     "ingest",
+    "mission_control",
     "webhooks",
     "messages",
     "audit",

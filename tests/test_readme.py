@@ -65,7 +65,7 @@ def test_the_readme_says_from_where_on_a_change_is_far():
 
 
 def test_the_readme_names_no_setting_that_does_not_exist():
-    named = set(re.findall(r"(?<!_)BORESIGHT_[A-Z_]+", README))  # a shell's completion has _BORESIGHT_COMPLETE
+    named = set(re.findall(r"(?<!_)BORESIGHT_[A-Z0-9_]+", README))  # a shell's completion has _BORESIGHT_COMPLETE
     assert named <= {API_KEY, *(setting.variable for setting in SETTINGS)}
 
 

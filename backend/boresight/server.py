@@ -40,6 +40,7 @@ from boresight.console.jobs.heartbeat import Heartbeat
 from boresight.console.jobs.ingest_watcher import IngestWatcher
 from boresight.console.jobs.maintenance import ExternalHeadFile, Maintenance
 from boresight.console.jobs.message_sender import MessageSender
+from boresight.console.jobs.mission_control import MissionControl
 from boresight.console.jobs.webhook_sender import WebhookSender
 from boresight.console.messages.service import Outlets
 from boresight.console.pages.frame import FleetStatusCache
@@ -189,6 +190,7 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.response_cache = ResponseCache(state.data_version_poller, authenticate, lambda: _beside(app))
     state.workers = None
     state.ingest_watcher = IngestWatcher(state.engine, state.forecast_sources, settings, lambda: _tell(app))
+    state.mission_control = MissionControl(state.engine, state.forecast_sources, settings, lambda: _tell(app))
     state.alignment_thread = AlignmentThread(state.engine, state.forecast_sources, lambda: _tell(app))
     parts = ServerParts(lambda: state.workers.state() if state.workers else None, lambda: state.maintenance.broken)
     state.metrics = Metrics(lambda: state.broadcast.listeners, [FleetMetrics(state.engine, parts)])
@@ -253,6 +255,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     )
     state.workers.start()
     state.ingest_watcher.start()
+    state.mission_control.start()
     state.alignment_thread.start()
     threading.Thread(target=_warm, args=(state.catalogue,), name="boresight-catalogue", daemon=True).start()
     with state.security_log.following():
@@ -265,6 +268,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         yield
     finally:
         await run_in_threadpool(state.alignment_thread.close)
+        await run_in_threadpool(state.mission_control.close)
         await run_in_threadpool(state.ingest_watcher.close)
         await run_in_threadpool(state.workers.stop)
         await run_in_threadpool(state.message_sender.close)

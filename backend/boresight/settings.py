@@ -22,6 +22,7 @@ from boresight.platform.web.targets import WebhookTargets, read_hosts
 from boresight.telemetry.read.limits import Limits
 
 if TYPE_CHECKING:
+    from boresight.mission_control.systems import Link
     from boresight.platform.audit.signing import SigningKey
     from boresight.platform.audit.time_stamps import TimeStampService
     from boresight.platform.db.secret_box import SecretBox
@@ -216,6 +217,27 @@ class Settings:
         "", "path", "Folder watched for new telemetry, with a sub-folder for each sensor, named as it; empty = none."
     )
     watch_settle_s: float = _setting("10", "s", "A file there is taken once it has not changed for this time.")
+    yamcs_url: str = _setting("", "URL", "Yamcs server that telemetry is pulled from; empty = none.", read=_site)
+    yamcs_instance: str = _setting("", "", "Instance of that Yamcs server.")
+    yamcs_credentials: str = _setting(
+        "", "path", "File whose first line is name:password, or an API key, for Yamcs; empty = none is needed."
+    )
+    yamcs_authority: str = _setting(
+        "", "path", "Authority (PEM) that signed the certificate of Yamcs; empty = public ones."
+    )
+    yamcs_bucket: str = _setting("", "", "Bucket of Yamcs that a person hands tables over to; empty = none.")
+    yamcs_events: int = _setting("0", "0 or 1", "1 = requests that wait, promotions and alarms become events of Yamcs.")
+    openc3_url: str = _setting(
+        "", "URL", "OpenC3 COSMOS server that telemetry is pulled from; empty = none.", read=_site
+    )
+    openc3_scope: str = _setting("DEFAULT", "", "Scope of that OpenC3 server.")
+    openc3_credentials: str = _setting(
+        "", "path", "File whose first line is the password of OpenC3; empty = none is needed."
+    )
+    openc3_authority: str = _setting(
+        "", "path", "Authority (PEM) that signed the certificate of OpenC3; empty = public ones."
+    )
+    openc3_target: str = _setting("", "", "Target of OpenC3 whose tables a person hands over; empty = none.")
     four_eyes: int = _setting("1", "0 or 1", "0 = one person works alone here and can sign what they submitted.")
     second_person: int = _setting(
         "1", "0 or 1", "1 = a second person must confirm new gate limits and table layouts, unless four eyes are off."
@@ -373,6 +395,31 @@ class Settings:
     def watched_folder(self) -> Path | None:
         """Folder that is watched for new telemetry; None where none is."""
         return Path(self.watch_folder).expanduser().resolve() if self.watch_folder else None
+
+    @property
+    def mission_control(self) -> Mapping[str, Link]:
+        """The mission control systems that this installation is linked to, by their words."""
+        from boresight.mission_control.systems import Link  # noqa: PLC0415 - few commands need HTTP
+
+        links = (
+            Link(
+                "yamcs",
+                self.yamcs_url,
+                self.yamcs_instance,
+                self.yamcs_bucket,
+                self.yamcs_credentials,
+                self.yamcs_authority,
+            ),
+            Link(
+                "openc3",
+                self.openc3_url,
+                self.openc3_scope,
+                self.openc3_target,
+                self.openc3_credentials,
+                self.openc3_authority,
+            ),
+        )
+        return {link.system: link for link in links if link.url}
 
     @property
     def catalogue_folder(self) -> Path:

@@ -23,6 +23,7 @@ from boresight.cli.diagnose import diagnose
 from boresight.cli.evaluate import check, evaluate, match
 from boresight.cli.extract import extract
 from boresight.cli.importing import import_telemetry
+from boresight.cli.mission_control import openc3, yamcs
 from boresight.cli.output import RefusingGroup
 from boresight.cli.plan import plan
 from boresight.cli.report import report
@@ -65,6 +66,8 @@ for command in (
     assess,
     check,
     import_telemetry,
+    yamcs,
+    openc3,
     simulate,
     align,
     plan,

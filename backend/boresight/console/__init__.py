@@ -9,6 +9,7 @@ from boresight.console.change_proposals import tables as change_proposal_tables
 from boresight.console.fleet import tables as fleet_tables
 from boresight.console.ingest import tables as ingest_tables
 from boresight.console.messages import tables as message_tables
+from boresight.console.mission_control import tables as mission_control_tables
 from boresight.console.notes import tables as note_tables
 from boresight.console.parameter_sets import tables as parameter_set_tables
 from boresight.console.runs import tables as run_tables
@@ -31,6 +32,7 @@ TABLES = (
     fleet_tables,
     ingest_tables,
     message_tables,
+    mission_control_tables,
     note_tables,
     parameter_set_tables,
     run_tables,

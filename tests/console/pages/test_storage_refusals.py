@@ -48,6 +48,7 @@ FORMS = {  # who sends which form to which page
     "/change-proposals/{proposal_id:int}/decide": ("agnes", {"action": "confirm", "version": "1"}),
     "/telemetry": ("ada", {"sensor_id": "1", "purpose": "calibration"}),
     "/parameter-sets/{set_id:int}/uplink/package": ("olga", {}),
+    "/parameter-sets/{set_id:int}/uplink/hand-over": ("olga", {"system": "yamcs", "version": "1"}),
     "/parameter-sets/{set_id:int}/uplink/record": ("olga", {"onboard_state": "LOADED", "source": "pass 9"}),
     "/parameter-sets/{set_id:int}/uplink/read-back": ("olga", {"crc": "0", "source": "pass 9"}),
     "/parameter-sets/{set_id:int}/uplink/activate": ("olga", {"source": "pass 9", "password": PASSWORD}),

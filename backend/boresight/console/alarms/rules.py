@@ -10,6 +10,7 @@
 `HEAD`     serious  the head of the audit log cannot be written to where it is kept, or is overdue to be signed or time-stamped
 `FILES`    critical a stored file that rows name was altered on the disk, or is missing
 `INGEST`   serious  the sensor's policy for new telemetry was paused: a runaway was stopped, and a person resumes it
+`LINK`     serious  a mission control system was not reached several times in a row, so no telemetry comes or no event goes
 ========== ======== ==========================================================================================
 
 No sentence contains anything that changes with time alone, so evaluating the rules again changes nothing.
@@ -31,6 +32,9 @@ from boresight.console.fleet import queries as trends
 from boresight.console.fleet.status import OLD_DAYS, DriftVerdict, count_days_since, get_drift_verdicts
 from boresight.console.ingest import queries as ingest_rows
 from boresight.console.ingest.tables import IngestPolicy
+from boresight.console.mission_control import queries as link_rows
+from boresight.console.mission_control.tables import FAILURES_TOLD, MissionControlLink
+from boresight.mission_control.systems import TITLES
 from boresight.platform.actors import SYSTEM
 from boresight.platform.blobs.files import BadFile
 from boresight.platform.db.sessions import Session, utc_now, utc_text
@@ -39,6 +43,7 @@ ANCHOR = "audit/ANCHOR"
 CHAIN = "audit/CHAIN"
 FILES = "blobs/FILES"
 HEAD = "audit/HEAD"
+LINK = "mission-control/LINK"
 FILES_NAMED = 100
 
 
@@ -65,7 +70,8 @@ def evaluate_rules(session: Session, sensor_ids: Sequence[int] | None = None) ->
         sensors_rows.list_sensor_heads(session, sensor_ids),
     )
     drifts = get_drift_verdicts(session, fleet, baselines, stamps)
-    paused = {row.sensor_id: row for row in ingest_rows.list_policies_in_force(session, paused=True)}
+    in_force = {row.sensor_id: row for row in ingest_rows.list_policies_in_force(session)}
+    failing = link_rows.read_failing(session, FAILURES_TOLD)
     return [
         found
         for sensor in fleet
@@ -73,7 +79,8 @@ def evaluate_rules(session: Session, sensor_ids: Sequence[int] | None = None) ->
             *_check_mismatches(sensor, onboard.get(sensor.id, ())),
             *_check_drift(sensor, drifts[sensor.id]),
             *_check_age(sensor, baselines.get(sensor.id)),
-            *_check_ingest(sensor, paused.get(sensor.id)),
+            *_check_ingest(sensor, in_force.get(sensor.id)),
+            *_check_feed(sensor, in_force.get(sensor.id), failing.get(sensor.id)),
         )
     ]
 
@@ -96,6 +103,17 @@ def check_head(fault: str) -> AlarmCause | None:
 def check_anchors(overdue: str) -> AlarmCause | None:
     """Return the alarm cause if the head of the audit log is overdue to be signed or time-stamped; None otherwise."""
     return AlarmCause(ANCHOR, None, "HEAD", "serious", overdue) if overdue else None
+
+
+def check_events(session: Session) -> AlarmCause | None:
+    """Return the alarm cause if a mission control system is told no events; None otherwise."""
+    link = link_rows.read_failing(session, FAILURES_TOLD).get(None)
+    if link is None:
+        return None
+    sentence = f"{TITLES[link.system]} is told no events: {link.fault}"
+    return AlarmCause(
+        LINK, None, "LINK", "serious", sentence, {"system": link.system, "told_audit_id": link.told_audit_id}
+    )
 
 
 def check_files(bad: Sequence[BadFile]) -> AlarmCause | None:
@@ -129,10 +147,17 @@ def _check_age(sensor: Any, baseline: Any) -> Iterator[AlarmCause]:
 
 
 def _check_ingest(sensor: Any, policy: IngestPolicy | None) -> Iterator[AlarmCause]:
-    if policy is not None and policy.pause_code != "PERSON":
+    if policy is not None and policy.state == "PAUSED" and policy.pause_code != "PERSON":
         sentence = f"Ingest of {sensor.name} is paused: {policy.pause_reason}"
         details = {"policy_id": policy.id, "code": policy.pause_code, "paused_utc": policy.paused_utc}
         yield AlarmCause(name_source(sensor.id, "INGEST"), sensor.id, "INGEST", "serious", sentence, details)
+
+
+def _check_feed(sensor: Any, policy: IngestPolicy | None, link: MissionControlLink | None) -> Iterator[AlarmCause]:
+    if policy is not None and policy.state == "ACTIVE" and policy.document.get("feed") and link is not None:
+        sentence = f"No telemetry of {sensor.name} is pulled: {link.fault}"
+        details = {"policy_id": policy.id, "system": link.system, "succeeded_utc": link.succeeded_utc}
+        yield AlarmCause(name_source(sensor.id, "LINK"), sensor.id, "LINK", "serious", sentence, details)
 
 
 def _check_mismatches(sensor: Any, onboard: Sequence[Any]) -> Iterator[AlarmCause]:

@@ -19,7 +19,7 @@ class Alarm(Row):
         description="What it is about; only one alarm per source is open at a time.", examples=["sensors/3/DRIFT"]
     )
     sensor_id: int | None
-    kind: Literal["DRIFT", "AGE", "MISMATCH", "CHAIN", "FILES", "HEAD", "CLOCK", "INGEST"]
+    kind: Literal["DRIFT", "AGE", "MISMATCH", "CHAIN", "FILES", "HEAD", "CLOCK", "INGEST", "LINK"]
     level: Literal["critical", "serious", "caution"]
     sentence: str
     state: str = Field(

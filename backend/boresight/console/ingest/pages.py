@@ -28,6 +28,8 @@ from boresight.console.ingest import queries as rows
 from boresight.console.ingest.rules import RULES
 from boresight.console.ingest.tables import DECISION_STATES, IngestDecision, IngestPolicy
 from boresight.console.list_queries import list_newest
+from boresight.console.mission_control import queries as link_rows
+from boresight.console.mission_control.tables import FAILURES_TOLD
 from boresight.console.operation import Beside
 from boresight.console.pages.rendering import (
     RefusalContext,
@@ -54,6 +56,7 @@ from boresight.console.runs.tables import Run
 from boresight.console.telemetry import profiles
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import NotFoundError, RefusedInputError
+from boresight.mission_control import systems
 from boresight.platform.actors import Actor
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session, open_reading
@@ -266,6 +269,10 @@ def _policy(
         decisions=list_newest(session, IngestDecision, sensor=sensor_id, limit=RECENT),
         folder=watcher.folder,
         waiting=watcher.count_waiting(sensor.name),
+        archives=systems.TITLES,
+        linked=request.app.state.mission_control.links,
+        link=link_rows.find_link(session, sensor_id),
+        failures_told=FAILURES_TOLD,
         may_write=bool(actor.roles.intersection(policies.WRITERS)),
         may_stop=bool(actor.roles.intersection((*policies.WRITERS, "operator"))),
         may_enable="administrator" in actor.roles,
@@ -279,7 +286,7 @@ def _policy(
 async def draft_policy(request: Request, actor: Who, sensor_id: int, watcher: ServerWatcher) -> Response:
     """Draft the next version of a sensor's policy."""
     typed = await read_texts(request)
-    rules = {name: text for name in RULES if (text := typed.get(name, "").strip()) or name == "profile"}
+    rules = {name: text for name in RULES if (text := typed.get(name, "").strip()) or name in {"profile", "feed"}}
 
     def change(session: Session) -> IngestPolicy:
         return policies.draft(session, actor, sensor_id, rules, typed.get("reason", ""))

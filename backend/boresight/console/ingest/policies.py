@@ -22,6 +22,7 @@ from boresight.console.runs.presets import get_offer
 from boresight.console.telemetry.profiles import find_profile
 from boresight.console.transitions import move, name_subject, require_seen
 from boresight.errors import ConflictError, RefusedInputError
+from boresight.mission_control.systems import TITLES
 from boresight.platform.actors import INGEST, Actor, require_person, require_role, require_scope
 from boresight.platform.audit import log as audit
 from boresight.platform.db.documents import compute_sha256
@@ -61,10 +62,15 @@ def draft(session: Session, actor: Actor, sensor_id: int, document: Mapping[str,
 
 
 def _refuse_unknown(session: Session, rules: PolicyRules) -> None:
-    """Refuse a profile or a preset that is not there."""
+    """Refuse a profile, a preset or an archive that is not there."""
     get_offer(session, rules.preset)
-    if rules.profile:
-        find_profile(session, rules.profile)
+    profile = find_profile(session, rules.profile) if rules.profile else None
+    if rules.feed and rules.feed not in TITLES:
+        raise RefusedInputError(f"There is no archive {rules.feed!r}; choose from {', '.join(TITLES)}, or none.")
+    if rules.feed and profile is None:
+        raise RefusedInputError(
+            f"{TITLES[rules.feed]} is asked for what a mapping profile names, and the policy has none; choose one."
+        )
 
 
 def compute_rehearsal(session: Session, policy_id: int) -> dict[str, Any]:

@@ -60,6 +60,18 @@ class PolicyRules:
         400.0, "Oldest data", "Data older than this, or from the future, pause the policy.", "d", 1.0, 20_000.0
     )
 
+    feed: str = _rule(
+        "", "Archive", "Telemetry is pulled from it by the mapping profile; none: files are sent or dropped."
+    )
+    pull_minutes: int = _rule(10, "Pull every", "How often the archive is asked.", "min", 1, 1440)
+    settle_minutes: int = _rule(
+        10, "A pass is over after", "So long without a new row, and what came is taken as one set.", "min", 1, 1440
+    )
+    longest_hours: int = _rule(24, "Longest set", "A pass that goes on for longer is cut.", "h", 1, 720)
+    lookback_hours: int = _rule(
+        48, "Look-back", "Rows that arrive up to so long after the newest set are still taken.", "h", 1, 720
+    )
+
     def to_dict(self) -> dict[str, Any]:
         """Write the rules as JSON."""
         return asdict(self)

@@ -48,12 +48,12 @@ class IngestDecision(Row):
     id: int
     sensor_id: int
     policy_id: int
-    source: Literal["FOLDER", "REST"]
+    source: Literal["FOLDER", "REST", "ARCHIVE"]
     file_name: str
     file_sha256: str | None
     size_bytes: int
     received_utc: str
-    received_by: int | None = Field(description="Who sent it; null for the watched folder.")
+    received_by: int | None = Field(description="Who sent it; null for the watched folder and an archive.")
     telemetry_set_id: int | None
     run_id: int | None
     parameter_set_id: int | None = Field(description="The candidate that was prepared, where people are asked.")

@@ -23,7 +23,7 @@ DECISION_STATES = (
     "REFUSED",
 )
 FAILED_STATES = ("NOT JUDGED", "REFUSED")
-SOURCES = ("FOLDER", "REST")
+SOURCES = ("FOLDER", "REST", "ARCHIVE")
 ANSWERS = ("SUBMIT", "WAIT", "MORE DATA", "RECALIBRATE")
 
 
@@ -80,7 +80,9 @@ class IngestDecision(Base):
     file_sha256: Mapped[str | None] = mapped_column(sa.Text, index=True)
     size_bytes: Mapped[int]
     received_utc: Mapped[str] = mapped_column(sa.Text)
-    received_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))  # None: the watched folder
+    received_by: Mapped[int | None] = mapped_column(
+        sa.ForeignKey("users.id")
+    )  # None: the watched folder, or an archive
     telemetry_set_id: Mapped[int | None] = mapped_column(sa.ForeignKey("telemetry_sets.id"))
     run_id: Mapped[int | None] = mapped_column(sa.ForeignKey("runs.id"), index=True)
     parameter_set_id: Mapped[int | None] = mapped_column(sa.ForeignKey("parameter_sets.id"))

@@ -19,9 +19,8 @@ from boresight.console.ingest import queries as rows
 from boresight.console.ingest.folder import DONE, REFUSED, Arrival, TakenFile, WatchedFolder
 from boresight.console.ingest.service import SentFile
 from boresight.console.ingest.tables import IngestPolicy
-from boresight.console.telemetry.service import ImageUpload
+from boresight.console.jobs.intake import Intake
 from boresight.errors import BoresightError, ConflictError, UnavailableError
-from boresight.platform.actors import INGEST
 from boresight.platform.db.sessions import Engine, open_reading, open_writing
 from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.jobs.periodic_thread import PeriodicThread
@@ -40,6 +39,7 @@ class IngestWatcher:
     ) -> None:
         self._database = database
         self._sources = sources
+        self._intake = Intake(database, sources, settings)
         self._settings = settings
         self._tell = tell
         watched = settings.watched_folder
@@ -118,33 +118,17 @@ class IngestWatcher:
         except (UnavailableError, ConflictError):
             raise  # it is tried again, and the file is where it was
         except BoresightError as error:
-            to, reason = REFUSED, self._refuse(policy, sent, error)
+            to, reason = REFUSED, f"Decision {self._intake.refuse(policy, sent, error).id}: {error}"
         self._settle(folder, arrival, policy, to, reason)
         self._tell()
 
     def _read(self, policy: IngestPolicy, taken: TakenFile, sent: SentFile) -> tuple[str, str]:
         """Read, check and receive a file; returns where it goes, and why."""
-        with open_reading(self._database) as session:
-            intake = service.read_intake(session, policy.sensor_id)
-            known = service.find_earlier(session, policy.sensor_id, taken.sha256)
-        if known is not None:
-            to = REFUSED if known.state == "REFUSED" else DONE
-            return to, f"These bytes came before, decision {known.id}: {known.sentence}"
-        images = ImageUpload((), self._settings.image_limits, self._settings.image_seconds)
-        limits = self._settings.telemetry_limits
-        with (
-            service.hold_intake(intake, self._sources, taken.path, taken.name, limits, images) as prepared,
-            open_writing(self._database) as session,
-        ):
-            row = service.receive(session, INGEST, self._sources.blobs, policy.id, prepared, sent)
-        if row.state == "REFUSED":
-            return REFUSED, f"Decision {row.id}: {row.sentence}"
-        return DONE, ""
-
-    def _refuse(self, policy: IngestPolicy, sent: SentFile, error: BoresightError) -> str:
-        with open_writing(self._database) as session:
-            row = service.refuse(session, INGEST, policy.id, sent, str(error), service.code_of(error))
-        return f"Decision {row.id}: {error}"
+        row, came_before = self._intake.receive(policy, taken, sent)
+        to = REFUSED if row.state == "REFUSED" else DONE
+        if came_before:
+            return to, f"These bytes came before, decision {row.id}: {row.sentence}"
+        return to, f"Decision {row.id}: {row.sentence}" if to == REFUSED else ""
 
     def _settle(self, folder: WatchedFolder, arrival: Arrival, policy: IngestPolicy, to: str, reason: str) -> None:
         try:

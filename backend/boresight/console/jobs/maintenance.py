@@ -20,9 +20,11 @@ from boresight.console.alarms.rules import (
     CHAIN,
     FILES,
     HEAD,
+    LINK,
     AlarmCause,
     check_anchors,
     check_chain,
+    check_events,
     check_files,
     check_head,
 )
@@ -280,7 +282,7 @@ class Maintenance:
             for sha256, size in named
             if (what := files.wrong_with(self._blobs, sha256, size, again=False)) is not None
         ]
-        found = {FILES: check_files(wrong), HEAD: check_head(self._head_fault)}
+        found = {FILES: check_files(wrong), HEAD: check_head(self._head_fault), LINK: check_events(session)}
         if self._anchoring is not None:
             found[ANCHOR] = check_anchors(self._anchoring.find_overdue(session))
         if self._found.state in {"verified", "broken"}:

@@ -9,6 +9,7 @@ import sqlalchemy as sa
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets.tables import ONBOARD_STATES, ParameterSet, Promotion
 from boresight.console.uplinks.tables import TableDefinition, Uplink
+from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.db.sessions import Session
 
 # What is said of a sensor's board, with its level: of all that its sets tell, the first of these.
@@ -93,3 +94,10 @@ def list_definitions(
     if until is not None:
         query = query.where(TableDefinition.number <= until)
     return session.scalars(query.order_by(TableDefinition.number.desc()).limit(limit)).all()
+
+
+def list_package_records(session: Session, package_ids: Sequence[int], action: str) -> Sequence[AuditRecord]:
+    """Return the audit records of an action on packages, newest first."""
+    objects = [f"packages/{number}" for number in package_ids]
+    query = sa.select(AuditRecord).where(AuditRecord.object.in_(objects), AuditRecord.action == action)
+    return session.scalars(query.order_by(AuditRecord.id.desc()).limit(100)).all()

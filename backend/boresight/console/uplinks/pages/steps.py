@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import io
 import zipfile
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
@@ -50,13 +50,16 @@ from boresight.console.pages.tables import Table, TableColumn, accept_one, is_te
 from boresight.console.parameter_sets.pages import read_set_and_incumbent
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.pages.list import read_names
+from boresight.console.uplinks import hand_over as hand_overs
 from boresight.console.uplinks import packages, read_backs
 from boresight.console.uplinks import service as uplinks
+from boresight.console.uplinks.hand_over import HandOver
 from boresight.console.uplinks.queries import BOARD_WORDS, find_baseline_before
 from boresight.console.uplinks.stations import find_exported_package, find_uplink_progress, make_workflow
 from boresight.console.uplinks.tables import Package, Uplink
 from boresight.errors import BoresightError
 from boresight.figures.tables import set_rows
+from boresight.mission_control.systems import Link
 from boresight.platform.actors import Actor
 from boresight.platform.blobs import files
 from boresight.platform.blobs.store import BlobStore
@@ -207,6 +210,8 @@ def _page(
         why_no_reference=why,
         next_states=uplinks.list_next_statements(session, row),
         why_not_sent=_why_not_sent(row),
+        stores=[link for link in _links(request).values() if link.store and row.ground_state == "BASELINE"],
+        handed_over=hand_overs.list_hand_overs(session, [one.id for one in built]),
         may_export=row.ground_state in packages.EXPORTED,
         readable=row.onboard_state in read_backs.READABLE,
         blocked=None if "operator" in actor.roles else NO_ROLE,
@@ -214,6 +219,11 @@ def _page(
         needed=get_needed(request, session, actor),
         shown=shown,
     )
+
+
+def _links(request: Request) -> Mapping[str, Link]:
+    links: Mapping[str, Link] = request.app.state.mission_control.links
+    return links
 
 
 def _why_not_sent(row: ParameterSet) -> str | None:
@@ -282,6 +292,32 @@ async def export(
     return await _taken_step(
         request, actor, blobs, "package", typed, change, "The package is built; download it below."
     )
+
+
+@router.post("/parameter-sets/{set_id:int}/uplink/hand-over")
+async def hand_over(request: Request, actor: Who, blobs: Blobs, set_id: int) -> Response:
+    """Hand the table of the set's package over to a mission control system."""
+    typed, _ = await _form(request)
+
+    def begin(session: Session) -> HandOver:
+        system, seen = typed.get("system", ""), seen_version(typed)
+        return hand_overs.begin(session, actor, blobs, _links(request), set_id, system, seen)
+
+    begun = await attempt(request, begin)
+    if begun.value is None:
+        shown = UplinkStepsContext("hand-over", typed, begun.refusal)
+        return await read_again(request, partial(_page, request, actor, blobs, set_id, shown))
+    going = begun.value
+
+    async def send() -> tuple[Sequence[str]]:
+        return (await run_in_threadpool(going.send),)
+
+    def end(session: Session, places: Sequence[str]) -> HandOver:
+        hand_overs.end(session, actor, going, places)
+        return going
+
+    said = f"Handed over to {going.link.title}. Nothing was commanded; record that it was sent once it is."
+    return await _taken_step(request, actor, blobs, "hand-over", typed, end, said, send)
 
 
 @router.post("/parameter-sets/{set_id:int}/uplink/record")
