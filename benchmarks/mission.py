@@ -1,7 +1,8 @@
 """Three years of six sensors: the newest pass alone beside all passes together (part `mission`).
 
 Each ST-16 has a truth that nobody sees: a season, f(T), with a square for the focal length; an ageing that slows down; a slow walk
-of every parameter; a step of one at a date; and outages without a pass. Each pass is simulated with real stars under the truth of
+of every parameter; a step of one at a date; and outages without a pass. Distortion changes by a tenth of that, in typical sigmas:
+it is ground into the lens, and the others are how it sits. Each pass is simulated with real stars under the truth of
 its day, and has its matches. At checkpoints only the passes so far are there, and two ways tell the camera as it is then:
 
 - `alone`: the newest pass by itself, by the batch, as where nothing remembers the mission;
@@ -55,6 +56,8 @@ YEAR_D = 365.25
 START = np.datetime64("2026-01-01T00:00:00", "us")
 #: Truth, typical sigmas: walk a root of a day, ageing and its days, season a degree, its square of the focal length, the step.
 WALK, AGEING, AGEING_D, SEASON, SQUARE, STEP = 0.004, 0.4, 500.0, 0.03, 0.001, 0.6
+#: What is of the glass, and its share of all that: distortion is ground into the lens, the rest is how it sits.
+GLASS, OF_GLASS = ("b4_per_m4", "b2_per_m2"), 0.1
 #: Temperature, degrees: season, orbit's plane and its days, and from pass to pass.
 SWINGS, PLANE_D, SCATTER = (8.0, 3.0), 58.0, 1.5
 OUTAGES = 3
@@ -97,7 +100,9 @@ def draw_mission(number: int, passes: int, years: float, seed: int, *, changes: 
     z = walk + rng.normal(0.0, AGEING, n) * (1.0 - np.exp(-days / AGEING_D))[:, None]
     z += rng.normal(0.0, SEASON, n) * (T - 15.0)[:, None]
     z[:, names.index("f_m")] += SQUARE * (T - 15.0) ** 2
-    stepped, day = int(rng.integers(n)), float(rng.uniform(0.3, 0.8) * span)
+    z[:, [name in GLASS for name in names]] *= OF_GLASS
+    stepped = int(rng.choice([k for k, name in enumerate(names) if name not in GLASS]))
+    day = float(rng.uniform(0.3, 0.8) * span)
     z[days > day, stepped] += rng.choice([-STEP, STEP])
     x = scenario.truth + scenario.sensor.typical_sigma * z * changes
     return Mission(scenario, days, T, x, (names[stepped], day))
@@ -145,7 +150,7 @@ def remember(seen: Seen, passes: int) -> tuple[FloatArray, FloatArray, PassVaria
 
 def measure(
     report: Report, *, sensors: Sequence[int] = (1, 2, 3, 4, 5, 6), passes: int = 400, years: float = 3.0, frames: int = 30,
-    checkpoints: int = 24, seed: int = 1,
+    checkpoints: int = 18, seed: int = 1,
 ) -> dict[str, Any]:  # fmt: skip
     """Fly the mission of each sensor, and judge both ways and the policy."""
     catalogue = load_catalogue(read_settings().catalogue_folder)
@@ -164,7 +169,8 @@ def measure(
         asked.append(_asked(mission, seen))
         still = draw_mission(number, passes, years, seed, changes=False)
         quiet.append(_asked(still, observe(still, frames, seed, catalogue)))
-    return summarise(rows, steps, asked, quiet, years)
+    names = CAMERA_MODELS[mission.scenario.sensor.camera_model].parameter_names
+    return summarise(rows, steps, asked, quiet, years) | {"parameters": list(names)}
 
 
 def _checkpoint(
@@ -282,18 +288,19 @@ def summarise(
         })  # fmt: skip
     error = {way: np.sqrt(np.mean([np.square(row[way]) for row in rows], axis=0)) for way in ("alone", "joint")}
     px = {way: float(np.sqrt(np.mean([row[f"{way}_px"] ** 2 for row in rows]))) for way in ("alone", "joint")}
+    gain = float(np.exp(np.mean(np.log(error["alone"] / error["joint"]))))
     inside = float(np.mean([one["inside"] for one in windows]))
     sensor_years = years * len(asked)
     policy = {name: _policy(of, sensor_years) for name, of in (("mission", asked), ("nothing changes", quiet))}
     limits = {
-        "error of stars, the newest pass alone over all passes": held(3.0, px["alone"] / px["joint"], at_least=True),
+        "error of the parameters, the newest pass alone over all passes": held(3.0, gain, at_least=True),
         "windows whose NEES is inside its bounds": held(0.95, inside, at_least=True),
         "false requests a sensor and year in a mission": held(1.0, policy["mission"]["false_a_year"]),
         "requests a sensor and year where nothing changes": held(1.0, policy["nothing changes"]["requests_a_year"]),
     }
     return {
         "years": years, "windows": windows, "alone_px": px["alone"], "joint_px": px["joint"],
-        "gain_of_parameters": float(np.exp(np.mean(np.log(error["alone"] / error["joint"])))),
+        "gain_of_parameters": gain, "gain_of_stars": px["alone"] / px["joint"],
         "alone_sigma": error["alone"].tolist(), "joint_sigma": error["joint"].tolist(),
         "nees_per_dof": sum(row["nees"] for row in rows) / sum(row["dof"] for row in rows),
         "alone_nees_per_dof": sum(row["alone_nees"] for row in rows) / sum(row["dof"] for row in rows),

@@ -2,8 +2,8 @@
 
 A slow drift looks like steps to a search that knows steps alone, and a walk like both. So all are held against the same passes, at
 one linearisation and with the temperature's part in each where it is known: nothing beside it, a line in time, the steps that are
-beyond chance, and a random walk at its most likely drift. Each has its deviance, -2 log of the likelihood at its best values up to a
-constant that all share, for which the steps of a walk are integrated over (`estimation.walk`), and
+beyond chance, and a random walk at its most likely drift. Each has its deviance, -2 log of the likelihood at its best values up to
+a constant that all share, for which the steps of a walk are integrated over (`estimation.walk`), and
 
     BIC = deviance + parameters log(n)        n the passes times the parameters that vary
 

@@ -6,12 +6,12 @@ drift looks like steps. So all are in one problem. With T_k and t_k of pass k fr
 
     z_k = p_k + a T_k + b t_k + c T_k^2        p_k - p_k-1 ~ N(0, sigma^2 days_k), and free where a step was found
 
-A term is there as soon as there are so many passes that it leaves `FEWEST` steps to the walk, and nothing tests it first: what is
-known of the last pass is to bear all that is not known of them, and one that was dropped for lack of evidence would be claimed to
-be known. It costs little, for a term that is not needed is found near zero. Steps are sought one after the other, each where one
-would take most from chi-square beside all that was found, and the drift estimated anew with it, until none is beyond chance over
-all parameters and gaps (Bonferroni; `estimation.walk`). All of that is linear at one linearisation, and repeated at the next until
-drift and steps stay.
+A term is there as soon as there are so many passes that it leaves `walk.FEWEST_STEPS` steps to the walk, and nothing tests it
+first: what is known of the last pass is to bear all that is not known of them, and one that was dropped for lack of evidence would
+be claimed to be known. It costs little, for a term that is not needed is found near zero. Steps are sought one after the other,
+each where one would take most from chi-square beside all that was found, and the drift estimated anew with it, until none is beyond
+chance over all parameters and gaps (Bonferroni; `estimation.walk`). All of that is linear at one linearisation, and repeated at the
+next until drift and steps stay.
 """
 
 from __future__ import annotations
@@ -27,10 +27,8 @@ from boresight.calibration.joint.change import SAME, Step, describe_step, judge_
 from boresight.calibration.joint.passes_fit import PassesFit, PassesProblem, middle_days
 from boresight.estimation.block_bordered import Regressed
 from boresight.estimation.change import LEVEL, Falls
-from boresight.estimation.walk import Walk, WalkedPasses, find_walk, link_by_walk, most_likely
+from boresight.estimation.walk import CAUTION, FEWEST_STEPS, Walk, WalkedPasses, find_walk, link_by_walk, most_likely
 
-#: Steps of a walk that terms must leave to it.
-FEWEST = 5
 #: Drift where its estimate begins, typical sigmas a square root of a day.
 FIRST_WALK = 0.1
 #: Rounds of linearisation, and the change of the drift's log that ends them.
@@ -59,7 +57,7 @@ def find_terms(of: PassesProblem, days: FloatArray) -> _Terms:
     kept, names, units = [np.ones(len(days))], [], []
     for name, column in candidates:
         half = float(np.abs(column).max())
-        if not half or len(days) - 1 - len(kept) < FEWEST:
+        if not half or len(days) - 1 - len(kept) < FEWEST_STEPS:
             continue
         X = np.column_stack(kept)
         left = column / half - X @ np.linalg.lstsq(X, column / half, rcond=None)[0]
@@ -88,7 +86,7 @@ def fit_evidence(of: PassesProblem, own: IntArray) -> tuple[PassesFit, PassVaria
         if (stepped == before[1]).all() and np.abs(np.log(sigma / before[0])).max() < RESTS:
             break
     passes = WalkedPasses(fitted.sums, of.departures(fitted), own, between, trend, stepped)
-    walk = find_walk(passes, begin=sigma)
+    walk = find_walk(passes)
     found = PassVariation(
         vary=of.names_of(own),
         vary_as="evidence",
@@ -112,7 +110,7 @@ def _search(
     starts = [begin, np.full(len(own), begin.min())]
     while True:
         passes = WalkedPasses(fitted.sums, z, own, days, trend, stepped)
-        sigma = most_likely(passes, starts)
+        sigma = most_likely(passes, starts, CAUTION)
         starts = [sigma]
         if len(chances) == min(MOST_STEPS, len(days)):
             return sigma, stepped, chances

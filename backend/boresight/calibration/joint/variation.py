@@ -36,7 +36,16 @@ from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.errors import RefusedInputError
 from boresight.estimation.block_bordered import Linked, Regressed
-from boresight.estimation.walk import Walk, WalkedPasses, find_walk, link_by_walk
+from boresight.estimation.walk import (
+    CAUTION,
+    FEWEST_STEPS,
+    STARTS,
+    Walk,
+    WalkedPasses,
+    find_walk,
+    link_by_walk,
+    most_likely,
+)
 
 #: Typical sigmas of what nobody knows.
 OPEN_SIGMAS = 1e4
@@ -148,14 +157,15 @@ def fit_walk(
     of: PassesProblem, days: FloatArray, own: IntArray, fitted: PassesFit, trend: Regressed | None = None
 ) -> tuple[PassesFit, Walk]:
     """Estimate the drift, days (n_passes - 1,) between passes, and fit the passes with it, in turn."""
-    before = np.full(len(own), FIRST_WALK)
+    before, caution = np.full(len(own), FIRST_WALK), CAUTION if len(days) >= FEWEST_STEPS else 0.0
+    starts = [np.full(len(own), start) for start in STARTS]
     for _ in range(WALK_ROUNDS):
-        walk = find_walk(WalkedPasses(fitted.sums, of.departures(fitted), own, days, trend))
-        fitted = of.fit(link_by_walk(own, days, walk.sigma, trend))
-        if np.abs(np.log(walk.sigma / before)).max() < WALK_RESTS:
+        sigma = most_likely(WalkedPasses(fitted.sums, of.departures(fitted), own, days, trend), starts, caution)
+        fitted = of.fit(link_by_walk(own, days, sigma, trend))
+        if np.abs(np.log(sigma / before)).max() < WALK_RESTS:
             break
-        before = walk.sigma
-    return fitted, walk
+        before, starts = sigma, [sigma]
+    return fitted, find_walk(WalkedPasses(fitted.sums, of.departures(fitted), own, days, trend))
 
 
 def _describe_states(of: PassesProblem, fitted: PassesFit) -> list[PassState]:
