@@ -86,6 +86,8 @@ PARTS: dict[str, Part] = {
     "pointings": Part(
         "pointings:measure", "how soon planned pointings pass the gate of observability, beside chance and the paper's sets"
     ),
+    "joint": Part("joint:measure", "passes calibrated together, beside as many single runs, and over one worker and two"),
+    "recovery": Part("recovery:measure", "f(T) and drift that are put into sets of passes and found again: bias and coverage"),
     "mission": Part(
         "mission:measure", "three years of sensors that change: the newest pass beside all passes, and what is asked of people"
     ),

@@ -110,10 +110,17 @@ def draw_mission(number: int, passes: int, years: float, seed: int, *, changes: 
 
 def observe(mission: Mission, frames: int, seed: int, catalogue: Catalogue) -> Seen:
     """Simulate the telemetry of every pass, make it one problem, and calibrate each by itself."""
+    problem, passes = simulate_passes(mission, frames, seed, catalogue)
+    return Seen(problem, passes, [fit(problem, *end) for end in places_of(problem, passes)])
+
+
+def simulate_passes(
+    mission: Mission, frames: int, seed: int, catalogue: Catalogue
+) -> tuple[Problem, Sequence[InputPass]]:
+    """Simulate the telemetry of every pass, and make it one problem."""
     sets = [NamedTelemetry(_pass(mission, k, frames, seed, catalogue), f"pass {k}") for k in range(len(mission.days))]
     joint, sensor = join_sets(sets), mission.scenario.sensor
-    problem = build_problem(joint.read(), sensor, catalogue)
-    return Seen(problem, joint.passes, [fit(problem, *end) for end in places_of(problem, joint.passes)])
+    return build_problem(joint.read(), sensor, catalogue), joint.passes
 
 
 def _pass(mission: Mission, k: int, frames: int, seed: int, catalogue: Catalogue) -> Telemetry:

@@ -526,11 +526,23 @@ def _mission(found: Found) -> str:
     )  # fmt: skip
 
 
+def _recovery(found: Found) -> str:
+    rows = [
+        [words, *(number(one[key]) for key in ("sets", "bias", "bias_error", "inside_68", "inside_95"))]
+        for words, one in found["recovered"].items()
+    ]  # fmt: skip
+    heads = ("what", "sets", "mean error, σ", "± of that", "inside 68 %", "inside 95 %")
+    return (
+        "Errors are over the sigma that each fit tells; of the drift they are of its logarithm, over their own scatter, and its "
+        "intervals are those of the likelihood.\n\n" + table(heads, rows, (0,))
+    )
+
+
 SECTIONS = {
     "kernels": _kernels, "accuracy": _accuracy, "efficiency": _efficiency, "choice": _choice, "growth": _growth, "whole": _whole,
     "spread": _spread, "queue": _queue, "clients": _clients, "fleet": _fleet, "trust": _trust,
     "ground": _ground, "images": _images, "diagnosis": _diagnosis,
-    "pointings": _pointings, "mission": _mission,
+    "pointings": _pointings, "mission": _mission, "recovery": _recovery,
 }  # fmt: skip
 
 
