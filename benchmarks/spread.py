@@ -19,7 +19,7 @@ import os
 import signal
 import tempfile
 import time
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -86,6 +86,10 @@ class Site:
         """Make a set; returns its address."""
         path = self.folder / "set.parquet"
         write_synthetic(path, frames, seed)
+        return self.keep(path)
+
+    def keep(self, path: Path) -> str:
+        """Take a set in, and return its address."""
         sha256 = self._blobs.put(path)
         path.unlink()
         return sha256
@@ -109,15 +113,15 @@ class Site:
     def warm(self, client: SchedulerClient, table: str) -> None:
         """Let every worker in turn compute a small set, of which it lends pieces to the others."""
         for worker in sorted(client.nthreads()):
-            self._submit(client, table, worker).result()
+            self._submit(client, [table], worker).result()
 
-    def run(self, client: SchedulerClient, table: str, kill_after_s: float | None = None) -> dict[str, Any]:
-        """Compute a set, and say what it took and what was found."""
+    def run(self, client: SchedulerClient, *tables: str, kill_after_s: float | None = None) -> dict[str, Any]:
+        """Compute a set, or several as one, and say what it took and what was found."""
         own, *others = sorted(client.nthreads())
         pids = client.run(os.getpid)
         load, before_s = os.getloadavg()[0], _cpu_s(pids.values())
         began_s = time.perf_counter()
-        future = self._submit(client, table, own)
+        future = self._submit(client, tables, own)
         kill = None if kill_after_s is None else Kill(client, others[0], pids[others[0]], began_s + kill_after_s)
         after_s = _cpu_until(future, pids, kill)
         (end,) = future.result()
@@ -136,12 +140,15 @@ class Site:
             "document": document,
         }
 
-    def _submit(self, client: SchedulerClient, table: str, worker: str) -> Any:
+    def _submit(self, client: SchedulerClient, tables: Sequence[str], worker: str) -> Any:
         self._runs += 1
         inputs = Inputs(
             blob_address=str(self.folder / "blobs"),
             catalogue_folder=str(self.folder / "catalogue"),
-            sets=[{"name": "stars", "original_sha256": table, "table_sha256": table}],
+            sets=[
+                {"name": f"stars {k}", "original_sha256": table, "table_sha256": table}
+                for k, table in enumerate(tables, 1)
+            ],
             validation=None,
             prior=None,
             sensor_document=sensor_document(st16_sensor(1)),

@@ -468,11 +468,81 @@ def _pointings(found: Found) -> str:
     )
 
 
+MISSION = """{checkpoints} answers over {years:g} years of simulated passes. *Alone* is the newest pass by itself, *joint* all
+passes until then with every parameter varying by its evidence. Stars: how far the camera puts them from where they fall, root
+mean square over the detector. Of the parameters the joint error is {gain} times smaller (geometric mean over the root mean
+squares below), of stars {stars} times. NEES a degree of freedom over all is {nees} of the joint answer and {alone_nees} of the
+newest pass alone.
+
+"""
+
+
+def _mission(found: Found) -> str:
+    """Errors over time, of each parameter, the steps, and what people would have been asked."""
+    text = MISSION.format(
+        checkpoints=found["checkpoints"], years=found["years"], gain=number(found["gain_of_parameters"]),
+        stars=number(found["gain_of_stars"]),
+        nees=number(found["nees_per_dof"]), alone_nees=number(found["alone_nees_per_dof"]),
+    )  # fmt: skip
+    windows = [
+        [
+            one["passes"], *(number(one[key]) for key in ("alone_px", "joint_px", "gain", "nees_per_dof")),
+            f"{number(one['lower'])} to {number(one['upper'])}", "yes" if one["inside"] else "**no**",
+        ]
+        for one in found["windows"]
+    ]  # fmt: skip
+    heads = ("passes", "stars alone, px", "stars joint, px", "times", "NEES / dof", "99 % bounds", "inside")
+    errors = [
+        [f"`{name}`", number(alone), number(joint), number(alone / joint)]
+        for name, alone, joint in zip(found["parameters"], found["alone_sigma"], found["joint_sigma"], strict=True)
+    ]
+    steps = [
+        [
+            one["sensor"], f"`{one['parameter']}`", number(one["day"]), "yes" if one["found"] else "**no**",
+            "yes" if one["date_inside"] else "**no**", number(one["interval_d"]), one["sentence"],
+        ]
+        for one in found["steps"]
+    ]  # fmt: skip
+    asked = [
+        [
+            name, number(one["requests_a_year"]), number(one["false_a_year"]), number(one["displaced_px"]),
+            ", ".join(f"{count} {kind}" for kind, count in one["kinds"].items()) or "-",
+            ", ".join(f"{count} {state}" for state, count in one["states"].items()),
+        ]
+        for name, one in found["policy"].items()
+    ]  # fmt: skip
+    return (
+        text + table(heads, windows, (6,))
+        + "\n### Error of each parameter, typical sigmas\n\n" + table(("parameter", "alone", "joint", "times"), errors)
+        + "\n### The step of each sensor, by all passes\n\n"
+        + table(("sensor", "parameter", "true day", "found", "date inside", "interval, d", "sentence"), steps, (0, 1, 3, 4, 6))
+        + f"\n{found['false_steps_at_checkpoints']} of the steps that {found['checkpoints']} answers told are none.\n"
+        "\n### What the policy for new telemetry would have asked\n\nEach pass by itself against the last one that was promoted, "
+        "at the usual rules; every request taken as promoted. The camera's season is no part of that test, so a baseline does not "
+        "hold over it.\n\n"
+        + table(
+            ("mission", "requests a sensor and year", "false", "stars off at a request, px", "kinds", "passes"), asked, (0, 4, 5)
+        )
+    )  # fmt: skip
+
+
+def _recovery(found: Found) -> str:
+    rows = [
+        [words, *(number(one[key]) for key in ("sets", "bias", "bias_error", "inside_68", "inside_95"))]
+        for words, one in found["recovered"].items()
+    ]  # fmt: skip
+    heads = ("what", "sets", "mean error, σ", "± of that", "inside 68 %", "inside 95 %")
+    return (
+        "Errors are over the sigma that each fit tells; of the drift they are of its logarithm, over their own scatter, and its "
+        "intervals are those of the likelihood.\n\n" + table(heads, rows, (0,))
+    )
+
+
 SECTIONS = {
     "kernels": _kernels, "accuracy": _accuracy, "efficiency": _efficiency, "choice": _choice, "growth": _growth, "whole": _whole,
     "spread": _spread, "queue": _queue, "clients": _clients, "fleet": _fleet, "trust": _trust,
     "ground": _ground, "images": _images, "diagnosis": _diagnosis,
-    "pointings": _pointings,
+    "pointings": _pointings, "mission": _mission, "recovery": _recovery,
 }  # fmt: skip
 
 

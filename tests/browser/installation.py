@@ -18,7 +18,17 @@ class Installation:
         self.folder = folder
         self.port = free_port()
         self.address = f"http://127.0.0.1:{self.port}"
-        settings = variables(data_folder=folder / "data", port=self.port, mode="SIM", workers=1, lease_s=3)
+        self.watched = folder / "watched"
+        self.watched.mkdir()
+        settings = variables(
+            data_folder=folder / "data",
+            port=self.port,
+            mode="SIM",
+            workers=1,
+            lease_s=3,
+            watch_folder=self.watched,
+            watch_settle_s=0.5,
+        )
         self.environment = (
             os.environ
             | {"BORESIGHT_SECOND_PERSON": "0"}

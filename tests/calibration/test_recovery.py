@@ -7,7 +7,7 @@ from boresight.calibration.estimate import never
 from boresight.calibration.joint.passes_fit import PassesProblem, middle_days, places_of
 from boresight.calibration.joint.variation import fit_variation, fit_walk
 from boresight.calibration.options import CalibrationSettings
-from boresight.estimation.walk import find_walk, link_by_walk
+from boresight.estimation.walk import WalkedPasses, find_walk, link_by_walk
 from tests.calibration.test_variation import PARAMETERS, moved, problem_of
 from tests.effort import effort
 from tests.estimation.fields import SCALE, TRUTH
@@ -53,7 +53,7 @@ def test_the_drift_of_a_focal_length_is_recovered(sensor, catalogue):
         fitted, walk = fit_walk(of, between, own, of.fit(link_by_walk(own, between, np.array([0.1]))))
         logs.append(float(np.log(walk.sigma[0] / truth)))
         for share, (_, rise) in SHARES.items():
-            found = find_walk(fitted.sums, of.departures(fitted), own, between, rise)
+            found = find_walk(WalkedPasses(fitted.sums, of.departures(fitted), own, between), rise)
             inside[share].append(found.low[0] <= truth <= found.high[0])
     spread = np.std(logs)
     assert abs(np.mean(logs)) < (0.2 + 3.0 / np.sqrt(WALKS)) * spread

@@ -315,3 +315,62 @@ def test_one_set_does_not_vary_and_a_pass_that_sees_too_little_is_named(sensor, 
     thin = replace(thin, ra_rad=np.full(len(thin), np.nan), dec_rad=np.full(len(thin), np.nan), star_id=None)
     with pytest.raises(RefusedInputError, match=r"fewest frames: pass 1\): choose"):
         run([one, thin], sensor, catalogue, vary=("f_m",))
+
+
+def flown(walk=0.1, slope=0.1, step=1.5, seed=3, K=24):
+    """Passes whose focal length walks, follows the temperature and steps after the twelfth."""
+    rng, days = np.random.default_rng(seed), 3 * np.arange(K)
+    warm = 15.0 + 8.0 * np.sin(days / 11.0) + rng.normal(0.0, 2.0, K)
+    steps = slope * (warm - 15.0) + walk * np.cumsum(rng.normal(size=K)) + step * (np.arange(K) > 12)
+    return moved(steps, seed=400, frames=12, days=days.tolist(), warm=warm), steps
+
+
+def test_season_walk_and_step_are_told_apart_by_their_evidence(sensor, catalogue):
+    sets, steps = flown()
+    found = run(sets, sensor, catalogue, vary=("f_m", "m0_px"), vary_as="evidence")
+    told = found.variation
+    (step,) = told.steps
+    assert step.parameter == "f_m"
+    assert abs(step.step - 1.5 * SCALE[0]) < 4 * step.sigma
+    assert np.datetime64(step.from_utc[:-1]) <= BEGIN + 37 * DAY
+    assert np.datetime64(step.to_utc[:-1]) >= BEGIN + 39 * DAY
+    assert abs(told.slope["f_m"] - 0.1 * SCALE[0]) < 4 * told.slope_sigma["f_m"]
+    assert abs(told.slope["m0_px"]) < 4 * told.slope_sigma["m0_px"]
+    assert abs(told.rate["m0_px"]) < 4 * told.rate_sigma["m0_px"]
+    low, high = told.walk["f_m"].interval
+    assert low < 0.1 / np.sqrt(3) < high
+    now = TRUTH[0] + steps[-1] * SCALE[0]
+    assert abs(found.parameters["f_m"] - now) < 4 * found.sigma["f_m"]
+    alone = calibrate(sets[-1], sensor, catalogue, CalibrationSettings(match="given"))
+    assert found.sigma["f_m"] < 0.7 * alone.sigma["f_m"]
+    assert found.sigma["m0_px"] < 0.5 * alone.sigma["m0_px"]
+
+
+def test_few_passes_without_temperature_are_a_walk_and_no_more(sensor, catalogue):
+    told = run(moved(STEPS, days=[0, 3, 10, 40]), sensor, catalogue, vary=("f_m",), vary_as="evidence").variation
+    assert (told.slope, told.rate, told.steps, told.compared) == (None, None, [], None)
+    assert len(told.states) == 4
+
+
+@pytest.mark.parametrize(
+    ("kind", "steps"),
+    [
+        ("drift", 0.15 * np.arange(10)),
+        ("steps", 3.0 * (np.arange(10) > 4)),
+        ("walk", np.cumsum(0.2 * np.random.default_rng(5).normal(size=40))),
+        ("none", np.zeros(10)),
+    ],
+)
+def test_drift_steps_and_walk_are_held_against_one_another(sensor, catalogue, kind, steps):
+    told = run(
+        moved(steps, frames=15, days=(3 * np.arange(len(steps))).tolist()),
+        sensor,
+        catalogue,
+        vary=("f_m",),
+        vary_as="drift",
+    ).variation
+    assert [one.bic for one in told.compared] == sorted(one.bic for one in told.compared)
+    assert {one.kind for one in told.compared} == {"none", "drift", "steps", "walk"}
+    assert told.compared[0].kind == kind
+    assert min(one.deviance for one in told.compared) == 0.0
+    assert "these passes" in told.sentence

@@ -74,7 +74,7 @@ def test_a_walk_about_a_line_is_the_stacked_problem(seed, K, m):
     links = [np.sqrt(W[k])[:, None] * (B[k, own] - B[k - 1, own] - (t[k] - t[k - 1]) * slopes) for k in range(1, K)]
     residuals = [np.sqrt(W[k]) * (z[k, own] - z[k - 1, own]) for k in range(1, K)]
     step, P, d, all_P = dense(H, e, B, links, residuals)
-    link = Linked(own, W, t)
+    link = Linked(own, W, Regressed(own, np.tile(t[:, None], (1, m))))
     found = link.solve(sums, z)
     within_1e_9_sigma(found, step, P)
     np.testing.assert_allclose(found.slope, d[n_all:], rtol=1e-6, atol=1e-9)

@@ -324,6 +324,19 @@ class ParameterStep:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ComparedChange:
+    """A kind of change held against the passes: `none`, `drift`, `steps` or `walk`, beside the temperature where it is known.
+
+    `deviance`: -2 log likelihood over the least of all. `bic`: with `parameters` counted; the lowest is the likeliest.
+    """
+
+    kind: str
+    parameters: int
+    deviance: float
+    bic: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class PassVariation:
     """What changes from pass to pass of a joint calibration.
 
@@ -331,7 +344,7 @@ class PassVariation:
     `slope`), `temperature`, `drift` or `step` (`steps`).
     Polynomials in temperature or time have a `degree` by parameter, 0 where it does not change, and `coefficients` of the powers
     from 1 on, SI a degree Celsius or a day from the reference; `slope` is the first of them, and `tests` has the evidence of each
-    parameter. `test`: of all together; None of a walk.
+    parameter. `test`: of all together; None of a walk. `compared`: kinds of change, the likeliest first.
     """
 
     vary: list[str]
@@ -350,6 +363,9 @@ class PassVariation:
     coefficient_sigma: dict[str, Numbers] | None = None
     tests: dict[str, VariationTest] | None = None
     steps: list[ParameterStep] | None = None
+    rate: Values[float] | None = None
+    rate_sigma: Values[float] | None = None
+    compared: list[ComparedChange] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -352,6 +352,7 @@ class CalibrationSettings:
             "temperature": "By the mean temperature of a pass",
             "drift": "By time",
             "step": "In steps, at events or at dates that the data propose",
+            "evidence": "A walk about temperature and time with steps, each as far as the passes show it",
         },
     )  # fmt: skip
     degree: str = option(

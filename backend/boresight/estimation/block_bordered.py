@@ -20,8 +20,9 @@ which a sweep back gives as Z_k = L_k^-1 + L_k^-1 W_{k+1} Z_{k+1} W_{k+1} L_k^-1
 
     cov(c) = S^-1      cov(p_k) = Z_k + Y_k S^-1 Y_k^T      cov(p_k, c) = -Y_k S^-1
 
-A walk about a line, p_k = w_k + t_k s where w_k walks, has r_k - (t_k - t_{k-1}) s in place of r_k: the slopes s join what is
-common, C gets sum_k (t_k - t_{k-1})^2 W_k for them and E_k the columns (t_{k+1} - t_k) W_{k+1} - (t_k - t_{k-1}) W_k.
+A walk about a regression, z_k = p_k + E_k s where p_k walks, has the coefficients s in the border beside c: with G_k, what a pass's
+parameters have of both, C = sum_k G_k^T A_k G_k and E_k the rows of A_k G_k. A parameter that steps between two passes has no
+information there, W = 0.
 
 Without W this is the Schur complement of each pass by itself. With W alone it is the smoother of Rauch, Tung and Striebel.
 
@@ -84,64 +85,65 @@ class Linked:
         (n_passes, n_own) information between a pass and the one before it, for each parameter; 0 where there is no link, as there
         is none before the first.
     trend
-        (n_passes,) what each parameter's slope is multiplied by, where the walk is about a line; None where there is none.
+        What the walk is about; None where it is about nothing.
     """
 
     own: IntArray
     W: FloatArray
-    trend: FloatArray | None = None
+    trend: Regressed | None = None
+
+    def border(self, n: int) -> tuple[FloatArray, FloatArray]:
+        """G of every pass (n_passes, n, n_border), and values of the trend (n_passes, n_own, n_columns), for n free parameters."""
+        trend = Regressed(np.empty(0, np.int64), np.empty((len(self.W), 0))) if self.trend is None else self.trend
+        B = trend.design(n)
+        return np.delete(B, self.own, axis=2), B[:, self.own, n:]
 
     def solve(self, sums: Sequence[NormalEquations], z: FloatArray, damping: float = 0.0) -> Solution:
         """Solve for the step of every pass."""
         n = len(sums[0].b)
-        shared, own = np.setdiff1d(np.arange(n), self.own), self.own
-        K, m, n_c = len(sums), len(own), len(shared)
+        own, (G, V) = self.own, self.border(n)
+        K, m, n_c = len(sums), len(own), n - len(own)
+        A, b = np.array([one.A for one in sums]), np.array([one.b for one in sums])
         W = np.array([np.diag(w) for w in self.W])
-        r, slope = self._steps(z)
+        r, slope = self._steps(z, V)
         after = np.concatenate([W[1:], np.zeros((1, m, m))])
-        C = sum((one.A[np.ix_(shared, shared)] for one in sums), damping * np.eye(n_c))
-        D = np.array([one.A[np.ix_(own, own)] for one in sums]) + W + after + damping * np.eye(m)
-        E = np.array([one.A[np.ix_(own, shared)] for one in sums])
+        AG = A @ G
+        C = np.einsum("kij,kil->jl", G, AG) + damping * np.eye(G.shape[2])
+        D = A[:, own][:, :, own] + W + after + damping * np.eye(m)
+        E = AG[:, own]
         pull = np.einsum("kij,kj->ki", W, r)
-        g = np.array([one.b[own] for one in sums]) + pull - np.concatenate([pull[1:], np.zeros((1, m))])
-        g_c = np.sum([one.b[shared] for one in sums], axis=0)
-        if self.trend is not None:  # the slopes stand with what is common; at the best ones for z nothing pulls at them
-            change = np.diff(self.trend, prepend=self.trend[0])[:, None, None]
-            passed = W * change
-            E = np.concatenate([E, np.concatenate([passed[1:], np.zeros((1, m, m))]) - passed], axis=2)
-            C = np.block([[C, np.zeros((n_c, m))], [np.zeros((m, n_c)), np.sum(passed * change, axis=0)]])
-            g_c = np.concatenate([g_c, np.zeros(m)])
+        g = b[:, own] + pull - np.concatenate([pull[1:], np.zeros((1, m))])
+        g_c = np.einsum("kij,ki->j", G, b)
         L_inverse, Y_and_y = _sweep(D, W, np.concatenate([E, g[:, :, None]], axis=2))
         Y, y = Y_and_y[:, :, :-1], Y_and_y[:, :, -1]
         S_inverse = _inverse(C - np.einsum("kmi,kmj->ij", E, Y))
         d_c = -S_inverse @ (g_c - np.einsum("kmi,km->i", E, y))
-        d_own = -y - Y @ d_c
-        step = np.empty((K, n))
-        step[:, shared], step[:, own] = d_c[:n_c], d_own
-        P, Z = np.empty((K, n, n)), np.zeros((m, m))
+        step = G @ d_c
+        step[:, own] -= y + Y @ d_c
+        of_border = G.copy()
+        of_border[:, own] -= Y
+        P, Z = of_border @ S_inverse @ of_border.transpose(0, 2, 1), np.zeros((m, m))
         for k in reversed(range(K)):
             Z = L_inverse[k] + L_inverse[k] @ after[k] @ Z @ after[k] @ L_inverse[k]
-            with_common = -Y[k] @ S_inverse
-            P[k][np.ix_(shared, shared)] = S_inverse[:n_c, :n_c]
-            P[k][np.ix_(own, shared)] = with_common[:, :n_c]
-            P[k][np.ix_(shared, own)] = with_common[:, :n_c].T
-            P[k][np.ix_(own, own)] = Z - with_common @ Y[k].T
+            P[k][np.ix_(own, own)] += Z
+        d_own = -y - Y @ d_c
         decrement = -float(g_c @ d_c + np.sum(g * d_own))
         log_determinant = -float(np.linalg.slogdet(L_inverse)[1].sum() + np.linalg.slogdet(S_inverse)[1])
         return Solution(step, decrement, P, slope + d_c[n_c:], S_inverse[n_c:, n_c:], log_determinant)
 
-    def _steps(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Steps of the walk (n_passes, n_own) at z, about the line that costs least, and its slopes (n_own,); empty without one."""
-        r = np.diff(z[:, self.own], axis=0, prepend=z[:1, self.own])
-        if self.trend is None:
+    def _steps(self, z: FloatArray, V: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Steps of the walk (n_passes, n_own) at z, about the coefficients that cost least, and these (n_columns,)."""
+        r, passed = np.diff(z[:, self.own], axis=0, prepend=z[:1, self.own]), np.diff(V, axis=0, prepend=V[:1])
+        if not V.shape[2]:
             return r, np.empty(0)
-        passed = np.diff(self.trend, prepend=self.trend[0])[:, None]
-        slope = np.sum(self.W * passed * r, axis=0) / np.sum(self.W * passed**2, axis=0)
-        return r - passed * slope, slope
+        root = np.sqrt(self.W)
+        rows = (root[:, :, None] * passed).reshape(-1, V.shape[2])
+        slope = np.asarray(np.linalg.lstsq(rows, (root * r).ravel(), rcond=None)[0], np.float64)
+        return r - passed @ slope, slope
 
     def cost(self, z: FloatArray) -> float:
         """What the steps of the walk add to chi-square."""
-        return float(np.sum(self.W[1:] * self._steps(z)[0][1:] ** 2))
+        return float(np.sum(self.W[1:] * self._steps(z, self.border(z.shape[1])[1])[0][1:] ** 2))
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@
 
 `arclengths` holds the camera, the arcs, the batch and the square-root filters; `singular` and `angles` the references of the
 filters on singular values and on all pairs, `information` their update; `matching` the association of detections with
-stars; `displacements` what displaced stars change in the arcs; `smoothing` the two passes of the smoother. `compilation` says
-how they are compiled, and where that is kept.
+stars; `displacements` what displaced stars change in the arcs; `smoothing` the two passes of the smoother; `passes` the filter over
+passes whose parameters walk. `compilation` says how they are compiled, and where that is kept.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from boresight.kernels.arclengths import (
 )
 from boresight.kernels.displacements import displaced_rows
 from boresight.kernels.information import cost, information_update, invert, whiten, worst_departure
+from boresight.kernels.passes import filter_passes
 from boresight.kernels.singular import factor_values, value_rows
 from boresight.kernels.smoothing import backward_pass, forward_pass
 from boresight.kernels.star import define
@@ -41,6 +42,7 @@ __all__ = [
     "displaced_rows",
     "factor_pairs",
     "factor_values",
+    "filter_passes",
     "forward_pass",
     "information_update",
     "invert",

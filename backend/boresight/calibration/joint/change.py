@@ -54,7 +54,7 @@ def fit_change(of: PassesProblem, own: IntArray) -> tuple[PassesFit, PassVariati
     return _propose_steps(of, own) if of.settings.events is None else _fit_events(of, own, of.settings.events)
 
 
-def _noise(of: PassesProblem, chi2: float, columns: int) -> float:
+def noise_variance(of: PassesProblem, chi2: float, columns: int) -> float:
     """Variance of the arcs over the stated one, where a model with so many further columns leaves this chi-square."""
     arcs = of.problem.arcs
     n_arcs = 2 * arcs.n_stars - 3 * arcs.n_exposures
@@ -92,7 +92,7 @@ def _fit_polynomials(of: PassesProblem, own: IntArray) -> tuple[PassesFit, PassV
     fitted = of.fit(Regressed(places, (t[:, None] / half) ** power))
     if settings.degree == "auto":
         solution = fitted.solution
-        variance = _noise(of, fitted.chi2, len(places))
+        variance = noise_variance(of, fitted.chi2, len(places))
         kept = drop_powers(solution.slope, solution.slope_covariance, places, power, variance)
         places, power = places[kept], power[kept]
         fitted = of.fit(Regressed(places, (t[:, None] / half) ** power))
@@ -132,9 +132,9 @@ class Step(NamedTuple):
     gap: int
 
 
-def _link(of: PassesProblem, steps: Sequence[Step]) -> Regressed:
+def link_steps(n_passes: int, steps: Sequence[Step]) -> Regressed:
     """Return the columns of steps: 1 from the pass after the gap on."""
-    k = np.arange(len(of.passes))
+    k = np.arange(n_passes)
     values = np.array([k > step.gap for step in steps], np.float64).reshape(len(steps), len(k))
     return Regressed(np.array([step.place for step in steps], np.int64), values.T)
 
@@ -144,26 +144,26 @@ def _propose_steps(of: PassesProblem, own: IntArray) -> tuple[PassesFit, PassVar
     middle_days(of.passes)  # refuses passes without times, of which nobody could say when
     steps: list[Step] = []
     chances: list[float] = []
-    fitted, n = of.fit(_link(of, steps)), len(of.parameters.free)
+    fitted, n = of.fit(link_steps(len(of.passes), steps)), len(of.parameters.free)
     while len(steps) < min(MOST_STEPS, len(own) * (len(of.passes) - 1)):
         equations = Equations.of(fitted.sums, of.departures(fitted))
-        B = _link(of, steps).design(n)
+        B = link_steps(len(of.passes), steps).design(n)
         falls = {int(place): step_falls(equations, B, int(place)) for place in own}
         place = max(falls, key=lambda one: float(falls[one].fall.max()))
         best = falls[place]
-        chance = len(own) * best.p_value(_noise(of, fitted.chi2 - float(best.fall.max()), len(steps) + 1))
+        chance = len(own) * best.p_value(noise_variance(of, fitted.chi2 - float(best.fall.max()), len(steps) + 1))
         if chance >= LEVEL:
             break
         steps.append(Step(place, int(best.fall.argmax())))
         chances.append(chance)
-        fitted = of.fit(_link(of, steps))
-    variance = _noise(of, fitted.chi2, len(steps))
+        fitted = of.fit(link_steps(len(of.passes), steps))
+    variance = noise_variance(of, fitted.chi2, len(steps))
     equations = Equations.of(fitted.sums, of.departures(fitted))
     told = []
     for number, (step, chance) in enumerate(zip(steps, chances, strict=True)):
-        others = _link(of, steps[:number] + steps[number + 1 :]).design(n)
-        first, last = step_falls(equations, others, step.place).interval(variance)
-        told.append(_describe(of, fitted, number, step.place, (min(first, step.gap), max(last, step.gap)), chance))
+        others = link_steps(len(of.passes), steps[:number] + steps[number + 1 :]).design(n)
+        gaps = step_falls(equations, others, step.place).interval(variance)
+        told.append(describe_step(of, step, _size(fitted, number), gaps, chance))
     return fitted, _steps(of, own, fitted, told)
 
 
@@ -182,17 +182,18 @@ def _fit_events(of: PassesProblem, own: IntArray, events: Sequence[str]) -> tupl
             )
     steps = [Step(int(place), gap) for place in own for gap in gaps]
     at = dict(zip(gaps, events, strict=True))
-    fitted = of.fit(_link(of, steps))
+    fitted = of.fit(link_steps(len(of.passes), steps))
     s, C = fitted.solution.slope, fitted.solution.slope_covariance
     alone = np.arange(len(steps))
-    kept = drop_powers(s, C, alone, np.ones_like(alone), _noise(of, fitted.chi2, len(steps)))
+    kept = drop_powers(s, C, alone, np.ones_like(alone), noise_variance(of, fitted.chi2, len(steps)))
     looked_at = len(steps)
     steps = [step for step, needed in zip(steps, kept, strict=True) if needed]
-    fitted = of.fit(_link(of, steps))
+    fitted = of.fit(link_steps(len(of.passes), steps))
     told = []
     for number, step in enumerate(steps):
         chance = looked_at * judge_columns(fitted, np.array([number])).p_value
-        told.append(_describe(of, fitted, number, step.place, (step.gap, step.gap), min(chance, 1.0), at[step.gap]))
+        at_event = (step.gap, step.gap)
+        told.append(describe_step(of, step, _size(fitted, number), at_event, min(chance, 1.0), at[step.gap]))
     return fitted, _steps(of, own, fitted, told)
 
 
@@ -210,27 +211,32 @@ def _steps(of: PassesProblem, own: IntArray, fitted: PassesFit, told: list[Param
     )
 
 
-def _describe(
+def describe_step(
     of: PassesProblem,
-    fitted: PassesFit,
-    number: int,
-    place: int,
+    step: Step,
+    size: tuple[float, float],
     gaps: tuple[int, int],
     chance: float,
     event: str | None = None,
 ) -> ParameterStep:
-    """Describe a step: its size, when it was, and by what chance it would look so large."""
-    scale = float(of.parameters.scale[place])
+    """Describe a step: its size and sigma (typical sigmas), the gaps it may be in, and by what chance it would look so large."""
+    scale = float(of.parameters.scale[step.place])
     found = ParameterStep(
-        parameter=of.names[place],
-        step=float(fitted.solution.slope[number]) * scale,
-        sigma=float(np.sqrt(fitted.solution.slope_covariance[number, number])) * scale,
+        parameter=of.names[step.place],
+        step=size[0] * scale,
+        sigma=size[1] * scale,
         event_utc=event,
-        from_utc=of.passes[gaps[0]].end_utc,
-        to_utc=of.passes[gaps[1] + 1].start_utc,
+        from_utc=of.passes[min(gaps[0], step.gap)].end_utc,
+        to_utc=of.passes[max(gaps[1], step.gap) + 1].start_utc,
         p_value=chance,
     )
-    return replace(found, sentence=_sentence(of, found, place))
+    return replace(found, sentence=_sentence(of, found, step.place))
+
+
+def _size(fitted: PassesFit, number: int) -> tuple[float, float]:
+    """Size of a step of a regression and its sigma, typical sigmas."""
+    solution = fitted.solution
+    return float(solution.slope[number]), float(np.sqrt(solution.slope_covariance[number, number]))
 
 
 def _sentence(of: PassesProblem, found: ParameterStep, place: int) -> str:

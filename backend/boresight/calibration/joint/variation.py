@@ -19,6 +19,7 @@ a prior; they are of that pass. A direction of which the others know nothing is 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import NoReturn
 
@@ -28,17 +29,30 @@ from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.calibration import InputPass, PassState, PassVariation, Values, WalkSigma
 from boresight.calibration.estimate import Asked, Parameters
 from boresight.calibration.joint.change import CHANGES_OF, check_change, fit_change, judge_columns, temperatures
+from boresight.calibration.joint.comparison import compare_changes, say_comparison
+from boresight.calibration.joint.evidence import fit_evidence, write_walk
 from boresight.calibration.joint.passes_fit import CHANGES, PassesFit, PassesProblem, judge_fall, middle_days, places_of
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.errors import RefusedInputError
-from boresight.estimation.block_bordered import Linked
-from boresight.estimation.walk import Walk, find_walk, link_by_walk
+from boresight.estimation.block_bordered import Linked, Regressed
+from boresight.estimation.walk import (
+    CAUTION,
+    FEWEST_STEPS,
+    STARTS,
+    Walk,
+    WalkedPasses,
+    find_walk,
+    link_by_walk,
+    most_likely,
+)
 
 #: Typical sigmas of what nobody knows.
 OPEN_SIGMAS = 1e4
 #: Values of `vary_as` that walk.
 WALKS = ("walk", "walk-and-temperature")
+#: Values of `vary_as` that are of change in time, the kinds of which are compared.
+IN_TIME = ("walk", "walk-and-temperature", "drift", "step", "evidence")
 #: Drift where its estimate begins, typical sigmas a square root of a day; rounds of it, and the change of its log that ends them.
 FIRST_WALK, WALK_ROUNDS, WALK_RESTS = 0.1, 4, 0.1
 
@@ -67,15 +81,15 @@ def make_link(passes: Sequence[InputPass], own: IntArray, settings: CalibrationS
     if settings.vary_as == "pass":
         return Linked(own, np.zeros((len(passes), len(own))))
     sigma = np.full(len(own), FIRST_WALK if settings.walk_sigma is None else settings.walk_sigma)
-    return link_by_walk(own, days_between(passes), sigma, find_trend(passes, settings))
+    return link_by_walk(own, days_between(passes), sigma, find_trend(passes, own, settings))
 
 
-def find_trend(passes: Sequence[InputPass], settings: CalibrationSettings) -> FloatArray | None:
-    """Return what parameters that walk are linear in beside, (n_passes,): degrees from the mean temperature; None where nothing."""
+def find_trend(passes: Sequence[InputPass], own: IntArray, settings: CalibrationSettings) -> Regressed | None:
+    """Return what parameters that walk are linear in beside: degrees from the mean temperature; None where nothing."""
     if settings.vary_as != "walk-and-temperature":
         return None
     known = temperatures(passes)
-    return known - float(np.mean(known))
+    return Regressed(own, np.tile((known - np.mean(known))[:, None], (1, len(own))))
 
 
 def days_between(passes: Sequence[InputPass]) -> FloatArray:
@@ -94,6 +108,8 @@ def fit_variation(
     try:
         if settings.vary_as in CHANGES_OF:
             fitted, changed = fit_change(of, own)
+        elif settings.vary_as == "evidence":
+            fitted, changed = fit_evidence(of, own)
         else:
             fitted, changed = _fit_linked(of, own)
     except np.linalg.LinAlgError as error:
@@ -106,7 +122,11 @@ def fit_variation(
         raise RefusedInputError(
             "The fit of the passes does not settle: choose --vary-as walk, or vary fewer parameters."
         )
-    found = replace(changed, states=_describe_states(of, fitted), chi2=fitted.chi2)
+    compared = None
+    if settings.vary_as in IN_TIME:
+        with suppress(np.linalg.LinAlgError):  # a kind that the passes leave open is not compared
+            compared = compare_changes(of, fitted, own, middle_days(passes))
+    found = replace(changed, states=_describe_states(of, fitted), chi2=fitted.chi2, compared=compared)
     return fitted, replace(found, sentence=_sentence(found))
 
 
@@ -115,7 +135,7 @@ def _fit_linked(of: PassesProblem, own: IntArray) -> tuple[PassesFit, PassVariat
     settings, walk, names = of.settings, None, of.names_of(own)
     fitted = of.fit(make_link(of.passes, own, settings))
     if settings.vary_as in WALKS and settings.walk_sigma is None:
-        fitted, walk = fit_walk(of, days_between(of.passes), own, fitted, find_trend(of.passes, settings))
+        fitted, walk = fit_walk(of, days_between(of.passes), own, fitted, find_trend(of.passes, own, settings))
     varies = PassVariation(vary=names, vary_as=settings.vary_as, chi2=fitted.chi2)
     if settings.vary_as == "pass":
         return fitted, replace(varies, test=judge_fall(fitted, len(own) * (len(of.passes) - 1)))
@@ -134,17 +154,18 @@ def _fit_linked(of: PassesProblem, own: IntArray) -> tuple[PassesFit, PassVariat
 
 
 def fit_walk(
-    of: PassesProblem, days: FloatArray, own: IntArray, fitted: PassesFit, trend: FloatArray | None = None
+    of: PassesProblem, days: FloatArray, own: IntArray, fitted: PassesFit, trend: Regressed | None = None
 ) -> tuple[PassesFit, Walk]:
     """Estimate the drift, days (n_passes - 1,) between passes, and fit the passes with it, in turn."""
-    before = np.full(len(own), FIRST_WALK)
+    before, caution = np.full(len(own), FIRST_WALK), CAUTION if len(days) >= FEWEST_STEPS else 0.0
+    starts = [np.full(len(own), start) for start in STARTS]
     for _ in range(WALK_ROUNDS):
-        walk = find_walk(fitted.sums, of.departures(fitted), own, days, trend=trend)
-        fitted = of.fit(link_by_walk(own, days, walk.sigma, trend))
-        if np.abs(np.log(walk.sigma / before)).max() < WALK_RESTS:
+        sigma = most_likely(WalkedPasses(fitted.sums, of.departures(fitted), own, days, trend), starts, caution)
+        fitted = of.fit(link_by_walk(own, days, sigma, trend))
+        if np.abs(np.log(sigma / before)).max() < WALK_RESTS:
             break
-        before = walk.sigma
-    return fitted, walk
+        before, starts = sigma, [sigma]
+    return fitted, find_walk(WalkedPasses(fitted.sums, of.departures(fitted), own, days, trend))
 
 
 def _describe_states(of: PassesProblem, fitted: PassesFit) -> list[PassState]:
@@ -166,8 +187,7 @@ def _describe_states(of: PassesProblem, fitted: PassesFit) -> list[PassState]:
 def _write_walk(names: Sequence[str], walk: Walk | None, settings: CalibrationSettings) -> dict[str, WalkSigma]:
     if walk is None:
         return {name: WalkSigma(sigma=settings.walk_sigma or FIRST_WALK) for name in names}
-    rows = zip(names, walk.sigma.tolist(), walk.low.tolist(), walk.high.tolist(), strict=True)
-    return {name: WalkSigma(sigma=sigma, interval=[low, high]) for name, sigma, low, high in rows}
+    return write_walk(names, walk)
 
 
 def _sentence(found: PassVariation) -> str:
@@ -175,6 +195,15 @@ def _sentence(found: PassVariation) -> str:
     how |= {"temperature": "linear in the temperature", "drift": "linear in time"}
     how |= {"walk-and-temperature": "a random walk about a line in the temperature over each"}
     last = f"the numbers are those of the last, {found.states[-1].name}."
+    if found.compared:
+        last = f"{say_comparison(found.compared)}; {last}"
+    if found.vary_as == "evidence":
+        steps = "; ".join(one.sentence for one in found.steps or ()) or "no step beyond chance"
+        about = [what for what, of in (("temperature", found.slope), ("time", found.rate)) if of is not None]
+        opening = (
+            f"{', '.join(found.vary)}: a random walk{' about lines in ' + ' and '.join(about) if about else ''} over"
+        )
+        return f"{opening} {len(found.states)} passes{_drifts(found)}; {steps}; {last}"
     if found.steps is not None:
         none = f"{', '.join(found.vary)}: no step beyond chance over {len(found.states)} passes"
         return f"{'; '.join(one.sentence for one in found.steps) or none}; {last}"

@@ -23,7 +23,7 @@ MOST_LINES = 400
 def rehearse(trend: Trend, rules: PolicyRules) -> dict[str, Any]:
     """Walk over a sensor's calibrations by the time of their data."""
     points = [point for point in trend.points if point.timed and (not point.left_out)]
-    walked = list(_walk(points, trend, rules))
+    walked = list(walk_over(points, trend, rules))
     counts = {name: sum(found.state == state for _, found in walked) for name, state in STATES.items()}
     with_runs = {point.telemetry_set_id for point in (*trend.points, *trend.others)}
     idle = [row for row in trend.telemetry.values() if row.purpose == "calibration" and row.id not in with_runs]
@@ -43,7 +43,8 @@ def rehearse(trend: Trend, rules: PolicyRules) -> dict[str, Any]:
 STATES = {"held": "WITHIN FORECAST", "unconfirmed": "UNCONFIRMED", "asked": "ASKED", "not_judged": "NOT JUDGED"}
 
 
-def _walk(points: Sequence[TrendPoint], trend: Trend, rules: PolicyRules) -> list[tuple[TrendPoint, PolicyFinding]]:
+def walk_over(points: Sequence[TrendPoint], trend: Trend, rules: PolicyRules) -> list[tuple[TrendPoint, PolicyFinding]]:
+    """Judge one calibration after the other, with each that would have been asked as promoted."""
     reference, since = _first_reference(points, trend), 0
     walked: list[tuple[TrendPoint, PolicyFinding]] = []
     for place, point in enumerate(points):

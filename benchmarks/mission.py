@@ -1,0 +1,330 @@
+"""Three years of six sensors: the newest pass alone beside all passes together (part `mission`).
+
+Each ST-16 has a truth that nobody sees: a season, f(T), with a square for the focal length; an ageing that slows down; a slow walk
+of every parameter; a step of one at a date; and outages without a pass. Distortion changes by a tenth of that, in typical sigmas:
+it is ground into the lens, and the others are how it sits. Each pass is simulated with real stars under the truth of
+its day, and has its matches. At checkpoints only the passes so far are there, and two ways tell the camera as it is then:
+
+- `alone`: the newest pass by itself, by the batch, as where nothing remembers the mission;
+- `joint`: all passes, every parameter varying by its evidence (`--vary-as evidence`), at the newest.
+
+Told are errors against the truth of that day: of each parameter in typical sigmas, and of stars on the detector after the best
+rotation. The NEES of the joint answer is summed over the sensors of a checkpoint and held against chi-square at 99 %: at 95 % one
+window in twenty of a perfect answer is outside, which is the share that is promised. Of the step: whether it was found, its date's
+interval, and how many steps are none.
+
+Then the policy for new telemetry walks over all passes by its own rules, as its dry run does. A request is false where the true
+change since what the pass was held against is below `WRONG` sigmas of the two; a second mission, in which nothing changes, has
+only false ones.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from benchmarks import Report, held
+from benchmarks.accuracy import detector_errors
+from boresight.arrays import FloatArray
+from boresight.calibration.calibration import InputPass, PassVariation
+from boresight.calibration.estimate import Parameters, never
+from boresight.calibration.joint.passes import NamedTelemetry, join_sets
+from boresight.calibration.joint.passes_fit import places_of
+from boresight.calibration.joint.variation import fit_variation
+from boresight.calibration.options import CalibrationSettings
+from boresight.calibration.problem import Problem, build_problem
+from boresight.calibration.times import parse_times, to_days
+from boresight.cameras import CAMERA_MODELS
+from boresight.console.fleet.trend import Trend, TrendPoint
+from boresight.console.ingest.judgement import PolicyFinding
+from boresight.console.ingest.rehearsal import walk_over
+from boresight.console.ingest.rules import PolicyRules
+from boresight.estimation import batch
+from boresight.estimation.statistics.consistency import nees
+from boresight.estimation.statistics.special import chdtri
+from boresight.settings import read_settings
+from boresight.simulation.scenes import Scenario, calibration_scenario, expose, simulate
+from boresight.sky.catalogue import Catalogue, load_catalogue
+from boresight.telemetry.schema import Telemetry
+
+YEAR_D = 365.25
+START = np.datetime64("2026-01-01T00:00:00", "us")
+#: Truth, typical sigmas: walk a root of a day, ageing and its days, season a degree, its square of the focal length, the step.
+WALK, AGEING, AGEING_D, SEASON, SQUARE, STEP = 0.004, 0.4, 500.0, 0.03, 0.001, 0.6
+#: What is of the glass, and its share of all that: distortion is ground into the lens, the rest is how it sits.
+GLASS, OF_GLASS = ("b4_per_m4", "b2_per_m2"), 0.1
+#: Temperature, degrees: season, orbit's plane and its days, and from pass to pass.
+SWINGS, PLANE_D, SCATTER = (8.0, 3.0), 58.0, 1.5
+OUTAGES = 3
+#: Sigmas of a change below which a request was false, and the share of the windows that the bounds should hold.
+WRONG, BOUNDS = 3.0, 0.99
+
+
+@dataclass(frozen=True)
+class Mission:
+    """What nobody sees of a sensor: its state at each pass, x (n_passes, n_parameters), and the step, (parameter, day)."""
+
+    scenario: Scenario
+    days: FloatArray
+    temperature_c: FloatArray
+    x: FloatArray
+    step: tuple[str, float]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What is there of a mission: its passes as one problem, and each by itself, x and covariance in typical sigmas."""
+
+    problem: Problem
+    passes: Sequence[InputPass]
+    alone: Sequence[batch.BatchFit]
+
+
+def draw_mission(number: int, passes: int, years: float, seed: int, *, changes: bool = True) -> Mission:
+    """Draw days, temperatures and truth of a sensor."""
+    rng, span = np.random.default_rng([seed, number]), years * YEAR_D
+    scenario = calibration_scenario(number)
+    begins, lengths = rng.uniform(0.1, 0.9, OUTAGES) * span, rng.uniform(0.01, 0.04, OUTAGES) * span
+    days = np.sort(rng.uniform(0.0, span, 2 * passes))
+    out = np.any((days[:, None] >= begins) & (days[:, None] < begins + lengths), axis=1)
+    days = np.sort(rng.permutation(days[~out])[:passes])
+    turns = 2.0 * np.pi * (days[:, None] / [YEAR_D, PLANE_D] + rng.uniform(0.0, 1.0, 2))
+    T = 15.0 + np.sin(turns) @ SWINGS + rng.normal(0.0, SCATTER, passes)
+    names, n = CAMERA_MODELS[scenario.sensor.camera_model].parameter_names, len(scenario.truth)
+    walk = np.cumsum(rng.normal(size=(passes, n)) * WALK * np.sqrt(np.diff(days, prepend=0.0))[:, None], axis=0)
+    z = walk + rng.normal(0.0, AGEING, n) * (1.0 - np.exp(-days / AGEING_D))[:, None]
+    z += rng.normal(0.0, SEASON, n) * (T - 15.0)[:, None]
+    z[:, names.index("f_m")] += SQUARE * (T - 15.0) ** 2
+    z[:, [name in GLASS for name in names]] *= OF_GLASS
+    stepped = int(rng.choice([k for k, name in enumerate(names) if name not in GLASS]))
+    day = float(rng.uniform(0.3, 0.8) * span)
+    z[days > day, stepped] += rng.choice([-STEP, STEP])
+    x = scenario.truth + scenario.sensor.typical_sigma * z * changes
+    return Mission(scenario, days, T, x, (names[stepped], day))
+
+
+def observe(mission: Mission, frames: int, seed: int, catalogue: Catalogue) -> Seen:
+    """Simulate the telemetry of every pass, make it one problem, and calibrate each by itself."""
+    problem, passes = simulate_passes(mission, frames, seed, catalogue)
+    return Seen(problem, passes, [fit(problem, *end) for end in places_of(problem, passes)])
+
+
+def simulate_passes(
+    mission: Mission, frames: int, seed: int, catalogue: Catalogue
+) -> tuple[Problem, Sequence[InputPass]]:
+    """Simulate the telemetry of every pass, and make it one problem."""
+    sets = [NamedTelemetry(_pass(mission, k, frames, seed, catalogue), f"pass {k}") for k in range(len(mission.days))]
+    joint, sensor = join_sets(sets), mission.scenario.sensor
+    return build_problem(joint.read(), sensor, catalogue), joint.passes
+
+
+def _pass(mission: Mission, k: int, frames: int, seed: int, catalogue: Catalogue) -> Telemetry:
+    base, begins = mission.scenario, START + np.timedelta64(round(mission.days[k] * 86_400), "s")
+    scenario = replace(base, truth=mission.x[k], frames=frames, orbit=replace(base.orbit, start_utc=begins))
+    exposures = expose(scenario)
+    exposures = replace(exposures, temperature_c=np.full(len(exposures.frame), mission.temperature_c[k]))
+    return simulate(scenario, np.random.default_rng([seed, k, base.seed]), catalogue, exposures)
+
+
+def fit(problem: Problem, first: int, last: int) -> batch.BatchFit:
+    """Fit some frames by themselves, as one camera, from the ground calibration."""
+    part = replace(problem, arcs=problem.arcs.frames(first, last))
+    free, scale = _free(problem)
+    found = batch.fit(part.whitened(problem.sensor.initial), problem.sensor.initial, free, scale)
+    return batch.fit(part.whitened(found.x), found.x, free, scale)
+
+
+def _free(problem: Problem) -> tuple[Any, FloatArray]:
+    free = np.array([problem.camera.parameter_names.index(name) for name in problem.sensor.free])
+    return free, problem.sensor.typical_sigma[free]
+
+
+def remember(seen: Seen, passes: int) -> tuple[FloatArray, FloatArray, PassVariation]:
+    """Fit the first passes together: the last one's state, SI, its covariance in typical sigmas, and what changed."""
+    free, scale = _free(seen.problem)
+    last = places_of(seen.problem, seen.passes)[passes - 1][1]
+    problem = replace(seen.problem, arcs=seen.problem.arcs.frames(0, last))
+    settings = CalibrationSettings(vary=tuple(seen.problem.sensor.free), vary_as="evidence")
+    alike = fit(problem, 0, last).x
+    fitted, found = fit_variation(problem, seen.passes[:passes], Parameters(free, scale), alike, settings, never)
+    return fitted.states[-1], fitted.solution.P[-1], found
+
+
+def measure(
+    report: Report, *, sensors: Sequence[int] = (1, 2, 3, 4, 5, 6), passes: int = 400, years: float = 3.0, frames: int = 30,
+    checkpoints: int = 18, seed: int = 1,
+) -> dict[str, Any]:  # fmt: skip
+    """Fly the mission of each sensor, and judge both ways and the policy."""
+    catalogue = load_catalogue(read_settings().catalogue_folder)
+    places = np.unique(np.linspace(passes / checkpoints, passes, checkpoints).round().astype(int)).tolist()
+    rows, steps, asked, quiet = [], [], [], []
+    for s, number in enumerate(sensors):
+        report(s / len(sensors), f"ST16-{number}: {passes} passes")
+        mission = draw_mission(number, passes, years, seed)
+        seen = observe(mission, frames, seed, catalogue)
+        told = None
+        for c, place in enumerate(places):
+            report((s + (c + 1) / (len(places) + 1)) / len(sensors), f"ST16-{number} after {place} passes")
+            x, P, told = remember(seen, place)
+            rows.append(_checkpoint(mission, seen, place, x, P, told))
+        steps.append(_step(mission, told))
+        asked.append(_asked(mission, seen))
+        still = draw_mission(number, passes, years, seed, changes=False)
+        quiet.append(_asked(still, observe(still, frames, seed, catalogue)))
+    names = CAMERA_MODELS[mission.scenario.sensor.camera_model].parameter_names
+    return summarise(rows, steps, asked, quiet, years) | {"parameters": list(names)}
+
+
+def _checkpoint(
+    mission: Mission, seen: Seen, passes: int, x: FloatArray, P: FloatArray, told: PassVariation
+) -> dict[str, Any]:
+    """Errors of both ways at the last of so many passes."""
+    truth, scale = mission.x[passes - 1], mission.scenario.sensor.typical_sigma
+    alone, free = seen.alone[passes - 1], _free(seen.problem)[0]
+    return {
+        "sensor": mission.scenario.sensor.name,
+        "passes": passes,
+        "day": float(mission.days[passes - 1]),
+        "alone": ((alone.x - truth) / scale).tolist(),
+        "joint": ((x - truth) / scale).tolist(),
+        "alone_px": displaced(alone.x, truth, mission.scenario),
+        "joint_px": displaced(x, truth, mission.scenario),
+        "nees": nees(((x - truth) / scale)[free], P),
+        "alone_nees": nees(((alone.x - truth) / scale)[free], np.asarray(np.linalg.inv(alone.A), np.float64)),
+        "dof": len(free),
+        "steps": len(told.steps or ()),
+        "false_steps": sum(not _holds(one, mission) for one in told.steps or ()),
+    }
+
+
+def displaced(x: FloatArray, truth: FloatArray, scenario: Scenario) -> float:
+    """How far a camera puts stars from where they fall, root mean square over the detector, pixels."""
+    camera, sensor = CAMERA_MODELS[scenario.sensor.camera_model], scenario.sensor
+    views: Any = SimpleNamespace(sensor=sensor, camera=camera, truth=truth)
+    return detector_errors(lambda row, col: camera.directions(x, row, col, sensor.pixel_pitch_m), views)[0]
+
+
+def _holds(step: Any, mission: Mission) -> bool:
+    """Whether a step that was found is the true one: its parameter, and its date inside the interval."""
+    begins, ends = to_days(parse_times([step.from_utc, step.to_utc])) - to_days(np.array([START]))
+    return bool(step.parameter == mission.step[0] and begins <= mission.step[1] <= ends)
+
+
+def _step(mission: Mission, told: PassVariation | None) -> dict[str, Any]:
+    """What all passes say of the step."""
+    found = () if told is None else tuple(one for one in told.steps or () if one.parameter == mission.step[0])
+    near = [one for one in found if _holds(one, mission)]
+    days = None
+    if near:
+        begins, ends = to_days(parse_times([near[0].from_utc, near[0].to_utc]))
+        days = float(ends - begins)
+    return {
+        "sensor": mission.scenario.sensor.name,
+        "parameter": mission.step[0],
+        "day": mission.step[1],
+        "found": bool(found),
+        "date_inside": bool(near),
+        "interval_d": days,
+        "sentence": near[0].sentence if near else "",
+    }
+
+
+def _asked(mission: Mission, seen: Seen) -> dict[str, Any]:
+    """Let the policy walk over the passes, each by itself, with every one that it would have asked about as promoted."""
+    points = [_point(mission, seen, k) for k in range(len(mission.days))]
+    trend = Trend(mission.scenario.sensor, None, mission.scenario.sensor.camera_model, points, (), (), (), {})  # type: ignore[arg-type]
+    walked = walk_over(points, trend, PolicyRules(least_stars=4))
+    requests = [(point.run_id, found) for point, found in walked if found.state == "ASKED"]
+    changes = [_change(mission, seen, k, found) for k, found in requests]
+    return {
+        "states": dict(Counter(found.state for _, found in walked)),
+        "kinds": dict(Counter(found.reasons[-2].code if len(found.reasons) > 2 else "" for _, found in requests)),
+        "false": sum(change < WRONG for change, _ in changes),
+        "displaced_px": [px for _, px in changes],
+    }
+
+
+def _change(mission: Mission, seen: Seen, k: int, found: PolicyFinding) -> tuple[float, float]:
+    """True change since what a pass was held against, in sigmas of both, and how far that puts stars from there, pixels."""
+    reference = 0 if found.reference is None or found.reference.run_id is None else found.reference.run_id
+    change = (mission.x[k] - mission.x[reference]) / mission.scenario.sensor.typical_sigma
+    C = np.linalg.inv(seen.alone[k].A) + np.linalg.inv(seen.alone[reference].A)
+    change = change[_free(seen.problem)[0]]
+    return float(np.sqrt(change @ np.linalg.solve(C, change))), displaced(
+        seen.alone[reference].x, mission.x[k], mission.scenario
+    )
+
+
+def _point(mission: Mission, seen: Seen, k: int) -> TrendPoint:
+    """A pass as the trend of its sensor has it."""
+    sensor, one, at = mission.scenario.sensor, seen.alone[k], seen.passes[k]
+    free, scale = _free(seen.problem)
+    names = seen.problem.camera.parameter_names
+    begins, ends = str(at.start_utc), str(at.end_utc)
+    return TrendPoint(
+        run_id=k, label="", method="batch", telemetry_set_id=k, telemetry=at.name, begins_utc=begins, at_utc=begins,
+        ends_utc=ends, timed=True, temperature_c=at.temperature_c, camera_model=sensor.camera_model,
+        names=tuple(names[p] for p in free), parameters=dict(zip(names, one.x.tolist(), strict=True)),
+        covariance=np.linalg.inv(one.A) * np.outer(scale, scale), stars=at.detections, rms_arc_rad=None,
+        left_out="" if one.status == "converged" else one.status, said="",
+    )  # fmt: skip
+
+
+def summarise(
+    rows: list[dict[str, Any]], steps: list[dict[str, Any]], asked: list[dict[str, Any]], quiet: list[dict[str, Any]],
+    years: float,
+) -> dict[str, Any]:  # fmt: skip
+    """Put sensors and checkpoints together, and hold them against what is promised."""
+    windows = []
+    for passes in sorted({row["passes"] for row in rows}):
+        of = [row for row in rows if row["passes"] == passes]
+        dof = sum(row["dof"] for row in of)
+        mean, (lower, upper) = (
+            sum(row["nees"] for row in of) / dof,
+            chdtri(dof, [(1 + BOUNDS) / 2, (1 - BOUNDS) / 2]) / dof,
+        )
+        px = {way: float(np.sqrt(np.mean([row[f"{way}_px"] ** 2 for row in of]))) for way in ("alone", "joint")}
+        windows.append({
+            "passes": passes, "alone_px": px["alone"], "joint_px": px["joint"], "gain": px["alone"] / px["joint"],
+            "nees_per_dof": mean, "lower": float(lower), "upper": float(upper), "inside": bool(lower <= mean <= upper),
+        })  # fmt: skip
+    error = {way: np.sqrt(np.mean([np.square(row[way]) for row in rows], axis=0)) for way in ("alone", "joint")}
+    px = {way: float(np.sqrt(np.mean([row[f"{way}_px"] ** 2 for row in rows]))) for way in ("alone", "joint")}
+    gain = float(np.exp(np.mean(np.log(error["alone"] / error["joint"]))))
+    inside = float(np.mean([one["inside"] for one in windows]))
+    sensor_years = years * len(asked)
+    policy = {name: _policy(of, sensor_years) for name, of in (("mission", asked), ("nothing changes", quiet))}
+    limits = {
+        "error of the parameters, the newest pass alone over all passes": held(3.0, gain, at_least=True),
+        "windows whose NEES is inside its bounds": held(0.95, inside, at_least=True),
+        "false requests a sensor and year in a mission": held(1.0, policy["mission"]["false_a_year"]),
+        "requests a sensor and year where nothing changes": held(1.0, policy["nothing changes"]["requests_a_year"]),
+    }
+    return {
+        "years": years, "windows": windows, "alone_px": px["alone"], "joint_px": px["joint"],
+        "gain_of_parameters": gain, "gain_of_stars": px["alone"] / px["joint"],
+        "alone_sigma": error["alone"].tolist(), "joint_sigma": error["joint"].tolist(),
+        "nees_per_dof": sum(row["nees"] for row in rows) / sum(row["dof"] for row in rows),
+        "alone_nees_per_dof": sum(row["alone_nees"] for row in rows) / sum(row["dof"] for row in rows),
+        "windows_inside": inside, "steps": steps,
+        "false_steps_at_checkpoints": sum(row["false_steps"] for row in rows), "checkpoints": len(rows),
+        "policy": policy, "limits": limits,
+    }  # fmt: skip
+
+
+def _policy(of: list[dict[str, Any]], sensor_years: float) -> dict[str, Any]:
+    """What a policy would have asked for, a sensor and year."""
+    states, kinds, px = Counter[str](), Counter[str](), [px for one in of for px in one["displaced_px"]]
+    for one in of:
+        states.update(one["states"])
+        kinds.update(one["kinds"])
+    return {
+        "states": dict(states), "kinds": dict(kinds), "requests_a_year": states["ASKED"] / sensor_years,
+        "false_a_year": sum(one["false"] for one in of) / sensor_years,
+        "displaced_px": float(np.median(px)) if px else None,
+    }  # fmt: skip

@@ -1,0 +1,60 @@
+"""New telemetry on the pages: a file is dropped into the watched folder, the console says what it makes of it, a person decides."""
+
+import json
+import re
+
+import pytest
+from playwright.sync_api import expect
+
+pytestmark = pytest.mark.browser
+
+SENSOR, SOON_MS = "Watched ST16", 90_000
+
+
+def register(window, document):
+    window.open("/sensors")
+    window.page.get_by_label("Sensor file (JSON)").fill(json.dumps(document | {"name": SENSOR}))
+    window.page.get_by_role("button", name="Register").click()
+    window.page.wait_for_url(re.compile(r"/sensors/\d+$"))
+    return int(window.page.url.rpartition("/")[2])
+
+
+def test_a_file_in_the_watched_folder_becomes_a_question_that_a_person_answers(people, files, installation):
+    telemetry = (files / "calibration.csv").read_bytes()
+    with people.seat("analyst") as window:
+        sensor_id = register(window, json.loads((files / "sensor.json").read_text()))
+        page = window.page
+        window.open(f"/sensors/{sensor_id}/ingest")
+        page.get_by_label("Reason").last.fill("Two passes a day.")
+        page.get_by_role("button", name="Draft version 1").click()
+        page.get_by_role("button", name="Dry run on the past").click()
+        expect(page.get_by_role("region", name="Table of the dry run")).to_be_visible()
+    with people.seat("administrator") as window:
+        window.open(f"/sensors/{sensor_id}/ingest")
+        window.page.get_by_role("button", name=re.compile("^Enable policy")).click()
+        window.page.get_by_role("dialog").get_by_role("button", name=re.compile("^Enable policy")).click()
+        expect(window.page.get_by_text("The policy is in force.")).to_be_visible()
+    place = installation.watched / SENSOR
+    place.mkdir()
+    (place / ".pass-1.csv").write_bytes(telemetry)
+    (place / ".pass-1.csv").rename(place / "pass-1.csv")
+    with people.seat("analyst") as window:
+        page = window.page
+        for _ in range(60):
+            window.open(f"/ingest?sensor={sensor_id}")
+            if page.get_by_role("link", name=re.compile(r"^(Decision )?\d+$")).count():
+                break
+            page.wait_for_timeout(1000)
+        row = window.read(f"/api/v1/ingest-decisions?sensor_id={sensor_id}")["items"][0]
+        window.open(f"/ingest/{row['id']}")
+        expect(page.locator(".page-head .status").first).to_have_text("ASKED", timeout=SOON_MS)
+        expect(page.get_by_role("table", name="Is the set within the forecast?")).to_contain_text("outside")
+        window.shoot("ingest-asked")
+        page.get_by_role("button", name="Submit this set for approval").first.click()
+        dialog = page.get_by_role("dialog")
+        dialog.get_by_label("Reason").fill("It moved since the ground.")
+        dialog.get_by_role("button", name="Submit this set for approval").click()
+        expect(page.locator(".page-head .status").first).to_have_text("ANSWERED")
+        page.get_by_role("link", name=re.compile(r"^Request \d+$")).click()
+        page.wait_for_url(re.compile(r"/approvals/\d+$"))
+    assert (place / "done" / "pass-1.csv").read_bytes() == telemetry
