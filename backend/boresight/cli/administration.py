@@ -115,8 +115,8 @@ def rotate_key(*, forget_old: bool) -> None:
             addresses = encrypt_addresses(session, box)
     forgotten = box.forget_old_keys() if forget_old else 0
     click.echo(
-        f"{box.file}: a new key encrypts the secrets of {count} webhooks and {factors} authenticator apps, and {addresses} addresses "
-        f"for messages; {forgotten} older keys were removed."
+        f"{box.file}: a new key encrypts the secrets of {count} webhooks and {factors} authenticator apps, and {addresses} "
+        f"addresses for messages; {forgotten} older keys were removed."
     )
     if kept.sentence is not None:
         click.echo(kept.sentence, err=True)

@@ -80,7 +80,9 @@ def test_a_flipped_bit_is_a_mismatch_that_names_it_in_record_and_audit(engine, r
     assert change.after["found"] == evidence["sentence"]
 
 
-def test_another_crc_is_a_mismatch_whose_record_has_both_and_whose_sentence_does_not_tell_the_right_one(engine, read, loaded):
+def test_another_crc_is_a_mismatch_whose_record_has_both_and_whose_sentence_does_not_tell_the_right_one(
+    engine, read, loaded
+):
     row = read("0x0000")
     assert row.onboard_state == "MISMATCH"
     assert row.evidence["crc"]["found"] == "0x0000"

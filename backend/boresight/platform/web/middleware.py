@@ -87,7 +87,7 @@ def get_request_id(headers: Mapping[bytes, bytes]) -> str:
 class RequestMiddleware:
     """The outermost middleware."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - what the server gives it, each by its name
         self,
         app: ASGIApp,
         observe: Observe,

@@ -28,7 +28,9 @@ SHIPPED = {
     "swagger-ui-bundle.js": SWAGGER / "swagger-ui-bundle.js",
     "swagger-ui.css": SWAGGER / "swagger-ui.css",
 }
-NO_DOCUMENTATION = "The documentation is not here yet: load the page again in a minute, or have an administrator run make docs."
+NO_DOCUMENTATION = (
+    "The documentation is not here yet: load the page again in a minute, or have an administrator run make docs."
+)
 COMPRESS_FROM_BYTES = 1024
 CACHED = "public, no-cache"  # the browser caches it, but revalidates
 TYPES = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".woff2": "font/woff2"}
