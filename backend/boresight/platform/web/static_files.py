@@ -29,7 +29,7 @@ SHIPPED = {
     "swagger-ui.css": SWAGGER / "swagger-ui.css",
 }
 NO_DOCUMENTATION = (
-    "The documentation is not here yet: load the page again in a minute, or have an administrator run make docs."
+    "The documentation is not here yet: try again in a minute, or run make docs where the server was installed from."
 )
 COMPRESS_FROM_BYTES = 1024
 CACHED = "public, no-cache"  # the browser caches it, but revalidates

@@ -44,7 +44,7 @@ KINDS = {"totp": "Authenticator app", "webauthn": "Security key"}
 
 
 @dataclass(frozen=True)
-class Shown:
+class SecondFactorContext:
     """What a form left behind on the page: its refusal, an enrolment that was begun, codes that are shown once."""
 
     form: str = ""
@@ -54,7 +54,7 @@ class Shown:
     label: str = ""
 
 
-def _page(request: Request, actor: Actor, shown: Shown, session: Session) -> HTMLResponse:
+def _page(request: Request, actor: Actor, shown: SecondFactorContext, session: Session) -> HTMLResponse:
     rules = get_factor_rules(request)
     return render(
         request,
@@ -76,11 +76,15 @@ def _page(request: Request, actor: Actor, shown: Shown, session: Session) -> HTM
 @router.get("", response_class=HTMLResponse)
 def second_factor_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
     """Show one's second factors."""
-    return _page(request, actor, Shown(), session)
+    return _page(request, actor, SecondFactorContext(), session)
 
 
 async def _confirmed(
-    request: Request, actor: Actor, change: Callable[[Session], Any], shown: Callable[[Any], Shown | str], form: str
+    request: Request,
+    actor: Actor,
+    change: Callable[[Session], Any],
+    shown: Callable[[Any], SecondFactorContext | str],
+    form: str,
 ) -> Response:
     """Make a change that the person confirms, and show what came of it: on the page, or a line after a redirect."""
     texts = await read_texts(request)
@@ -91,7 +95,7 @@ async def _confirmed(
 
     prepare: Callable[[], Awaitable[Sequence[object]]] = proof_of_own(request, actor, texts)
     outcome = await attempt(request, confirm_and_change, prepare)
-    result = Shown(form, outcome.refusal) if outcome.value is None else shown(outcome.value)
+    result = SecondFactorContext(form, outcome.refusal) if outcome.value is None else shown(outcome.value)
     if isinstance(result, str):
         return redirect("/second-factor", flash=result)
     return await read_again(request, partial(_page, request, actor, result))
@@ -103,7 +107,7 @@ async def begin(
 ) -> Response:
     """Begin to enrol a second factor: show the QR code of an app, or what a security key is asked."""
     change = partial(second_factors.offer, actor=actor, kind=kind, rules=rules, site=get_site(request))
-    return await _confirmed(request, actor, change, lambda offer: Shown(offer=offer), kind)
+    return await _confirmed(request, actor, change, lambda offer: SecondFactorContext(offer=offer), kind)
 
 
 @router.post("/enrol", response_class=HTMLResponse)
@@ -126,14 +130,14 @@ async def enrol(
         made, codes = outcome.value
         if codes is None:
             return redirect("/second-factor", flash=f"{made.label} is enrolled. Every other log-in of yours has ended.")
-        return await read_again(request, partial(_page, request, actor, Shown(codes=codes)))
+        return await read_again(request, partial(_page, request, actor, SecondFactorContext(codes=codes)))
 
     def again(session: Session) -> HTMLResponse:
         try:
             offer = second_factors.find_offer(session, actor, number, rules, site)
         except BoresightError:  # it is over, as the refusal says
             offer = None
-        return _page(request, actor, Shown("enrol", outcome.refusal, offer, label=label), session)
+        return _page(request, actor, SecondFactorContext("enrol", outcome.refusal, offer, label=label), session)
 
     return await read_again(request, again)
 
@@ -142,7 +146,7 @@ async def enrol(
 async def renew_recovery_codes(request: Request, actor: Who) -> Response:
     """Make new recovery codes, and show them this once."""
     change = partial(second_factors.renew_recovery_codes, actor=actor)
-    return await _confirmed(request, actor, change, lambda codes: Shown(codes=codes), "codes")
+    return await _confirmed(request, actor, change, lambda codes: SecondFactorContext(codes=codes), "codes")
 
 
 @router.post("/{factor_id:int}/remove", response_class=HTMLResponse)
