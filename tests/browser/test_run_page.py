@@ -58,6 +58,10 @@ def test_the_log_stays_where_somebody_reads_and_rests_while_it_is_paused(watched
 LINES = "#figure-convergence .cursor-line:not([hidden])"
 TAIL = "() => document.querySelector('#figure-rms .js-plotly-plot')._fullLayout.shapes[0].x0"
 AXIS = "() => document.querySelector('#figure-convergence .js-plotly-plot')._fullLayout.yaxis10.type"
+IS_UNCOVERED = """() => {
+    const tab = document.querySelector("#parts [aria-current]"), box = tab.getBoundingClientRect();
+    return tab.contains(document.elementFromPoint(box.left + 8, box.top + box.height / 2));
+}"""
 
 
 @pytest.fixture(scope="module")
@@ -325,5 +329,8 @@ def test_the_parts_stay_in_sight_and_a_view_opens_its_large_figure(window, seque
     window.page.get_by_role("link", name="Radial difference").click()
     window.page.wait_for_url("**?part=distortion#figure-radial")
     window.figures_drawn()
-    window.page.evaluate("scrollTo(0, 900)")
-    expect(window.page.locator("#parts [aria-current]")).to_be_in_viewport()
+    for size in (GLANCE, PHONE):
+        window.page.set_viewport_size(size)
+        window.page.evaluate("scrollTo(0, 900)")
+        expect(window.page.locator("#parts [aria-current]")).to_be_in_viewport()
+        assert window.page.evaluate(IS_UNCOVERED), f"at {size['width']} px"

@@ -3,8 +3,10 @@
  * (`data-fit="cards"`), each cell under the heading of its column, so that nothing lies beyond an edge. One whose columns are
  * to be compared (`data-pinned`) keeps them beside each other where there is room for a few: its first column and the reference
  * stay in sight while the others are scrolled in its own place (`data-fit="pinned"`).
+ *
+ * And bars that stay in sight begin where the top bar ends, however many lines it takes.
  */
-import { findAll } from "./dom.js";
+import { find, findAll } from "./dom.js";
 
 const ROOM_FOR_COLUMNS_PX = 640;
 
@@ -60,3 +62,16 @@ new MutationObserver((records) => {
   for (const part of records.flatMap((record) => [...record.addedNodes])) if (part instanceof HTMLElement) fitAll(part);
 }).observe(document.body, { childList: true, subtree: true });
 fitAll(document);
+
+for (const tab of findAll(".tabs [aria-current]", HTMLElement)) { // on a telephone its row is scrolled sideways
+  const row = tab.parentElement;
+  if (row && row.scrollWidth > row.clientWidth) row.scrollLeft = tab.offsetLeft - row.offsetLeft - 12;
+}
+
+const top = find(".top", HTMLElement);
+if (top) {
+  new ResizeObserver(() => {
+    const height = getComputedStyle(top).position === "sticky" ? top.offsetHeight : 0;
+    document.body.style.setProperty("--top-height", `${height}px`);
+  }).observe(top);
+}
