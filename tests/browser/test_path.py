@@ -125,4 +125,4 @@ def test_a_set_is_on_board_after_at_most_twenty_presses(path):
 
 
 def test_at_the_end_nothing_is_left_to_do(path):
-    assert "nothing more to do" in path[1]
+    assert "no further step" in path[1]

@@ -5,9 +5,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Page, expect, sync_playwright
+from playwright.sync_api import Page, expect
 
-from tests.browser.window import launch_chromium
 from tests.served import PASSWORD, add_people, serving, settings_in
 
 pytestmark = pytest.mark.browser
@@ -46,41 +45,40 @@ def _read_codes(page: Page) -> set[str]:
     return codes
 
 
-def test_a_security_key_is_enrolled_asked_at_log_in_and_for_an_act(localhost):
-    with sync_playwright() as playwright:
-        chromium = launch_chromium(playwright)
-        page = chromium.new_context().new_page()
-        problems: list[str] = []
-        page.on("pageerror", lambda error: problems.append(str(error)))
-        page.on("console", lambda line: problems.append(line.text) if "Content Security Policy" in line.text else None)
-        devtools = page.context.new_cdp_session(page)
-        devtools.send("WebAuthn.enable")
-        key = devtools.send("WebAuthn.addVirtualAuthenticator", {"options": AUTHENTICATOR})["authenticatorId"]
+def test_a_security_key_is_enrolled_asked_at_log_in_and_for_an_act(localhost, browser):
+    context = browser.new_context()
+    page = context.new_page()
+    problems: list[str] = []
+    page.on("pageerror", lambda error: problems.append(str(error)))
+    page.on("console", lambda line: problems.append(line.text) if "Content Security Policy" in line.text else None)
+    devtools = page.context.new_cdp_session(page)
+    devtools.send("WebAuthn.enable")
+    key = devtools.send("WebAuthn.addVirtualAuthenticator", {"options": AUTHENTICATOR})["authenticatorId"]
 
-        _log_in(page, localhost)
-        page.get_by_label("Security key or passkey").check()
-        page.get_by_label("Your password again").first.fill(PASSWORD)
-        page.get_by_role("button", name="Continue").click()
-        page.get_by_label("Name of the key").fill("Blue key")
-        page.get_by_role("button", name="Register the key").click()
-        first = _read_codes(page)
-        page.get_by_role("button", name="Log out").click()
+    _log_in(page, localhost)
+    page.get_by_label("Security key or passkey").check()
+    page.get_by_label("Your password again").first.fill(PASSWORD)
+    page.get_by_role("button", name="Continue").click()
+    page.get_by_label("Name of the key").fill("Blue key")
+    page.get_by_role("button", name="Register the key").click()
+    first = _read_codes(page)
+    page.get_by_role("button", name="Log out").click()
 
-        _log_in(page, localhost)
-        expect(page.get_by_role("heading", name="Your second factor")).to_be_visible()
-        expect(page.get_by_label("Code of your authenticator app")).to_be_visible()
-        page.get_by_role("button", name="Use your security key").click()
-        expect(page.get_by_role("rowheader", name="Blue key")).to_be_visible()
+    _log_in(page, localhost)
+    expect(page.get_by_role("heading", name="Your second factor")).to_be_visible()
+    expect(page.get_by_label("Code of your authenticator app")).to_be_visible()
+    page.get_by_role("button", name="Use your security key").click()
+    expect(page.get_by_role("rowheader", name="Blue key")).to_be_visible()
 
-        page.get_by_role("button", name="Make new ones").click()
-        dialog = page.get_by_role("dialog", name="Make new recovery codes")
-        dialog.get_by_label("Your password again").fill(PASSWORD)
-        dialog.get_by_role("button", name="Use your security key").click()
-        expect(dialog.get_by_text("Your security key answered.")).to_be_visible()
-        dialog.get_by_role("button", name="Make new recovery codes").click()
-        assert first.isdisjoint(_read_codes(page))
+    page.get_by_role("button", name="Make new ones").click()
+    dialog = page.get_by_role("dialog", name="Make new recovery codes")
+    dialog.get_by_label("Your password again").fill(PASSWORD)
+    dialog.get_by_role("button", name="Use your security key").click()
+    expect(dialog.get_by_text("Your security key answered.")).to_be_visible()
+    dialog.get_by_role("button", name="Make new recovery codes").click()
+    assert first.isdisjoint(_read_codes(page))
 
-        (credential,) = devtools.send("WebAuthn.getCredentials", {"authenticatorId": key})["credentials"]
-        assert (credential["rpId"], credential["signCount"]) == ("localhost", 3)
-        assert problems == []
-        chromium.close()
+    (credential,) = devtools.send("WebAuthn.getCredentials", {"authenticatorId": key})["credentials"]
+    assert (credential["rpId"], credential["signCount"]) == ("localhost", 3)
+    assert problems == []
+    context.close()
