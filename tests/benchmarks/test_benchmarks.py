@@ -119,7 +119,7 @@ LINE = {"worker_cpu_s": {"constant": 0.5, "per_frame": 1e-3}, "blob_bytes": {"co
 def test_the_stored_pages_are_what_the_stored_figures_give():
     for name, text in program.pages().items():
         assert (DOCS / name).read_text() == text, f"write {name} again with `python -m benchmarks.pages --write`"
-    assert (DOCS / "benchmarks.json").stat().st_size < 150_000
+    assert (DOCS / "benchmarks.json").stat().st_size < 200_000
 
 
 def test_a_part_that_was_not_measured_is_said_to_be_so():

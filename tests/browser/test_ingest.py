@@ -8,7 +8,7 @@ from playwright.sync_api import expect
 
 pytestmark = pytest.mark.browser
 
-SENSOR, SOON_MS = "Watched ST16", 90_000
+SENSOR, SOON_MS = "Watched ST16", 240_000
 
 
 def register(window, document):
