@@ -30,6 +30,7 @@ NOUNS = (
     "ingest",
     "webhooks",
     "audit",
+    "backups",
     "help",
     "search",
     "administration",

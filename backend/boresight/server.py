@@ -31,6 +31,7 @@ from boresight.console.access.credentials import Authentication, CredentialCache
 from boresight.console.access.password_checks import PasswordWorker
 from boresight.console.jobs.alignment_thread import AlignmentThread
 from boresight.console.jobs.anchoring import Anchoring
+from boresight.console.jobs.backup_thread import BackupThread
 from boresight.console.jobs.broadcast import Broadcast
 from boresight.console.jobs.heartbeat import Heartbeat
 from boresight.console.jobs.ingest_watcher import IngestWatcher
@@ -173,6 +174,7 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.workers = None
     state.ingest_watcher = IngestWatcher(state.engine, state.forecast_sources, settings, lambda: _tell(app))
     state.alignment_thread = AlignmentThread(state.engine, state.forecast_sources, lambda: _tell(app))
+    state.backup_thread = BackupThread(state.engine, state.blobs, settings, lambda: _tell(app))
     state.metrics = Metrics(lambda: _count_runs(app), lambda: state.broadcast.listeners)
 
 
@@ -227,10 +229,12 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     state.workers.start()
     state.ingest_watcher.start()
     state.alignment_thread.start()
+    state.backup_thread.start()
     threading.Thread(target=_warm, args=(state.catalogue,), name="boresight-catalogue", daemon=True).start()
     try:
         yield
     finally:
+        await run_in_threadpool(state.backup_thread.close)
         await run_in_threadpool(state.alignment_thread.close)
         await run_in_threadpool(state.ingest_watcher.close)
         await run_in_threadpool(state.workers.stop)

@@ -23,6 +23,7 @@ from boresight.telemetry.read.limits import Limits
 if TYPE_CHECKING:
     from boresight.platform.audit.signing import SigningKey
     from boresight.platform.audit.time_stamps import TimeStampService
+    from boresight.platform.backups.encryption import KeyFile
     from boresight.platform.db.secret_box import SecretBox
 
 log = logging.getLogger(__name__)
@@ -150,6 +151,11 @@ class Settings:
     timestamp_certificates: str = _setting(
         "", "path", "Certificates (PEM) of the authorities that its time-stamps must lead back to."
     )
+    backup_key: str = _setting(
+        "",
+        "path",
+        "File with the keys that encrypt scheduled backups; empty = in the data folder. Keep a copy elsewhere.",
+    )
     secure_cookies: int = _setting("0", "0 or 1", "1 = the session cookie is sent over HTTPS only.")
 
     @property
@@ -229,6 +235,13 @@ class Settings:
                 f"BORESIGHT_TIMESTAMP_CERTIFICATES={self.timestamp_certificates!r} cannot be read ({error.strerror}): name the PEM "
                 "file of the time-stamp service's authorities."
             ) from error
+
+    @property
+    def backup_keys(self) -> KeyFile:
+        """The keys of backups."""
+        from boresight.platform.backups.encryption import KeyFile  # noqa: PLC0415 - cryptography is for servers
+
+        return KeyFile(Path(self.backup_key or self.data_folder / "backup.key").expanduser())
 
     @property
     def kept_head_file(self) -> Path | None:

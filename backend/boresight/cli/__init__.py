@@ -15,7 +15,8 @@ import boresight
 from boresight.cli.administration import certificates, migrate, user, webhook
 from boresight.cli.align import align
 from boresight.cli.assess import assess
-from boresight.cli.audit import audit, backup, restore
+from boresight.cli.audit import audit
+from boresight.cli.backups import backup, restore
 from boresight.cli.calibrate import calibrate
 from boresight.cli.choose import choose
 from boresight.cli.convert import convert

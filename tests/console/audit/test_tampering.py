@@ -22,6 +22,7 @@ from boresight.console.alignments.tables import Alignment
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals import threads
 from boresight.console.approvals.tables import Approval, GateProfile, GateReport, Waiver
+from boresight.console.backups.tables import Backup, BackupSchedule
 from boresight.console.campaigns.tables import Campaign, CampaignRun
 from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.ingest.tables import IngestDecision, IngestPolicy
@@ -106,6 +107,8 @@ def _fill_the_rest(session: Session) -> None:
         IngestDecision,
         JointSet,
         Alignment,
+        BackupSchedule,
+        Backup,
     ):
         if session.scalar(sa.select(sa.func.count()).select_from(model)) == 0:
             row = _plain(model)
@@ -117,6 +120,8 @@ def _fill_the_rest(session: Session) -> None:
                 row.state, row.source, row.answer = "ANSWERED", "FOLDER", "WAIT"
             if isinstance(row, Alignment):
                 row.state, row.result_sha256 = "SUCCEEDED", _any_blob()
+            if isinstance(row, Backup):
+                row.state = "SUCCEEDED"
             session.add(row)
             session.flush()
     audit.append(session, COMMAND_LINE, "filled", "tables")

@@ -157,6 +157,7 @@ LEVEL_OF_STATE = {
     # runs
     "QUEUED": "standby",
     "RUNNING": "standby",
+    "TESTING": "standby",
     "CANCELLING": "caution",
     "SUCCEEDED": "normal",
     "FAILED": "serious",
