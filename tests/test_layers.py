@@ -28,6 +28,7 @@ NOUNS = (
     "change_proposals",
     "campaigns",
     "ingest",
+    "retention",
     "webhooks",
     "audit",
     "backups",

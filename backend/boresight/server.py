@@ -36,6 +36,7 @@ from boresight.console.jobs.broadcast import Broadcast
 from boresight.console.jobs.heartbeat import Heartbeat
 from boresight.console.jobs.ingest_watcher import IngestWatcher
 from boresight.console.jobs.maintenance import ExternalHeadFile, Maintenance
+from boresight.console.jobs.retention_thread import RetentionThread
 from boresight.console.jobs.webhook_sender import WebhookSender
 from boresight.console.pages.frame import FleetStatusCache
 from boresight.console.pages.rendering import bare_problem_page, is_page, problem_page
@@ -43,6 +44,7 @@ from boresight.console.runs import service as runs
 from boresight.console.webhooks.secrets import encrypt_all
 from boresight.disks import storage_error
 from boresight.errors import BoresightError, StorageError
+from boresight.platform.blobs import files
 from boresight.platform.blobs.opening import open_blobs
 from boresight.platform.db.data_version import DataVersionPoller, DataVersionReader, VersionedCache
 from boresight.platform.db.sessions import migrate, open_engine, open_reading
@@ -76,7 +78,8 @@ from boresight.workers.dispatcher import RunDispatcher
 
 log = logging.getLogger(__name__)
 
-DRAIN_S = 10
+ENDS_WITHIN_S = 10  # requests under way when the listener is closed
+DRAIN_TURN_S = 0.1
 #: Every route. What each wants of a request is worked out when it is first sought: once a process, however many
 #: servers it makes; so a server's `dependency_overrides` change nothing.
 ROUTES = APIRouter(generate_unique_id_function=lambda route: route.name)
@@ -161,6 +164,7 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.maintenance = Maintenance(state.engine, settings.session_limits, state.blobs, external_head, state.anchoring)
     state.passwords = PasswordWorker(state.engine, settings.login_attempts)
     state.blobs.tell_corrupt = state.maintenance.suspect
+    state.blobs.find_removed = lambda sha256: _find_removed(app, sha256)
     state.secret_box = settings.secret_box
     state.webhook_sender = WebhookSender(state.engine, settings.targets, state.secret_box)
     data_versions = DataVersionReader(state.engine)
@@ -170,11 +174,15 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     )
     state.credential_cache, state.overview = CredentialCache(data_versions), VersionedCache[object](data_versions)
     state.rendered = OrderedDict()
+    state.draining = False
     state.response_cache = ResponseCache(state.data_version_poller, authenticate, lambda: _beside(app))
     state.workers = None
     state.ingest_watcher = IngestWatcher(state.engine, state.forecast_sources, settings, lambda: _tell(app))
     state.alignment_thread = AlignmentThread(state.engine, state.forecast_sources, lambda: _tell(app))
     state.backup_thread = BackupThread(state.engine, state.blobs, settings, lambda: _tell(app))
+    state.retention_thread = RetentionThread(
+        state.engine, state.blobs, settings.telemetry_keep_days, lambda: _tell(app)
+    )
     state.metrics = Metrics(lambda: _count_runs(app), lambda: state.broadcast.listeners)
 
 
@@ -190,6 +198,11 @@ def _tell(app: FastAPI) -> None:
     app.state.webhook_sender.nudge()
     if app.state.workers is not None:
         app.state.workers.notify()
+
+
+def _find_removed(app: FastAPI, sha256: str) -> str | None:
+    with open_reading(app.state.engine) as session:
+        return files.find_removed(session, sha256)
 
 
 def _count_runs(app: FastAPI) -> dict[str, int]:
@@ -230,10 +243,12 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     state.ingest_watcher.start()
     state.alignment_thread.start()
     state.backup_thread.start()
+    state.retention_thread.start()
     threading.Thread(target=_warm, args=(state.catalogue,), name="boresight-catalogue", daemon=True).start()
     try:
         yield
     finally:
+        await run_in_threadpool(state.retention_thread.close)
         await run_in_threadpool(state.backup_thread.close)
         await run_in_threadpool(state.alignment_thread.close)
         await run_in_threadpool(state.ingest_watcher.close)
@@ -296,7 +311,11 @@ async def _refuse(request: Request, error: Exception) -> Response:
 
 
 class _Server(uvicorn.Server):
-    """Says when it accepts connections, and ends the event streams first when it stops: they would never end by themselves."""
+    """Says when it accepts connections, and stops in order.
+
+    Told to stop, it first drains: it listens on and answers everything, while `/readyz` says 503 and no further run is claimed.
+    Then it ends the event streams, which would never end by themselves, closes its listener, and waits for the requests under way.
+    """
 
     def __init__(self, config: uvicorn.Config, on_open: Callable[[], None] | None = None) -> None:
         super().__init__(config)
@@ -309,11 +328,23 @@ class _Server(uvicorn.Server):
             self._on_open()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Close the feed, then wait for what is under way."""
+        """Drain, close the feed, then wait for what is under way."""
         app = self.config.app
         if isinstance(app, FastAPI):
+            await self._drain(app)
             await run_in_threadpool(app.state.broadcast.close)
         await super().shutdown(sockets)
+
+    async def _drain(self, app: FastAPI) -> None:
+        """Answer on while a proxy notices that this server is not ready; a second signal ends it at once."""
+        app.state.draining = True
+        if app.state.workers is not None:
+            app.state.workers.drain()
+        for turn in range(round(app.state.settings.drain_s / DRAIN_TURN_S)):
+            if self.force_exit or len(self._captured_signals) > 1:
+                return
+            await self.on_tick(turn)
+            await asyncio.sleep(DRAIN_TURN_S)
 
 
 def configured(app: FastAPI, settings: Settings, connections: Connections | None = None) -> uvicorn.Config:
@@ -327,7 +358,7 @@ def configured(app: FastAPI, settings: Settings, connections: Connections | None
         log_level="warning",
         server_header=False,
         forwarded_allow_ips=settings.trusted_proxies,
-        timeout_graceful_shutdown=DRAIN_S,
+        timeout_graceful_shutdown=ENDS_WITHIN_S,
     )
 
 

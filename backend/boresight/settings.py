@@ -76,6 +76,11 @@ class Settings:
     public_url: str = _setting(
         "", "URL", "Public address of the server behind a proxy; empty = that of the Host header.", read=_site
     )
+    drain_s: float = _setting(
+        "0",
+        "s",
+        "Told to stop, the server goes on for so long while /readyz answers 503, so that a proxy turns to another server first.",
+    )
     mode: str = _setting("OPS", "", "Tag in the top bar: OPS, SIM or TRAINING.")
     scheduler: str = _setting(
         "", "address", "Dask scheduler, tls://host:port; empty = the server's own worker processes."
@@ -150,6 +155,9 @@ class Settings:
     )
     timestamp_certificates: str = _setting(
         "", "path", "Certificates (PEM) of the authorities that its time-stamps must lead back to."
+    )
+    telemetry_keep_days: float = _setting(
+        "0", "d", "Files of telemetry that nothing needs are removed after this time; 0 = they are kept for ever."
     )
     backup_key: str = _setting(
         "",

@@ -28,6 +28,7 @@ from boresight.cli.output import RefusingGroup
 from boresight.cli.plan import plan
 from boresight.cli.report import report
 from boresight.cli.reproduce import reproduce, simulate
+from boresight.cli.retention import retention
 from boresight.cli.schema import schema
 from boresight.cli.sensor import sensor
 from boresight.cli.serve import demo, serve
@@ -84,6 +85,7 @@ for command in (
     migrate,
     backup,
     restore,
+    retention,
     user,
     webhook,
     audit,

@@ -241,9 +241,13 @@ def _packing(written: Path, key: FileKey | None) -> Iterator[zipfile.ZipFile]:
 
 
 def _registered(database: Path) -> dict[str, int]:
-    """Return the addresses and sizes of the files that a SQLite database names."""
+    """Return the addresses and sizes of the files that a SQLite database names, without those that were removed on purpose."""
     with closing(sqlite3.connect(database)) as connection:
-        return dict(connection.execute("SELECT sha256, size_bytes FROM blobs"))
+        columns = {name for _, name, *_ in connection.execute("PRAGMA table_info(blobs)")}
+        there = (
+            " WHERE removed_utc IS NULL" if "removed_utc" in columns else ""
+        )  # a backup of an older version has none
+        return dict(connection.execute(f"SELECT sha256, size_bytes FROM blobs{there}"))  # noqa: S608 - our own words
 
 
 def _stored(blobs: BlobStore) -> dict[str, Path]:

@@ -1,4 +1,4 @@
-"""Schedules of backups and the backups taken by them, with a kind of alarm for one that failed or is missing.
+"""Schedules of backups and the backups taken by them, with a kind of alarm for one that failed or is missing; removed telemetry.
 
 No schedule and no backup is removed, and what was scheduled never changes. The way back leaves the longer list of kinds: alarms of
 the new kind may be there, and are records.
@@ -23,6 +23,7 @@ FIXED = {
     "backup_schedules": ("destination", *NUMBERS, "created_utc", "created_by"),
     "backups": ("schedule_id", "due_utc"),
 }
+REMOVED = ("telemetry_sets", "blobs")
 LATER = ("lease_until_utc", "written_utc", "ended_utc", "sentence")
 
 
@@ -55,13 +56,17 @@ def upgrade() -> None:
         sqlite_strict=True,
     )
     op.create_index("ix_backups_state_id", "backups", ["state", "id"])
+    for table in REMOVED:
+        op.add_column(table, sa.Column("removed_utc", sa.Text(), nullable=True))
     for table, fixed in FIXED.items():
         _guard(table, fixed)
     _widen_kinds()
 
 
 def downgrade() -> None:
-    """Take the tables away, their guards with them; the files of the backups stay where they are."""
+    """Take tables and columns away; the files of the backups stay where they are, and removed telemetry counts as missing."""
+    for table in REMOVED:
+        op.drop_column(table, "removed_utc")
     op.drop_table("backups")
     op.drop_table("backup_schedules")
 
