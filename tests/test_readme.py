@@ -40,7 +40,7 @@ def _commands(group: click.Group, words: tuple[str, ...] = ("boresight",)) -> It
     for name, command in group.commands.items():
         if isinstance(command, click.Group):
             yield from _commands(command, (*words, name))
-        else:
+        if not isinstance(command, click.Group) or command.invoke_without_command:
             yield " ".join((*words, name))
 
 

@@ -35,12 +35,14 @@ from boresight.console.access.second_factors import FactorRules
 from boresight.console.administration.fleet_metrics import FleetMetrics, ServerParts
 from boresight.console.jobs.alignment_thread import AlignmentThread
 from boresight.console.jobs.anchoring import Anchoring
+from boresight.console.jobs.backup_thread import BackupThread
 from boresight.console.jobs.broadcast import Broadcast
 from boresight.console.jobs.heartbeat import Heartbeat
 from boresight.console.jobs.ingest_watcher import IngestWatcher
 from boresight.console.jobs.maintenance import ExternalHeadFile, Maintenance
 from boresight.console.jobs.message_sender import MessageSender
 from boresight.console.jobs.mission_control import MissionControl
+from boresight.console.jobs.retention_thread import RetentionThread
 from boresight.console.jobs.webhook_sender import WebhookSender
 from boresight.console.messages.service import Outlets
 from boresight.console.pages.frame import FleetStatusCache
@@ -49,9 +51,10 @@ from boresight.console.webhooks.secrets import encrypt_all
 from boresight.disks import storage_error
 from boresight.errors import BoresightError, StorageError
 from boresight.platform.audit.security_log import SecurityLog, tell
+from boresight.platform.blobs import files
 from boresight.platform.blobs.opening import open_blobs
 from boresight.platform.db.data_version import DataVersionPoller, DataVersionReader, VersionedCache
-from boresight.platform.db.sessions import migrate, open_engine
+from boresight.platform.db.sessions import migrate, open_engine, open_reading
 from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.observability import logs
 from boresight.platform.observability.traces import get_traces
@@ -84,7 +87,8 @@ from boresight.workers.dispatcher import RunDispatcher
 
 log = logging.getLogger(__name__)
 
-DRAIN_S = 10
+ENDS_WITHIN_S = 10  # requests under way when the listener is closed
+DRAIN_TURN_S = 0.1
 #: Every route. What each wants of a request is worked out when it is first sought: once a process, however many
 #: servers it makes; so a server's `dependency_overrides` change nothing.
 ROUTES = APIRouter(generate_unique_id_function=lambda route: route.name)
@@ -176,6 +180,7 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.passwords = PasswordWorker(state.engine, settings.login_attempts, state.factor_rules)
     state.identity_provider = IdentityProvider(read_provider_settings(settings)) if settings.oidc_issuer else None
     state.blobs.tell_corrupt = state.maintenance.suspect
+    state.blobs.find_removed = lambda sha256: _find_removed(app, sha256)
     state.webhook_sender = WebhookSender(state.engine, settings.targets, state.secret_box)
     state.message_sender = MessageSender(
         state.engine, settings.targets, state.secret_box, _outlets(settings), lambda: state.policy
@@ -187,11 +192,16 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     )
     state.credential_cache, state.overview = CredentialCache(data_versions), VersionedCache[object](data_versions)
     state.rendered = OrderedDict()
+    state.draining = False
     state.response_cache = ResponseCache(state.data_version_poller, authenticate, lambda: _beside(app))
     state.workers = None
     state.ingest_watcher = IngestWatcher(state.engine, state.forecast_sources, settings, lambda: _tell(app))
     state.mission_control = MissionControl(state.engine, state.forecast_sources, settings, lambda: _tell(app))
     state.alignment_thread = AlignmentThread(state.engine, state.forecast_sources, lambda: _tell(app))
+    state.backup_thread = BackupThread(state.engine, state.blobs, settings, lambda: _tell(app))
+    state.retention_thread = RetentionThread(
+        state.engine, state.blobs, settings.telemetry_keep_days, lambda: _tell(app)
+    )
     parts = ServerParts(lambda: state.workers.state() if state.workers else None, lambda: state.maintenance.broken)
     state.metrics = Metrics(lambda: state.broadcast.listeners, [FleetMetrics(state.engine, parts)])
 
@@ -214,6 +224,11 @@ def _tell(app: FastAPI) -> None:
     app.state.message_sender.nudge()
     if app.state.workers is not None:
         app.state.workers.notify()
+
+
+def _find_removed(app: FastAPI, sha256: str) -> str | None:
+    with open_reading(app.state.engine) as session:
+        return files.find_removed(session, sha256)
 
 
 def _lazy_catalogue(settings: Settings) -> Callable[[], Catalogue]:
@@ -257,6 +272,8 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     state.ingest_watcher.start()
     state.mission_control.start()
     state.alignment_thread.start()
+    state.backup_thread.start()
+    state.retention_thread.start()
     threading.Thread(target=_warm, args=(state.catalogue,), name="boresight-catalogue", daemon=True).start()
     with state.security_log.following():
         tell(
@@ -267,6 +284,8 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     try:
         yield
     finally:
+        await run_in_threadpool(state.retention_thread.close)
+        await run_in_threadpool(state.backup_thread.close)
         await run_in_threadpool(state.alignment_thread.close)
         await run_in_threadpool(state.mission_control.close)
         await run_in_threadpool(state.ingest_watcher.close)
@@ -334,7 +353,11 @@ async def _refuse(request: Request, error: Exception) -> Response:
 
 
 class _Server(uvicorn.Server):
-    """Says when it accepts connections, and ends the event streams first when it stops: they would never end by themselves."""
+    """Says when it accepts connections, and stops in order.
+
+    Told to stop, it first drains: it listens on and answers everything, while `/readyz` says 503 and no further run is claimed.
+    Then it ends the event streams, which would never end by themselves, closes its listener, and waits for the requests under way.
+    """
 
     def __init__(self, config: uvicorn.Config, on_open: Callable[[], None] | None = None) -> None:
         super().__init__(config)
@@ -347,11 +370,23 @@ class _Server(uvicorn.Server):
             self._on_open()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Close the feed, then wait for what is under way."""
+        """Drain, close the feed, then wait for what is under way."""
         app = self.config.app
         if isinstance(app, FastAPI):
+            await self._drain(app)
             await run_in_threadpool(app.state.broadcast.close)
         await super().shutdown(sockets)
+
+    async def _drain(self, app: FastAPI) -> None:
+        """Answer on while a proxy notices that this server is not ready; a second signal ends it at once."""
+        app.state.draining = True
+        if app.state.workers is not None:
+            app.state.workers.drain()
+        for turn in range(round(app.state.settings.drain_s / DRAIN_TURN_S)):
+            if self.force_exit or len(self._captured_signals) > 1:
+                return
+            await self.on_tick(turn)
+            await asyncio.sleep(DRAIN_TURN_S)
 
 
 def configured(app: FastAPI, settings: Settings, connections: Connections | None = None) -> uvicorn.Config:
@@ -366,7 +401,7 @@ def configured(app: FastAPI, settings: Settings, connections: Connections | None
         log_config=None if settings.log_format == "json" else LOGGING_CONFIG,
         server_header=False,
         forwarded_allow_ips=settings.trusted_proxies,
-        timeout_graceful_shutdown=DRAIN_S,
+        timeout_graceful_shutdown=ENDS_WITHIN_S,
     )
 
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from boresight.mission_control.systems import Link
     from boresight.platform.audit.signing import SigningKey
     from boresight.platform.audit.time_stamps import TimeStampService
+    from boresight.platform.backups.encryption import KeyFile
     from boresight.platform.db.secret_box import SecretBox
 
 log = logging.getLogger(__name__)
@@ -131,6 +132,11 @@ class Settings:
     trusted_proxies: str = _setting("127.0.0.1", "addresses", "Proxies whose X-Forwarded-For and -Proto are trusted.")
     public_url: str = _setting(
         "", "URL", "Public address of the server behind a proxy; empty = that of the Host header.", read=_site
+    )
+    drain_s: float = _setting(
+        "0",
+        "s",
+        "Told to stop, the server goes on for so long while /readyz answers 503, so that a proxy turns to another server first.",
     )
     mode: str = _setting("OPS", "", "Tag in the top bar: OPS, SIM or TRAINING.")
     scheduler: str = _setting(
@@ -276,6 +282,14 @@ class Settings:
     otlp_endpoint: str = _setting(
         "", "URL", "Collector of traces by OTLP over HTTP, without /v1/traces; empty = no traces.", read=_site
     )
+    telemetry_keep_days: float = _setting(
+        "0", "d", "Files of telemetry that nothing needs are removed after this time; 0 = they are kept for ever."
+    )
+    backup_key: str = _setting(
+        "",
+        "path",
+        "File with the keys that encrypt scheduled backups; empty = in the data folder. Keep a copy elsewhere.",
+    )
     secure_cookies: int = _setting("0", "0 or 1", "1 = the session cookie is sent over HTTPS only.")
 
     def list_weaknesses(self) -> list[WeakSetting]:
@@ -381,6 +395,13 @@ class Settings:
                 f"BORESIGHT_TIMESTAMP_CERTIFICATES={self.timestamp_certificates!r} cannot be read ({error.strerror}): name the PEM "
                 "file of the time-stamp service's authorities."
             ) from error
+
+    @property
+    def backup_keys(self) -> KeyFile:
+        """The keys of backups."""
+        from boresight.platform.backups.encryption import KeyFile  # noqa: PLC0415 - cryptography is for servers
+
+        return KeyFile(Path(self.backup_key or self.data_folder / "backup.key").expanduser())
 
     @property
     def kept_head_file(self) -> Path | None:

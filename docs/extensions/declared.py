@@ -59,7 +59,7 @@ def _walk(group: click.Group, words: tuple[str, ...]) -> Iterator[tuple[str, cli
     for name, command in group.commands.items():
         if isinstance(command, click.Group):
             yield from _walk(command, (*words, name))
-        else:
+        if not isinstance(command, click.Group) or command.invoke_without_command:
             yield " ".join((*words, name)), command
 
 

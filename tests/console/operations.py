@@ -438,6 +438,7 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "verify_audit": lambda _: ("victor", {}),
     "export_audit": lambda _: ("victor", {}),
     "get_audit_verifier": lambda _: ("victor", {}),
+    "list_backups": lambda _: ("victor", {}),
     "list_users": lambda _: ("adele", {}),
     "create_user": lambda house: ("adele", {"json": _new_user(house)}),
     "get_user": lambda _: ("adele", {"user_id": 1}),

@@ -15,7 +15,8 @@ import boresight
 from boresight.cli.administration import certificates, migrate, user, webhook
 from boresight.cli.align import align
 from boresight.cli.assess import assess
-from boresight.cli.audit import audit, backup, restore
+from boresight.cli.audit import audit
+from boresight.cli.backups import backup, restore
 from boresight.cli.calibrate import calibrate
 from boresight.cli.choose import choose
 from boresight.cli.convert import convert
@@ -28,6 +29,7 @@ from boresight.cli.output import RefusingGroup
 from boresight.cli.plan import plan
 from boresight.cli.report import report
 from boresight.cli.reproduce import reproduce, simulate
+from boresight.cli.retention import retention
 from boresight.cli.schema import schema
 from boresight.cli.sensor import sensor
 from boresight.cli.serve import demo, serve
@@ -86,6 +88,7 @@ for command in (
     migrate,
     backup,
     restore,
+    retention,
     user,
     webhook,
     audit,

@@ -163,6 +163,7 @@ def _write(path: Path, text: str) -> None:
 
 
 if TYPE_CHECKING:
+    from boresight.platform.backups.encryption import KeyFile
     from boresight.platform.db.sessions import Engine
 
 
@@ -180,13 +181,14 @@ def migrate(revision: str | None, backup: str | None, *, yes: bool) -> None:
 
     settings = read_settings()
     engine = sessions.open_engine(settings.database_url)
+    keys = settings.backup_keys
     try:
         before = sessions.current_revision(engine)
         if revision is None:
             sessions.migrate(engine)
             encrypt_all(engine, settings.secret_box)
         else:
-            _refuse_loss(engine, revision, backup, yes=yes)
+            _refuse_loss(engine, revision, backup, keys, yes=yes)
             sessions.downgrade(engine, revision)
         after = sessions.current_revision(engine)
     finally:
@@ -194,7 +196,7 @@ def migrate(revision: str | None, backup: str | None, *, yes: bool) -> None:
     click.echo(f"schema {before or 'empty'} -> {after or 'empty'}")
 
 
-def _refuse_loss(engine: Engine, revision: str, backup: str | None, *, yes: bool) -> None:
+def _refuse_loss(engine: Engine, revision: str, backup: str | None, keys: KeyFile, *, yes: bool) -> None:
     """Print what the downgrade removes, and refuse it without consent and a current backup."""
     from boresight.platform.db import backup as backups
     from boresight.platform.db import sessions
@@ -209,7 +211,7 @@ def _refuse_loss(engine: Engine, revision: str, backup: str | None, *, yes: bool
             f"Nothing was changed: going back to {revision} removes the above. Make a backup with `boresight backup --out FILE`, "
             "and confirm with --yes --backup FILE."
         )
-    if not backups.is_of_now(Path(backup), engine):
+    if not backups.is_of_now(Path(backup), engine, keys):
         raise ConflictError(
             f"Nothing was changed: {backup} is older than the last change of the database, or of another one; make a new backup."
         )

@@ -1,4 +1,4 @@
-"""`boresight audit`, `backup` and `restore`: the audit log verified and exported, and an installation saved and put back."""
+"""`boresight audit`: the audit log verified, exported and signed."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from boresight.cli.output import REFUSED, STANDARD_OUTPUT, check_writable, opened_for_writing, refuse_standard_output
-from boresight.errors import ConflictError, CorruptFileError, RefusedInputError
+from boresight.cli.output import REFUSED, STANDARD_OUTPUT, check_writable, opened_for_writing
+from boresight.errors import ConflictError, RefusedInputError
 from boresight.settings import read_settings
 
 if TYPE_CHECKING:
@@ -178,107 +178,3 @@ def trust(public_key: str) -> None:
             f"{public_key!r} is no public key: give the 44 characters that an anchor shows."
         ) from error
     click.echo(f"{own.name}: what {key.id} signed is trusted; it signs nothing any more.")
-
-
-if TYPE_CHECKING:
-    from boresight.platform.db.backup import BackupSummary
-
-MB = 1e6
-
-
-@click.command()
-@click.option(
-    "--out", "file", metavar="FILE", required=True, help="The ZIP to write; an existing file is never overwritten."
-)
-@click.option(
-    "--keep-going",
-    is_flag=True,
-    help="Leave corrupt and missing files out and name them; the exit code is then 1.",
-)
-def backup(file: str, *, keep_going: bool) -> None:
-    """Write database and blobs to FILE, while servers and workers keep running; refuse where a stored file is corrupt or missing.
-
-    The file contains password hashes: protect it like the data folder. It contains the secrets of webhooks in encrypted form; keep
-    their key, webhooks.key in the data folder, in another place.
-    """
-    refuse_standard_output(file, "A backup")
-    check_writable(file, "ZIP")
-    if Path(file).exists():
-        raise RefusedInputError(f"{file} exists already; name another file, a backup is never overwritten.")
-    from boresight.console.webhooks.secrets import encrypt_all
-    from boresight.platform.audit import log as audit
-    from boresight.platform.blobs.opening import open_blobs
-    from boresight.platform.db import backup as backups
-    from boresight.platform.db.sessions import open_reading, open_store
-
-    settings = read_settings()
-    with open_store(settings.database_url) as engine:
-        encrypt_all(engine, settings.secret_box)  # the archive must hold no plain secret
-        with open_reading(engine) as session:
-            head = audit.head(session)
-    blobs = open_blobs(settings.blob_place)
-    taken = backups.write_backup(settings.database_url, blobs, head, Path(file), keep_going=keep_going)
-    click.echo(f"{file}: the database and {taken.blobs} files, {taken.size_bytes / MB:.1f} MB\naudit head {head}")
-    if taken.blobs_at is not None:
-        click.echo(
-            f"The stored files are not in it: they stay in {taken.blobs_at}, where each was found with its size. Let the store "
-            "keep versions or a copy of that bucket; `boresight audit verify` reads them all."
-        )
-    _refuse_absent(taken, "were left out of the backup", "were missing and not backed up")
-
-
-def _refuse_absent(taken: BackupSummary, left_out: str, missing: str) -> None:
-    """List every file that is not in the archive, and exit with code 1."""
-    for sha256 in (*taken.left_out, *taken.missing):
-        click.echo(f"  {sha256}", err=True)
-    parts = [
-        f"{len(ones)} {kind} files {what}: {', '.join(sha256[:12] for sha256 in ones[:5])}"
-        for ones, kind, what in ((taken.left_out, "corrupt", left_out), (taken.missing, "missing", missing))
-        if ones
-    ]
-    if parts:
-        raise CorruptFileError(f"{'; '.join(parts)}: restore them from an older backup.")
-
-
-@click.command()
-@click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-def restore(file: Path) -> None:
-    """Restore the backup FILE into an empty data folder or PostgreSQL database, and verify its audit log and stored files.
-
-    The settings may name another database engine than that of the backup, to move an installation from one to the other.
-    """
-    from boresight.console.webhooks.secrets import encrypt_all
-    from boresight.platform.audit import log as audit
-    from boresight.platform.blobs.opening import open_blobs
-    from boresight.platform.db import backup as backups
-    from boresight.platform.db.sessions import open_reading, open_store
-
-    settings = read_settings()
-    blobs = open_blobs(settings.blob_place)
-    taken = backups.read_backup(file, settings.database_url, blobs)
-    with open_store(settings.database_url) as engine:
-        with open_reading(engine) as session:
-            known = taken.blobs_at in {
-                None,
-                blobs.kept_at,
-            }  # otherwise they are not where this installation expects them
-            found = audit.verify(session, taken.head, blobs if known else None, again=False)
-        kept = encrypt_all(engine, settings.secret_box)  # secrets are plain in a backup of an older version
-    click.echo(f"{engine.url.render_as_string()}: restored, with {taken.blobs} files. Everybody must log in again.")
-    if not known:
-        click.echo(
-            f"Its stored files are in {taken.blobs_at}: set BORESIGHT_BLOBS to that, or copy them from there, and run "
-            "`boresight audit verify`."
-        )
-    if kept.sentence is not None:
-        click.echo(kept.sentence, err=True)
-    for bad in found.bad_files:
-        click.echo(f"  {bad}", err=True)
-    if not found.ok and (taken.left_out or taken.missing):
-        click.echo(found.sentence, err=True)
-    _refuse_absent(taken, "were left out when the backup was taken", "were missing when the backup was taken")
-    if not found.ok:
-        raise ConflictError(
-            f"The whole backup was restored, but not everything is as it was written: {found.sentence} Use another backup."
-        )
-    click.echo(found.sentence)

@@ -4,6 +4,7 @@ from boresight.console.access import tables as access_tables
 from boresight.console.alarms import tables as alarm_tables
 from boresight.console.alignments import tables as alignment_tables
 from boresight.console.approvals import tables as approval_tables
+from boresight.console.backups import tables as backup_tables
 from boresight.console.campaigns import tables as campaign_tables
 from boresight.console.change_proposals import tables as change_proposal_tables
 from boresight.console.fleet import tables as fleet_tables
@@ -26,6 +27,7 @@ TABLES = (
     alignment_tables,
     approval_tables,
     audit_tables,
+    backup_tables,
     blob_tables,
     campaign_tables,
     change_proposal_tables,

@@ -14,6 +14,7 @@ from boresight.console.alarms import routes as alarms
 from boresight.console.alignments import routes as alignments
 from boresight.console.approvals import routes as approvals
 from boresight.console.audit import routes as audit
+from boresight.console.backups import routes as backups
 from boresight.console.campaigns import routes as campaigns
 from boresight.console.change_proposals import routes as change_proposals
 from boresight.console.fleet import routes as fleet
@@ -47,6 +48,7 @@ NOUNS = (
     saved_views,
     events,
     audit,
+    backups,
     access,
     second_factors,
     webhooks,

@@ -362,12 +362,17 @@ class RunDispatcher:
         self._spans: dict[HeldRun, Span] = {}
         self._renewed_s = self._looked_s = 0.0
         self._wake, self._stopping = threading.Event(), threading.Event()
+        self._draining = False
         self._thread = threading.Thread(target=self._run, name="boresight-dispatcher", daemon=True)
 
     def start(self) -> None:
         """Start the thread if the settings have any workers; returns at once while the workers start."""
         if self._settings.scheduler or self._settings.workers > 0:
             self._thread.start()
+
+    def drain(self) -> None:
+        """Claim no more runs; those under way go on, and waiting ones are left to other servers."""
+        self._draining = True
 
     def stop(self) -> None:
         """Stop in order: running attempts are queued again for the next dispatcher, and the workers end."""
@@ -404,7 +409,8 @@ class RunDispatcher:
     def _turn(self) -> None:
         if self._attach():
             self._settle()
-            self._launch()
+            if not self._draining:
+                self._launch()
             self._renew()
             self._tell_progress()
             self._pass_on_stops()

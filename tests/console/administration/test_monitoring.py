@@ -65,7 +65,7 @@ def test_each_series_has_the_declared_labels_and_words_of_the_program_as_values(
             assert tuple(sample.labels) == gauge.labels
     states = {sample.labels["state"] for sample in families["boresight_runs"].samples}
     assert len(states) == 7
-    assert len(families["boresight_alarms"].samples) == 9 * 3 * 3
+    assert len(families["boresight_alarms"].samples) == 10 * 3 * 3
     assert families["boresight_store_up"].samples[0].value == 1.0
 
 

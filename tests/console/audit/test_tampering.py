@@ -23,6 +23,7 @@ from boresight.console.alignments.tables import Alignment
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals import threads
 from boresight.console.approvals.tables import Approval, GateProfile, GateReport, Waiver
+from boresight.console.backups.tables import Backup, BackupSchedule
 from boresight.console.campaigns.tables import Campaign, CampaignRun
 from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.ingest.tables import IngestDecision, IngestPolicy
@@ -112,6 +113,8 @@ def _fill_the_rest(session: Session) -> None:
         ExternalIdentity,
         RecoveryCode,
         SecondFactor,
+        BackupSchedule,
+        Backup,
     ):
         if session.scalar(sa.select(sa.func.count()).select_from(model)) == 0:
             row = _plain(model)
@@ -127,6 +130,8 @@ def _fill_the_rest(session: Session) -> None:
                 row.ended_because = "reset"
             if isinstance(row, SecondFactor):
                 row.kind = "totp"
+            if isinstance(row, Backup):
+                row.state = "SUCCEEDED"
             session.add(row)
             session.flush()
     audit.append(session, COMMAND_LINE, "filled", "tables")

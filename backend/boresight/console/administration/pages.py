@@ -18,6 +18,7 @@ from boresight.console.access import api_keys, users
 from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Blobs, Reading, ServerPolicy, ServerSettings, Who, Workers
 from boresight.console.access.tables import ROLES, ApiKey, User
+from boresight.console.backups import service as backups
 from boresight.console.jobs.dependencies import ServerMaintenance
 from boresight.console.pages.formats import LEVEL_OF_STATE
 from boresight.console.pages.rendering import render
@@ -100,6 +101,7 @@ def administration_page(
         policy=policy,
         session_hours=settings.session_hours,
         login_attempts=settings.login_attempts,
+        backups=backups.look(session),
         blobs_at=blobs.kept_at,
         light=maintenance.light(),
         administrator="administrator" in actor.roles,

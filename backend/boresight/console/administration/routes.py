@@ -33,6 +33,7 @@ from boresight.platform.web.origins import is_local
 from boresight.resources import folder
 from boresight.settings import Settings
 
+Draining = Annotated[bool, depend_on_server("draining")]
 FilesCheck = Annotated[CachedCheck, depend_on_server("blob_check")]
 
 
@@ -87,13 +88,19 @@ async def health() -> Health:
     responses={503: {"model": Readiness, "description": "Not ready; `checks` says why."}},
 )
 async def readiness(
-    request: Request, engine: Database, files: FilesCheck, settings: ServerSettings, workers: Workers
+    request: Request,
+    engine: Database,
+    files: FilesCheck,
+    settings: ServerSettings,
+    workers: Workers,
+    draining: Draining,
 ) -> Response:
     """Say whether store, files and workers are available: 200, or 503 with what is not.
 
     The store must answer with the right schema, the place of the files must be reached and written, and where workers are
-    expected one must have joined since the server began. `checks` is there for whoever is logged in or sends an API key,
-    and on the server's own machine where it listens to nobody else.
+    expected one must have joined since the server began. A server that was told to stop says 503 while it still answers
+    everything else: send new requests to another one. `checks` is there for whoever is logged in or sends an API key, and on
+    the server's own machine where it listens to nobody else.
     """
     parts: dict[str, Callable[[], dict[str, Any]]] = {
         "store": partial(_store, engine),
@@ -101,6 +108,8 @@ async def readiness(
         "workers": partial(_workers, settings, workers),
     }
     checks = {name: await _apart(look) for name, look in parts.items()}
+    if draining:
+        checks["draining"] = {"ready": False, "detail": "This server is stopping: use another one."}
     ready = all(check["ready"] for check in checks.values())
     body: dict[str, Any] = {"status": "ready" if ready else "not ready"}
     if is_local(request) or await _apart(_is_known, request):

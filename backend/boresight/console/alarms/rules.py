@@ -9,6 +9,7 @@
 `CLOCK`    serious  the clock jumped by `JUMP_S`, or nobody ran for `AWAY_S`: nothing expires until somebody acknowledges it
 `HEAD`     serious  the head of the audit log cannot be written to where it is kept, or is overdue to be signed or time-stamped
 `FILES`    critical a stored file that rows name was altered on the disk, or is missing
+`BACKUP`   serious  the newest scheduled backup failed or could not be restored, or none has succeeded for two intervals
 `INGEST`   serious  the sensor's policy for new telemetry was paused: a runaway was stopped, and a person resumes it
 `LINK`     serious  a mission control system was not reached several times in a row, so no telemetry comes or no event goes
 ========== ======== ==========================================================================================
@@ -40,6 +41,7 @@ from boresight.platform.blobs.files import BadFile
 from boresight.platform.db.sessions import Session, utc_now, utc_text
 
 ANCHOR = "audit/ANCHOR"
+BACKUP = "backups/BACKUP"
 CHAIN = "audit/CHAIN"
 FILES = "blobs/FILES"
 HEAD = "audit/HEAD"
@@ -114,6 +116,11 @@ def check_events(session: Session) -> AlarmCause | None:
     return AlarmCause(
         LINK, None, "LINK", "serious", sentence, {"system": link.system, "told_audit_id": link.told_audit_id}
     )
+
+
+def check_backups(fault: str) -> AlarmCause | None:
+    """Return the alarm cause if a scheduled backup failed or is missing; None otherwise."""
+    return AlarmCause(BACKUP, None, "BACKUP", "serious", fault) if fault else None
 
 
 def check_files(bad: Sequence[BadFile]) -> AlarmCause | None:

@@ -10,7 +10,7 @@ from sqlalchemy.orm import Mapped, mapped_column
 from boresight.platform.db.declared import STRICT, Base, allow_only, only_one
 from boresight.platform.db.documents import JsonText
 
-ALARM_KINDS = ("DRIFT", "AGE", "MISMATCH", "CHAIN", "FILES", "HEAD", "CLOCK", "INGEST", "LINK")
+ALARM_KINDS = ("DRIFT", "AGE", "MISMATCH", "CHAIN", "FILES", "HEAD", "CLOCK", "INGEST", "LINK", "BACKUP")
 ALARM_LEVELS = ("critical", "serious", "caution")
 ALARM_EVENTS = (
     "RAISED",

@@ -17,17 +17,20 @@ from boresight.console.access import api_keys, sessions
 from boresight.console.alarms import rules
 from boresight.console.alarms.rules import (
     ANCHOR,
+    BACKUP,
     CHAIN,
     FILES,
     HEAD,
     LINK,
     AlarmCause,
     check_anchors,
+    check_backups,
     check_chain,
     check_events,
     check_files,
     check_head,
 )
+from boresight.console.backups import service as backups
 from boresight.console.jobs.anchoring import READ_EACH_ROUND, Anchoring
 from boresight.console.webhooks import service as webhooks
 from boresight.errors import BoresightError
@@ -283,6 +286,7 @@ class Maintenance:
             if (what := files.wrong_with(self._blobs, sha256, size, again=False)) is not None
         ]
         found = {FILES: check_files(wrong), HEAD: check_head(self._head_fault), LINK: check_events(session)}
+        found[BACKUP] = check_backups(backups.find_fault(session))
         if self._anchoring is not None:
             found[ANCHOR] = check_anchors(self._anchoring.find_overdue(session))
         if self._found.state in {"verified", "broken"}:

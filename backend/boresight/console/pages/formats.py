@@ -186,6 +186,7 @@ LEVEL_OF_STATE = {
     # runs
     "QUEUED": "standby",
     "RUNNING": "standby",
+    "TESTING": "standby",
     "CANCELLING": "caution",
     "SUCCEEDED": "normal",
     "FAILED": "serious",

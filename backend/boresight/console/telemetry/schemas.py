@@ -12,7 +12,7 @@ from boresight.console.schemas import Document, Row
 class TelemetrySet(Row):
     """An uploaded telemetry file."""
 
-    versioned_by = ("id", "archived_utc", "diagnosed")
+    versioned_by = ("id", "archived_utc", "removed_utc", "diagnosed")
     location = "/telemetry-sets/{row.id}"
 
     id: int
@@ -27,6 +27,7 @@ class TelemetrySet(Row):
     uploaded_utc: str
     uploaded_by: int | None
     archived_utc: str | None
+    removed_utc: str | None = Field(description="When its files were removed by the retention of telemetry.")
     source_sha256: str | None = Field(
         description="SHA-256 of the file it was imported from; null for telemetry that was not imported."
     )

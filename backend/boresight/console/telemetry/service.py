@@ -383,7 +383,8 @@ def add_telemetry_set(
     """Read, check and store an uploaded file of a sensor; see `hold_prepared` and `store_prepared`."""
     _refuse_upload(actor, purpose)
     sensor = session.get_known(SensorRow, sensor_id)
-    if (existing := rows.find_set_with_bytes(session, sensor_id, _sha256_of_file(path))) is not None:
+    existing = rows.find_set_with_bytes(session, sensor_id, _sha256_of_file(path))
+    if existing is not None and existing.removed_utc is None:
         return _use_again(session, actor, existing)
     with hold_prepared(sensor.document, catalogue, path, file_name) as upload:
         return store_prepared(session, actor, blobs, sensor_id, upload, purpose)
@@ -416,6 +417,8 @@ def store_prepared(
     _refuse_upload(actor, purpose)
     sensor_id = session.get_known(SensorRow, sensor_id).id
     if (existing := rows.find_set_with_bytes(session, sensor_id, upload.original_sha256)) is not None:
+        if existing.removed_utc is not None:
+            _bring_back(session, blobs, existing, upload)
         return _use_again(session, actor, existing)
     sources = [] if upload.source is None else [upload.source]
     original, table, *kept = _put_all(session, blobs, [upload.original, upload.table, *sources])
@@ -465,6 +468,17 @@ def _use_again(session: Session, actor: Actor, row: TelemetrySet) -> TelemetrySe
         row.archived_utc = None
         audit.append(session, actor, "restored from the archive", _subject(row))
     return row
+
+
+def _bring_back(session: Session, blobs: BlobStore, row: TelemetrySet, upload: PreparedUpload) -> None:
+    """Store the files of a set again that were removed."""
+    sources = [] if upload.source is None else [upload.source]
+    original, table, *kept = _put_all(session, blobs, [upload.original, upload.table, *sources])
+    register_blob(session, blobs, original, upload.media_type)
+    register_blob(session, blobs, table, MEDIA_TYPE)
+    for address in kept:
+        register_blob(session, blobs, address, "application/octet-stream")
+    row.table_sha256, row.source_sha256, row.removed_utc = table, next(iter(kept), None), None
 
 
 def _base_name(file_name: str) -> str:

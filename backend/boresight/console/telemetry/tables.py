@@ -65,6 +65,7 @@ class TelemetrySet(Base):
     archived_utc: Mapped[str | None] = mapped_column(sa.Text)
     import_record: Mapped[dict[str, Any] | None] = mapped_column(JsonText)  # of what another program wrote
     source_sha256: Mapped[str | None] = mapped_column(sa.Text)  # the file that it was made of
+    removed_utc: Mapped[str | None] = mapped_column(sa.Text)  # its files were removed; what was made of them stays
 
     @property
     def diagnosed(self) -> str | None:

@@ -85,6 +85,12 @@ class BucketBlobStore(BlobStore):
         """Remove the cached copy; an object that no row names is harmless."""
         self._here.discard(sha256)
 
+    def remove(self, sha256: str) -> None:
+        """Remove a file on purpose, here and in the bucket."""
+        self._here.remove(sha256)
+        with self._asking(""), suppress(FileNotFoundError):
+            obstore.delete(self._store, _key(sha256))
+
     def refuse_unusable(self) -> None:
         """Check that the bucket answers, by asking for an object that does not exist."""
         self._here.refuse_unusable()
@@ -152,6 +158,7 @@ class BucketBlobStore(BlobStore):
 
     def _fetch(self, sha256: str) -> None:
         """Fetch an object into the cache, complete and verified or not at all."""
+        self.refuse_removed(sha256)
         self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         digest = hashlib.sha256()
         with tempfile.TemporaryDirectory(prefix=".get-", dir=self.folder) as folder:

@@ -11,7 +11,7 @@ from pathlib import Path
 from boresight import disks as integrity
 from boresight.disks import Opened, refuse_unwritable
 from boresight.errors import CorruptFileError, NotFoundError, StorageError, UnavailableError
-from boresight.platform.blobs.store import BlobStore, open_content, written_beside
+from boresight.platform.blobs.store import CONVERTED, BlobStore, open_content, written_beside
 
 
 class FolderBlobStore(BlobStore):
@@ -72,6 +72,12 @@ class FolderBlobStore(BlobStore):
         """Remove a stored file that no row will name, because a related file could not be stored."""
         self.locate(sha256).unlink(missing_ok=True)
 
+    def remove(self, sha256: str) -> None:
+        """Remove a file on purpose, and what was converted from it."""
+        self.discard(sha256)
+        for made in (self.folder / CONVERTED).glob(f"{sha256}-*"):
+            made.unlink(missing_ok=True)
+
     def send_ahead(self, *files: Path) -> None:
         """Do nothing, because a folder needs no network transfer."""
 
@@ -102,6 +108,7 @@ class FolderBlobStore(BlobStore):
         if not location.is_file():
             if self._opened is not None:
                 self._opened.refuse_another()
+            self.refuse_removed(sha256)
             raise NotFoundError(
                 f"The stored file {sha256[:12]} is missing from {self.folder}; restore it from a backup."
             )

@@ -25,18 +25,18 @@ class BlobLocation:
         return "://" not in self.address
 
 
-def parse_address(text: str) -> str:
+def parse_address(text: str, what: str = "BORESIGHT_BLOBS") -> str:
     """Return an address of files in one spelling: an absolute path, or the URL."""
     if "://" not in text:
         return str(Path(text).expanduser().resolve())
     parts = urlsplit(text)
     if parts.scheme not in SCHEMES or not (parts.netloc or parts.scheme == "memory"):
         raise RefusedInputError(
-            f"BORESIGHT_BLOBS names no place for files: give a folder, or an address such as {SCHEMES[0]}://bucket/prefix."
+            f"{what} names no place for files: give a folder, or an address such as {SCHEMES[0]}://bucket/prefix."
         )
     if "@" in parts.netloc or parts.query or parts.fragment:
         raise RefusedInputError(
-            "BORESIGHT_BLOBS must not contain credentials: give s3://bucket/prefix alone, and the key by the environment "
+            f"{what} must not contain credentials: give s3://bucket/prefix alone, and the key by the environment "
             "variables of the store, such as AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY."
         )
     return text.rstrip("/")

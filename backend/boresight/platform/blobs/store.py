@@ -15,11 +15,13 @@ from typing import Any, BinaryIO
 import orjson
 import sqlalchemy as sa
 
+from boresight.errors import NotFoundError
 from boresight.platform.blobs.tables import Blob
 from boresight.platform.db.data_version import SizeLimitedCache
 from boresight.platform.db.sessions import Session, utc_now
 
 CHUNK_BYTES = 1 << 20
+CONVERTED = "converted"  # folder of tables that were converted from an older form
 PARSED_BYTES = 64 << 20  # of JSON: twenty results of 100,000 frames; in memory some four times that
 
 
@@ -31,6 +33,7 @@ class BlobStore(ABC):
     def __init__(self, folder: Path) -> None:
         self.folder = folder  # on this machine: all files, or those used recently
         self.tell_corrupt: Callable[[str], None] = lambda _sha256: None
+        self.find_removed: Callable[[str], str | None] = lambda _sha256: None  # when a file was removed on purpose
         self._parsed: SizeLimitedCache[Any] = SizeLimitedCache(PARSED_BYTES)
 
     @abstractmethod
@@ -52,6 +55,19 @@ class BlobStore(ABC):
     @abstractmethod
     def discard(self, sha256: str) -> None:
         """Remove a stored file that no row will name, because a related file could not be stored."""
+
+    @abstractmethod
+    def remove(self, sha256: str) -> None:
+        """Remove a file on purpose, from everywhere; one that is gone already is no error."""
+
+    def refuse_removed(self, sha256: str) -> None:
+        """Refuse a file that is missing because it was removed on purpose."""
+        removed_utc = self.find_removed(sha256)
+        if removed_utc is not None:
+            raise NotFoundError(
+                f"The file {sha256[:12]} was removed on {removed_utc[:10]}, as the retention of telemetry says; what was computed "
+                "from it stays. Upload it again to use it."
+            )
 
     @abstractmethod
     def path(self, sha256: str) -> Path:
@@ -119,4 +135,7 @@ def register_blob(
         )
         session.add(row)
         session.flush()
+    elif row.removed_utc is not None:
+        blobs.size(sha256)  # refuses bytes that were removed again meanwhile
+        row.removed_utc = None
     return row

@@ -20,3 +20,4 @@ class Blob(Base):
     size_bytes: Mapped[int] = mapped_column(sa.BigInteger().with_variant(sa.Integer, "sqlite"))
     media_type: Mapped[str] = mapped_column(sa.Text)
     created_utc: Mapped[str] = mapped_column(sa.Text)
+    removed_utc: Mapped[str | None] = mapped_column(sa.Text)  # on purpose; the rows that name it say so, and are sealed

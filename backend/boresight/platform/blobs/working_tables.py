@@ -7,12 +7,10 @@ import secrets
 from pathlib import Path
 
 from boresight import disks as integrity
-from boresight.platform.blobs.store import BlobStore
+from boresight.platform.blobs.store import CONVERTED, BlobStore
 from boresight.telemetry.read.limits import STORED
 from boresight.telemetry.read.readers import read_chunks
 from boresight.telemetry.working_table import WorkingTableParts, is_working_table
-
-CONVERTED = "converted"
 
 
 def working_table(blobs: BlobStore, sha256: str) -> tuple[Path, str]:

@@ -1,4 +1,8 @@
-"""A backup: the database and the blobs in one ZIP, taken while servers and workers go on, and restored on either engine."""
+"""A backup: the database and the blobs in one ZIP, taken while servers and workers go on, and restored on either engine.
+
+With a key the ZIP is encrypted as it is written (`boresight.platform.backups.encryption`), so that nothing of it but a temporary
+copy of the database, in a folder of the server's own, is ever plain on a disk.
+"""
 
 from __future__ import annotations
 
@@ -11,21 +15,23 @@ import sqlite3
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, BinaryIO, cast
 
 import sqlalchemy as sa
 
 from boresight.disks import compute_digest
 from boresight.errors import ConflictError, CorruptFileError, RefusedInputError
+from boresight.platform.audit import log as audit
 from boresight.platform.audit import seals as journals
+from boresight.platform.backups.encryption import DecryptedFile, EncryptingFile, FileKey, KeyFile, is_encrypted
 from boresight.platform.blobs import files
 from boresight.platform.blobs.store import CHUNK_BYTES, BlobStore
 from boresight.platform.db.declared import Base
-from boresight.platform.db.sessions import Engine, migrate, open_engine
+from boresight.platform.db.sessions import Engine, current_revision, migrate, open_engine, open_reading
 from boresight.platform.db.times import utc_now
 
 ROWS = 500  # rows copied at once
@@ -168,14 +174,31 @@ def _find_file(url: str) -> Path | None:
     return Path(str(address.database)).expanduser() if sqlite else None
 
 
-def write_backup(url: str, blobs: BlobStore, head: str, archive: Path, *, keep_going: bool = False) -> BackupSummary:
-    """Write a backup; the file appears complete or not at all.
+def write_backup(
+    url: str,
+    blobs: BlobStore,
+    head: str,
+    archive: Path,
+    *,
+    keep_going: bool = False,
+    key: FileKey | None = None,
+    scratch: Path | None = None,
+    proceed: Callable[[], None] = lambda: None,
+) -> BackupSummary:
+    """Write a backup, encrypted with a key if one is given; the file appears complete or not at all.
+
+    `scratch` is the folder for the temporary copy of the database, by default that of the archive; `proceed` is called before each
+    stored file and may raise to stop.
 
     The database is copied first. Then every stored file that the copy names or that is in the folder is held against its address,
     and again while it is packed: a backup of a corrupt or missing one would be found out when it is needed.
     """
-    with tempfile.TemporaryDirectory(prefix=".backup-", dir=archive.absolute().parent) as folder:
-        copy, written = Path(folder) / DATABASE, Path(folder) / "backup.zip"
+    with ExitStack() as folders:
+        near, own = (
+            Path(folders.enter_context(tempfile.TemporaryDirectory(prefix=".backup-", dir=place)))
+            for place in (archive.absolute().parent, scratch or archive.absolute().parent)
+        )
+        copy, written = own / DATABASE, near / "backup.zip"
         _copy_database(url, copy)
         registered = _registered(copy)
         stored = _stored(blobs)
@@ -183,9 +206,10 @@ def write_backup(url: str, blobs: BlobStore, head: str, archive: Path, *, keep_g
         if not keep_going:
             _refuse_bad(corrupt, missing, len(registered.keys() | stored))
         count = 0
-        with zipfile.ZipFile(written, "w", zipfile.ZIP_STORED) as backup:
+        with _packing(written, key) as backup:
             backup.write(copy, DATABASE, zipfile.ZIP_DEFLATED)
             for sha256 in sorted(stored.keys() - corrupt):
+                proceed()
                 try:
                     intact = _pack(backup, stored[sha256], sha256)
                 except FileNotFoundError:
@@ -198,15 +222,32 @@ def write_backup(url: str, blobs: BlobStore, head: str, archive: Path, *, keep_g
             left_out, absent = tuple(sorted(corrupt)), tuple(sorted(missing))
             manifest = BackupManifest(utc_now(), compute_digest(copy), count, blobs.kept_at, left_out, absent, head)
             backup.writestr(MANIFEST, manifest.to_json())
-        written.chmod(0o600)  # it holds password hashes
         written.replace(archive)
     return BackupSummary(count, archive.stat().st_size, head, left_out, absent, blobs.kept_at)
 
 
+@contextmanager
+def _packing(written: Path, key: FileKey | None) -> Iterator[zipfile.ZipFile]:
+    """Open an archive to be written, encrypted with a key if one is given."""
+    with os.fdopen(
+        os.open(written, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb"
+    ) as file:  # it holds password hashes
+        target = None if key is None else EncryptingFile(file, key)
+        packed: IO[bytes] = file if target is None else cast("IO[bytes]", target)
+        with zipfile.ZipFile(packed, "w", zipfile.ZIP_STORED) as backup:
+            yield backup
+        if target is not None:
+            target.finish()
+
+
 def _registered(database: Path) -> dict[str, int]:
-    """Return the addresses and sizes of the files that a SQLite database names."""
+    """Return the addresses and sizes of the files that a SQLite database names, without those that were removed on purpose."""
     with closing(sqlite3.connect(database)) as connection:
-        return dict(connection.execute("SELECT sha256, size_bytes FROM blobs"))
+        columns = {name for _, name, *_ in connection.execute("PRAGMA table_info(blobs)")}
+        there = (
+            " WHERE removed_utc IS NULL" if "removed_utc" in columns else ""
+        )  # a backup of an older version has none
+        return dict(connection.execute(f"SELECT sha256, size_bytes FROM blobs{there}"))  # noqa: S608 - our own words
 
 
 def _stored(blobs: BlobStore) -> dict[str, Path]:
@@ -274,7 +315,10 @@ def _copy_rows(source: str, target: str) -> None:
             engine.dispose()  # the last connection folds SQLite's write-ahead log into the file
 
 
-def read_backup(archive: Path, url: str, blobs: BlobStore) -> BackupSummary:
+Archive = Path | BinaryIO  # a file by its path, or one that is open and can be read from any place
+
+
+def read_backup(archive: Archive, url: str, blobs: BlobStore, keys: KeyFile | None = None) -> BackupSummary:
     """Restore a backup into an empty location; the database appears last, when everything else is there.
 
     The database at the address may be on the other engine than that of the backup; of PostgreSQL it must exist, empty.
@@ -282,10 +326,10 @@ def read_backup(archive: Path, url: str, blobs: BlobStore) -> BackupSummary:
     database = _find_file(url)
     if database is not None and database.exists():
         raise ConflictError(f"There is a database at {database} already; restore into an empty data folder.")
-    with _opened(archive) as backup:
+    with _opened(archive, keys) as (backup, size):
         manifest = _manifest(backup)
         found = _members(backup, manifest)
-        _refuse_too_large(backup, blobs.folder)
+        _refuse_too_large(backup.infolist(), blobs.folder)
         bad = [sha256 for name, sha256 in found if not _lay_down_blob(backup, name, sha256, blobs)]
         if bad:
             what = "is not as it was" if len(bad) == 1 else "are not as they were"
@@ -294,27 +338,110 @@ def read_backup(archive: Path, url: str, blobs: BlobStore) -> BackupSummary:
                 "another backup."
             )
         _lay_down_database(backup, manifest.database_sha256, database, url)
-    size = archive.stat().st_size
     return BackupSummary(
         manifest.blobs, size, manifest.audit_head, manifest.left_out, manifest.missing, manifest.blobs_at
     )
 
 
-@contextmanager
-def _opened(archive: Path) -> Iterator[zipfile.ZipFile]:
-    """Open an archive, or refuse in one sentence one that cannot be read."""
-    try:
-        with zipfile.ZipFile(archive) as backup:
-            yield backup
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError) as error:
-        raise RefusedInputError(f"{archive} cannot be read as a backup ({error}); use another file.") from error
+@dataclass(frozen=True)
+class RestoreFindings:
+    """What a restore test found."""
+
+    ok: bool
+    sentence: str
+    records: int
+    rows: int
+    files: int
 
 
-def is_of_now(archive: Path, engine: Engine) -> bool:
-    """Whether an archive is complete and current: its audit log and journals end like those of the database."""
-    with _opened(archive) as backup, tempfile.TemporaryDirectory(prefix="boresight-") as folder:
+def try_restore(archive: Archive, folder: Path, keys: KeyFile | None = None) -> RestoreFindings:
+    """Restore a backup into a temporary store and verify it there: schema, audit log, and every byte of the stored files.
+
+    The files are read out of the archive and held against their addresses, without a copy on the disk.
+    """
+    with (
+        _opened(archive, keys) as (backup, _),
+        tempfile.TemporaryDirectory(prefix=".restore-test-", dir=folder) as scratch,
+    ):
         manifest = _manifest(backup)
-        _refuse_too_large(backup, Path(folder))
+        found = _members(backup, manifest)
+        copy = Path(scratch) / DATABASE
+        _refuse_too_large([backup.getinfo(DATABASE)], copy)
+        if _extracted(backup, DATABASE, copy) != manifest.database_sha256:
+            raise ConflictError("The database in the backup is not as it was backed up; use another backup.")
+        registered = _registered(copy)
+        faults = [
+            f"the file {sha256[:12]} is not as it was" for name, sha256 in found if _digest(backup, name) != sha256
+        ]
+        if manifest.blobs_at is None:
+            there = {sha256 for _, sha256 in found} | {*manifest.left_out, *manifest.missing}
+            faults += [f"the file {sha256[:12]} is not in it" for sha256 in sorted(registered.keys() - there)]
+        engine = open_engine(f"sqlite:///{copy}")
+        try:
+            before = current_revision(engine)
+            migrate(engine)
+            with open_reading(engine) as session:
+                report = audit.verify(session, manifest.audit_head)
+            schema = (
+                f"schema {before}" if before == current_revision(engine) else f"schema {before}, brought up to date"
+            )
+        finally:
+            engine.dispose()
+    faults += [] if report.ok else [report.sentence.rstrip(".")]
+    faults += [
+        f"{len(ones)} {what} files are not in it"
+        for ones, what in ((manifest.left_out, "corrupt"), (manifest.missing, "missing"))
+        if ones
+    ]
+    kept = "" if manifest.blobs_at is None else f" The stored files are not in it: they stay in {manifest.blobs_at}."
+    sentence = (
+        f"Restored and verified: {schema}, {report.records} audit records, {report.rows} rows that they sealed, "
+        f"{len(found)} files.{kept}"
+    )
+    if faults:
+        more = f", and {len(faults) - 1} more" if len(faults) > 1 else ""
+        sentence = (
+            f"The backup cannot be restored as it was: {faults[0]}{more}. Use another backup, and check the disks."
+        )
+    return RestoreFindings(not faults, sentence, report.records, report.rows, len(found))
+
+
+def _digest(backup: zipfile.ZipFile, name: str) -> str | None:
+    """Return the SHA-256 of a member; None where it cannot be read."""
+    digest = hashlib.sha256()
+    try:
+        with backup.open(name) as packed:
+            while chunk := packed.read(CHUNK_BYTES):
+                digest.update(chunk)
+    except zipfile.BadZipFile:
+        return None
+    return digest.hexdigest()
+
+
+@contextmanager
+def _opened(archive: Archive, keys: KeyFile | None = None) -> Iterator[tuple[zipfile.ZipFile, int]]:
+    """Open an archive, decrypted where it is encrypted, with its size, or refuse in one sentence one that cannot be read."""
+    named = archive if isinstance(archive, Path) else "The file"
+    try:
+        with ExitStack() as opened:
+            file = opened.enter_context(archive.open("rb")) if isinstance(archive, Path) else archive
+            size = file.seek(0, os.SEEK_END)
+            file.seek(0)
+            plain: BinaryIO = file
+            if is_encrypted(file):
+                if keys is None:
+                    raise RefusedInputError(f"{named} is encrypted: name the key file that decrypts it.")
+                plain = cast("BinaryIO", DecryptedFile(file, keys))
+            yield opened.enter_context(zipfile.ZipFile(plain)), size
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError) as error:
+        raise RefusedInputError(f"{named} cannot be read as a backup ({error}); use another file.") from error
+
+
+def is_of_now(archive: Path, engine: Engine, keys: KeyFile | None = None) -> bool:
+    """Whether an archive is complete and current: its audit log and journals end like those of the database."""
+    with _opened(archive, keys) as (backup, _), tempfile.TemporaryDirectory(prefix="boresight-") as folder:
+        manifest = _manifest(backup)
+        _refuse_too_large(backup.infolist(), Path(folder))
         copy = Path(folder) / DATABASE
         if _extracted(backup, DATABASE, copy) != manifest.database_sha256:
             return False
@@ -386,9 +513,9 @@ def _members(backup: zipfile.ZipFile, manifest: BackupManifest) -> list[tuple[st
     return found
 
 
-def _refuse_too_large(backup: zipfile.ZipFile, folder: Path) -> None:
+def _refuse_too_large(members: Sequence[zipfile.ZipInfo], folder: Path) -> None:
     """Refuse an archive whose members do not fit on the disk, as they state their sizes; none is read beyond that."""
-    needed = sum(member.file_size for member in backup.infolist())
+    needed = sum(member.file_size for member in members)
     place = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.exists())
     free = shutil.disk_usage(place).free
     if needed > free:

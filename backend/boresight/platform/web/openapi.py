@@ -54,6 +54,7 @@ TAGS = [
     {"name": "notes", "description": "What people wrote down; notes are never edited or removed."},
     {"name": "events", "description": "The live feed, as server-sent events."},
     {"name": "audit", "description": "The append-only, hash-chained log, and its signed heads."},
+    {"name": "backups", "description": "Scheduled backups, and whether each can be restored."},
     {"name": "users", "description": "People and their roles."},
     {"name": "API keys", "description": "Keys for programs."},
     {"name": "webhooks", "description": "Programs that are notified of events."},

@@ -21,6 +21,7 @@ from boresight.console.approvals import threads
 from boresight.console.approvals.tables import Remark
 from boresight.console.audit.pages import make_audit_line
 from boresight.console.audit.queries import name_objects
+from boresight.console.backups import service as backups
 from boresight.console.change_proposals import queries as proposal_queries
 from boresight.console.change_proposals import service as proposals
 from boresight.console.fleet import queries as sensor_queries
@@ -393,6 +394,7 @@ def overview_page(
     overview = _look(request, session, cache)
     signatures, actions = _mine(session, actor, policy, overview)
     workers = dispatcher.state() if dispatcher else None
+    backup = backups.look(session) if "administrator" in actor.roles else None
     favourites = saved_views.list_favourites(session, actor)[:MOST_FAVOURITES]
     return render(
         request,
@@ -405,6 +407,7 @@ def overview_page(
             tuple(actions.first),
             tuple((row.path, row.name) for row in favourites),
             tuple((workers or {}).items()),
+            backup and (backup.schedule and backup.schedule.id, backup.newest and backup.newest.id, backup.fault),
         ),
         view=view if view in VIEWS else VIEWS[0],
         overview=overview,
@@ -416,5 +419,6 @@ def overview_page(
         waiting_for_me=signatures.count,
         events=overview.events,
         workers=workers,
+        backup=backup,
         may_register=bool({"analyst", "administrator"} & actor.roles),
     )

@@ -1,0 +1,40 @@
+"""The page of backups: the schedule, the newest that can be restored, and what became of each."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Request
+from fastapi.responses import HTMLResponse
+
+from boresight.console.access.dependencies import Blobs, Reading, ServerSettings, Who
+from boresight.console.backups import service
+from boresight.console.pages.rendering import render
+from boresight.errors import BoresightError
+from boresight.settings import Settings
+
+router = APIRouter()
+
+
+def _find_key(settings: Settings) -> tuple[str | None, str | None]:
+    """Return the id of the key that encrypts here, or why there is none."""
+    try:
+        return settings.backup_keys.first().id, None
+    except BoresightError as error:
+        return None, str(error)
+
+
+@router.get("/backups", response_class=HTMLResponse)
+def backups_page(
+    request: Request, session: Reading, actor: Who, settings: ServerSettings, blobs: Blobs
+) -> HTMLResponse:
+    """Show the schedule and the newest backups."""
+    key_id, fault = _find_key(settings)
+    return render(
+        request,
+        "backups/backups.html",
+        overview=service.look(session),
+        rows=service.list_backups(session),
+        key_id=key_id,
+        key_fault=fault,
+        blobs_at=blobs.kept_at,
+        administrator="administrator" in actor.roles,
+    )

@@ -1,0 +1,1 @@
+"""Retention of telemetry: which files nothing needs any more, and their removal."""
