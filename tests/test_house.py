@@ -37,7 +37,7 @@ def _name(path: Path) -> str:
 
 def _texts() -> Iterator[tuple[str, str]]:
     for path in _files():
-        if path.suffix not in {".png", ".webp", ".parquet", ".npz", ".axy", ".corr", ".fits"}:
+        if path.suffix not in {".png", ".webp", ".parquet", ".npz", ".axy", ".corr", ".fits", ".xz"}:
             yield _name(path), path.read_text()
 
 

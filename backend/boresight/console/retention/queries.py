@@ -33,10 +33,13 @@ def count_removed(session: Session) -> int:
 def list_uses(session: Session) -> list[tuple[int, int]]:
     """Return set and run for each use of a set: fitted, fitted with others, or held out."""
     fitted = sa.select(Run.telemetry_set_id, Run.id)
-    held_out = sa.select(Run.validation_set_id, Run.id).where(Run.validation_set_id.is_not(None))
+    validated = sa.select(Run.validation_set_id, Run.id).where(Run.validation_set_id.is_not(None))
     further = sa.select(JointSet.telemetry_set_id, JointSet.run_id)
     return [
-        (set_id, run_id) for query in (fitted, held_out, further) for set_id, run_id in session.execute(query) if set_id
+        (set_id, run_id)
+        for query in (fitted, validated, further)
+        for set_id, run_id in session.execute(query)
+        if set_id
     ]
 
 
@@ -79,7 +82,7 @@ def list_aligned_runs(session: Session) -> dict[int, int]:
     return {run_id: row[0] for row in rows for run_id in row[1:]}
 
 
-def list_held_out(session: Session) -> set[str]:
+def list_validation_tables(session: Session) -> set[str]:
     """Return the tables of the frames that gates held out, by their SHA-256."""
     documents = session.scalars(sa.select(GateReport.document))
     return {document["held_out"]["sha256"] for document in documents if document.get("held_out")}

@@ -89,7 +89,7 @@ def _find_reasons(session: Session, rows: Sequence[TelemetrySet], since_utc: str
     used_by: dict[int, list[int]] = {}
     for set_id, run_id in queries.list_uses(session):
         used_by.setdefault(set_id, []).append(run_id)
-    held_out, undecided = queries.list_held_out(session), queries.list_undecided(session)
+    validated, undecided = queries.list_validation_tables(session), queries.list_undecided(session)
     reasons: dict[int, str] = {}
     for row in rows:
         runs = sorted(used_by.get(row.id, ()), reverse=True)
@@ -101,7 +101,7 @@ def _find_reasons(session: Session, rows: Sequence[TelemetrySet], since_utc: str
             reasons[row.id] = "It is the newest calibration set of its sensor."
         elif of_runs := [f"Run {run_id} used it, and {needed[run_id]}." for run_id in runs if run_id in needed]:
             reasons[row.id] = of_runs[0]
-        elif row.table_sha256 in held_out:
+        elif row.table_sha256 in validated:
             reasons[row.id] = "Gates of a parameter set held its frames out."
         elif row.id in undecided:
             reasons[row.id] = f"Decision {undecided[row.id]} on it is open."

@@ -16,8 +16,8 @@ import sqlalchemy as sa
 from boresight.platform.db.sessions import current_revision, head_revision, open_engine
 from boresight.settings import read_settings
 from tests.cli.conftest import accepted, boresight, data_folder
+from tests.platform.db.released import RELEASED, make, unpack
 from tests.served import serving
-from tests.upgrade.installations import RELEASED, make, unpack
 
 __all__ = ["boresight", "data_folder"]
 pytestmark = pytest.mark.sqlite("version 0.1.0 stored in SQLite; the restore is on PostgreSQL")
@@ -38,7 +38,7 @@ def _read(data: Path) -> Stored:
         connection.row_factory = sqlite3.Row
         tables = [name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")]
         rows = {
-            table: [dict(row) for row in connection.execute(f"SELECT * FROM {table} ORDER BY rowid")]  # noqa: S608
+            table: [dict(row) for row in connection.execute(f"SELECT * FROM {table} ORDER BY rowid")]  # noqa: S608 - names of its own
             for table in tables
             if not table.startswith(("sqlite_", "alembic_"))
         }

@@ -1,8 +1,8 @@
 """Fills a data folder with what an installation of version 0.1.0 holds, by the code of 0.1.0 itself.
 
-Run with PYTHONPATH naming a checkout's `backend` of the commit `RELEASED` in tests/upgrade/installations.py::
+Run with PYTHONPATH naming a checkout's `backend` of the commit `RELEASED` in tests/platform/db/released.py::
 
-    python tests/upgrade/installation_of_0_1_0.py DATA --runs 1000 --records 10000
+    python tests/platform/db/installation_of_0_1_0.py DATA --runs 1000 --records 10000
 
 One sensor with two telemetry sets; one run is computed and its result, with another time, is that of every other; one in ten has
 failed, one is queued; one set went the whole way to the uplink, one was refused, one waits. The rest of the records are of
@@ -74,7 +74,7 @@ def _shorten() -> None:
 
 def _compute(engine: Engine, blobs: BlobStore, sensor_id: int, catalogue: object) -> dict[str, object]:
     from boresight.services import sensors, telemetry_sets  # noqa: PLC0415 - beside what they are for
-    from boresight.telemetry.sensors import parse_sensor  # noqa: PLC0415
+    from boresight.telemetry.sensors import parse_sensor  # noqa: PLC0415 - as above
 
     with reading(engine) as session:
         sensor = parse_sensor(sensors.get_sensor(session, sensor_id).document)

@@ -1,6 +1,6 @@
 """Stored installations of released versions: small ones from the tree, and of any size from the code in git's history.
 
-A new release adds its commit and its archive: `python -m tests.upgrade.installations VERSION` makes `tests/upgrade/VERSION.tar.xz`.
+A new release adds its commit and its archive: `python -m tests.platform.db.released VERSION` makes the latter.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 HERE = Path(__file__).parent
-ROOT = HERE.parents[1]
+ROOT = HERE.parents[2]
 #: The commit of each released version.
 RELEASED = {"0.1.0": "c831475f82b144c9759ab713d8e59df6ba9682a9"}
 
