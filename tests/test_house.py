@@ -97,7 +97,7 @@ def test_no_module_has_a_name_that_says_nothing():
 
 
 def test_test_folders_mirror_the_source():
-    tests, whole = ROOT / "tests", {"benchmarks", "browser", "fuzz", "transitions", "vectors"}
+    tests, whole = ROOT / "tests", {"benchmarks", "browser", "fuzz", "transitions", "upgrade", "vectors"}
     folders = [
         path.relative_to(tests) for path in tests.glob("**/") if path != tests and "__pycache__" not in path.parts
     ]
