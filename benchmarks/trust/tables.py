@@ -53,7 +53,7 @@ def _shares(found: Mapping[str, float], most: int = 4) -> str:
 
 
 def _short(words: str) -> str:
-    return words if len(words) <= LONGEST else f"{words[:LONGEST]}…"
+    return words if len(words) <= LONGEST else f"{words[:LONGEST].rpartition(' ')[0]} …"
 
 
 def clean_tables(clean: Found) -> str:
