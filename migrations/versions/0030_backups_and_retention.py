@@ -11,7 +11,7 @@ import re
 import sqlalchemy as sa
 from alembic import op
 
-revision = "0029"
+revision = "0030"
 down_revision = "0026"
 branch_labels = None
 depends_on = None
