@@ -46,6 +46,8 @@ ADDRESSES = {
     "new-alignment": "/alignments/new",
     "change-proposals": "/change-proposals?show=all",
     "administration": "/administration",
+    "backups": "/backups",
+    "retention": "/retention",
     "glossary": "/help/glossary",
     "saved-views": "/saved-views",
     "messages": "/preferences/messages",

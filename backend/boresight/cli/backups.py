@@ -220,7 +220,7 @@ def verify(name: str, key: Path | None) -> None:
                 found = try_restore(file, settings.data_folder, keys)
             with open_writing(engine) as session:
                 service.record_retest(session, COMMAND_LINE, name, found)
-    if not found.ok:
+    if not found.is_ok:
         raise CorruptFileError(found.sentence)
     click.echo(found.sentence)
 

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 import zipfile
 from pathlib import Path
+from typing import Any
 
+import httpx
 import pytest
 import sqlalchemy as sa
+from click.testing import CliRunner
 
+from boresight.cli import main
 from boresight.console.alarms import rules
 from boresight.console.alarms.tables import Alarm
 from boresight.console.backups import queries, service
 from boresight.console.backups.tables import Backup, BackupSchedule
+from boresight.console.fleet import service as sensors
 from boresight.console.jobs import backup_thread
 from boresight.console.jobs.backup_thread import BackupThread
 from boresight.console.jobs.maintenance import Maintenance
@@ -25,7 +31,8 @@ from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.platform.blobs.store import register_blob
 from boresight.platform.db import backup as backups
 from boresight.platform.db.sessions import open_engine, open_reading, open_writing
-from tests.served import settings_in
+from tests.console.conftest import SENSOR
+from tests.served import PASSWORD, PLAIN, add_people, serving, settings_in
 
 KEPT = Generations(2, 0, 0)
 
@@ -267,3 +274,68 @@ def test_only_administrators_set_a_schedule_and_the_log_says_what_it_was(engine,
         assert (record.before["every_hours"], record.after["every_hours"]) == (24, 6)
     with engine.connect() as connection, pytest.raises(sa.exc.DBAPIError):
         connection.execute(sa.update(BackupSchedule).values(every_hours=1))
+
+
+def test_a_server_takes_what_a_command_has_scheduled_and_its_pages_say_so(tmp_path, place, monkeypatch):
+    settings = settings_in(tmp_path / "data")
+    add_people(settings)
+    monkeypatch.setenv("BORESIGHT_DATA_FOLDER", str(settings.data_folder))
+    monkeypatch.setenv("BORESIGHT_DATABASE_URL", settings.database_url)
+    run = CliRunner().invoke
+    done = run(main, ["backup", "--schedule", "02:30", "--to", str(place), "--every-hours", "6"])
+    assert done.exit_code == 0, done.output
+    engine = open_engine(settings.database_url)
+    with open_writing(engine) as session:
+        sensors.register_sensor(session, COMMAND_LINE, SENSOR)  # the overview of no sensor shows nothing else
+    engine.dispose()
+    with serving(settings) as (address, app), httpx.Client(base_url=address, verify=PLAIN, timeout=30) as client:
+        assert client.post("/api/v1/sessions", json={"name": "adele", "password": PASSWORD}).status_code == 201
+
+        def newest() -> dict[str, Any]:
+            return next(iter(client.get("/api/v1/backups").json()["items"]), {"state": "none"})
+
+        ends_s = time.monotonic() + 60
+        while newest()["state"] not in {"SUCCEEDED", "FAILED"}:
+            app.state.backup_thread._thread.nudge()
+            assert time.monotonic() < ends_s
+            time.sleep(0.1)
+        row = newest()
+        assert row["state"] == "SUCCEEDED", row
+        pages = {path: client.get(path).text for path in ("/backups", "/administration", "/")}
+    assert all("Restorable" in page or "RESTORABLE" in page for page in pages.values())
+    assert row["name"] in pages["/backups"]
+    assert row["name"] in run(main, ["backup", "list"]).output
+    file = place / row["name"]
+    assert run(main, ["backup", "verify", row["name"]]).exit_code == 0
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 1
+    file.write_bytes(content)
+    assert run(main, ["backup", "verify", row["name"]]).exit_code == 1
+    assert f"{row['name']}  " in (listed := run(main, ["backup", "list"]).output)
+    assert "FAILED" in listed
+    assert run(main, ["backup", "--schedule", "off"]).exit_code == 0
+    assert file.exists()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--schedule", "25:00", "--to", "."],
+        ["--schedule", "2", "--to", "."],
+        ["--schedule", "02:00"],
+        [],
+        ["--out", "a.zip", "--schedule", "02:00"],
+        ["--schedule", "02:00", "--to", ".", "--every-hours", "5"],
+    ],
+    ids=" ".join,
+)
+def test_wrong_usage_is_told_apart_from_refusals(words, tmp_path, monkeypatch):
+    monkeypatch.setenv("BORESIGHT_DATA_FOLDER", str(tmp_path))
+    assert CliRunner().invoke(main, ["backup", *words]).exit_code == 2
+
+
+def test_a_place_that_is_not_there_is_refused_before_anything_is_scheduled(tmp_path, monkeypatch):
+    monkeypatch.setenv("BORESIGHT_DATA_FOLDER", str(tmp_path))
+    words = ["backup", "--schedule", "02:00", "--to", str(tmp_path / "unmounted")]
+    assert CliRunner().invoke(main, words).exit_code == 1
+    assert list(tmp_path.glob("*.key")) == []

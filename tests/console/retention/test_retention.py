@@ -242,7 +242,7 @@ def test_the_thread_follows_the_policy_and_a_backup_of_what_is_left_is_whole(wor
     taken = backups.write_backup(url, world.blobs, head, tmp_path / "all.zip")
     assert taken.missing == ()
     found = backups.try_restore(tmp_path / "all.zip", tmp_path)
-    assert found.ok, found.sentence
+    assert found.is_ok, found.sentence
 
 
 def test_a_file_that_is_only_called_removed_is_found(world):

@@ -196,7 +196,7 @@ def record_test(session: Session, claimed: ClaimedBackup, found: RestoreFindings
     row = _find_held(session, claimed)
     if row is not None:
         row.tested_utc = utc_now()
-        _end(session, row, "SUCCEEDED" if found.ok else "FAILED", found.sentence)
+        _end(session, row, "SUCCEEDED" if found.is_ok else "FAILED", found.sentence)
 
 
 def fail(session: Session, claimed: ClaimedBackup, sentence: str) -> None:
@@ -218,7 +218,7 @@ def record_retest(session: Session, actor: Actor, name: str, found: RestoreFindi
     before = {"state": row.state, "tested_utc": row.tested_utc}
     if row.state not in {"SUCCEEDED", "FAILED"}:
         return
-    row.state, row.sentence, row.tested_utc = "SUCCEEDED" if found.ok else "FAILED", found.sentence, utc_now()
+    row.state, row.sentence, row.tested_utc = "SUCCEEDED" if found.is_ok else "FAILED", found.sentence, utc_now()
     after = {"state": row.state, "tested_utc": row.tested_utc}
     audit.append(session, actor, "tested", f"backups/{row.id}", before, after, found.sentence)
 

@@ -347,7 +347,7 @@ def read_backup(archive: Archive, url: str, blobs: BlobStore, keys: KeyFile | No
 class RestoreFindings:
     """What a restore test found."""
 
-    ok: bool
+    is_ok: bool
     sentence: str
     records: int
     rows: int
@@ -357,8 +357,17 @@ class RestoreFindings:
 def try_restore(archive: Archive, folder: Path, keys: KeyFile | None = None) -> RestoreFindings:
     """Restore a backup into a temporary store and verify it there: schema, audit log, and every byte of the stored files.
 
-    The files are read out of the archive and held against their addresses, without a copy on the disk.
+    The files are read out of the archive and held against their addresses, without a copy on the disk. A backup that cannot be
+    read is a finding; a key that is missing is none, and is refused.
     """
+    try:
+        return _try_restore(archive, folder, keys)
+    except (RefusedInputError, ConflictError) as error:
+        return RestoreFindings(False, str(error), 0, 0, 0)
+
+
+def _try_restore(archive: Archive, folder: Path, keys: KeyFile | None) -> RestoreFindings:
+    """Restore and verify a backup that can be read."""
     with (
         _opened(archive, keys) as (backup, _),
         tempfile.TemporaryDirectory(prefix=".restore-test-", dir=folder) as scratch,
