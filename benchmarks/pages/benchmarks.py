@@ -486,7 +486,7 @@ def _mission(found: Found) -> str:
     )  # fmt: skip
     windows = [
         [
-            one["passes"], *(number(one[key]) for key in ("alone_px", "joint_px", "gain", "nees_per_dof")),
+            str(one["passes"]), *(number(one[key]) for key in ("alone_px", "joint_px", "gain", "nees_per_dof")),
             f"{number(one['lower'])} to {number(one['upper'])}", "yes" if one["inside"] else "**no**",
         ]
         for one in found["windows"]
@@ -498,7 +498,7 @@ def _mission(found: Found) -> str:
     ]
     steps = [
         [
-            one["sensor"], f"`{one['parameter']}`", number(one["day"]), "yes" if one["found"] else "**no**",
+            str(one["sensor"]), f"`{one['parameter']}`", number(one["day"]), "yes" if one["found"] else "**no**",
             "yes" if one["date_inside"] else "**no**", number(one["interval_d"]), one["sentence"],
         ]
         for one in found["steps"]
