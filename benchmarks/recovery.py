@@ -28,7 +28,7 @@ from boresight.sky.catalogue import Catalogue, load_catalogue
 CURVE, DRIFT = (0.03, 0.001), 0.4
 #: Half width of a normal interval, and the rise of -2 log L at the ends of one, by share.
 WIDTHS = {"inside_68": (1.0, 1.0), "inside_95": (1.96, 3.841458820694124)}
-NAMES = ("f(T), a degree", "f(T), a degree squared", "drift")
+NAMES = ("f(T), a degree", "f(T), a degree squared", "variance of the drift")
 
 
 def measure(report: Report, *, sets: int = 200, frames: int = 8) -> dict[str, Any]:
@@ -40,13 +40,13 @@ def measure(report: Report, *, sets: int = 200, frames: int = 8) -> dict[str, An
         curved.append(_curved(number, frames, catalogue))
         walked.append(_walked(number, frames, catalogue))
     errors = np.array(curved)
-    logs = np.array([log for log, _ in walked])
+    drifts = np.array([error for error, _ in walked])
     told = {
         name: _told(errors[:, k], {key: np.abs(errors[:, k]) < width for key, (width, _) in WIDTHS.items()})
         for k, name in enumerate(NAMES[:2])
     }
     inside = {key: np.array([hits[key] for _, hits in walked]) for key in WIDTHS}
-    told[NAMES[2]] = _told(logs / max(float(np.std(logs)), 1e-12), inside)
+    told[NAMES[2]] = _told(drifts / max(float(np.std(drifts)), 1e-12), inside)
     bounds = {"inside_68": 0.683, "inside_95": 0.95}
     off = max(
         abs(one[key] - share) / np.sqrt(share * (1 - share) / sets)
@@ -105,7 +105,7 @@ def _curved(number: int, frames: int, catalogue: Catalogue) -> FloatArray:
 
 
 def _walked(number: int, frames: int, catalogue: Catalogue) -> tuple[float, dict[str, bool]]:
-    """Log of the drift that was found over the true one, and whether its intervals hold it, of one set."""
+    """Variance of the drift that was found over the true one, less one, and whether its intervals hold it, of one set."""
     rng = np.random.default_rng([12, number])
     days = np.cumsum(rng.integers(1, 6, 15)).astype(float)
     steps = np.cumsum(DRIFT * np.sqrt(np.diff(days, prepend=days[0])) * rng.normal(size=15))
@@ -116,4 +116,4 @@ def _walked(number: int, frames: int, catalogue: Catalogue) -> tuple[float, dict
     passes = WalkedPasses(fitted.sums, of.departures(fitted), np.array([0]), np.diff(middle_days(of.passes)))
     found = {key: find_walk(passes, rise) for key, (_, rise) in WIDTHS.items()}
     inside = {key: bool(one.low[0] <= DRIFT <= one.high[0]) for key, one in found.items()}
-    return float(np.log(found["inside_95"].sigma[0] / DRIFT)), inside
+    return float(found["inside_95"].sigma[0] ** 2 / DRIFT**2 - 1.0), inside

@@ -486,7 +486,7 @@ def _mission(found: Found) -> str:
     )  # fmt: skip
     windows = [
         [
-            str(one["passes"]), *(number(one[key]) for key in ("alone_px", "joint_px", "gain", "nees_per_dof")),
+            f"{one['passes']:,}", *(number(one[key]) for key in ("alone_px", "joint_px", "gain", "nees_per_dof")),
             f"{number(one['lower'])} to {number(one['upper'])}", "yes" if one["inside"] else "**no**",
         ]
         for one in found["windows"]
@@ -498,7 +498,7 @@ def _mission(found: Found) -> str:
     ]
     steps = [
         [
-            str(one["sensor"]), f"`{one['parameter']}`", number(one["day"]), "yes" if one["found"] else "**no**",
+            one["sensor"], f"`{one['parameter']}`", number(one["day"]), "yes" if one["found"] else "**no**",
             "yes" if one["date_inside"] else "**no**", number(one["interval_d"]), one["sentence"],
         ]
         for one in found["steps"]
@@ -533,7 +533,7 @@ def _recovery(found: Found) -> str:
     ]  # fmt: skip
     heads = ("what", "sets", "mean error, σ", "± of that", "inside 68 %", "inside 95 %")
     return (
-        "Errors are over the sigma that each fit tells; of the drift they are of its logarithm, over their own scatter, and its "
+        "Errors are over the sigma that each fit tells; of the drift's variance they are over their own scatter, and its "
         "intervals are those of the likelihood.\n\n" + table(heads, rows, (0,))
     )
 
