@@ -80,7 +80,7 @@ class SecondFactorError(UnauthenticatedError):
 class SingleSignOnError(UnauthenticatedError):
     """The identity provider's answer was refused; `reason` is the word for the security log."""
 
-    def __init__(self, sentence: str, reason: str) -> None:
+    def __init__(self, sentence: str, reason: str = "refused") -> None:
         super().__init__(sentence)
         self.reason = reason
 
