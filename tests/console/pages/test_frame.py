@@ -36,9 +36,9 @@ from boresight.console.pages.rendering import GREATEST_NUMBER, problem_page
 from boresight.console.parameter_sets.tables import GROUND_STATES, ONBOARD_STATES
 from boresight.console.runs.tables import RUN_STATES
 from boresight.errors import (
+    FactorEnrolmentDueError,
     OverloadedError,
     PasswordDueError,
-    SessionEndedError,
     TooManyAttemptsError,
     UnauthenticatedError,
 )
@@ -289,7 +289,9 @@ def test_an_empty_page_says_what_to_do_next(bare, read, path, sentences):
 
 
 SENTENCE = "This is what happened."
-LOG_IN = {PasswordDueError, SessionEndedError, UnauthenticatedError}  # they lead to a page where something can be done
+LOG_IN = {  # they lead to a page where something can be done
+    kind for kind in KINDS if issubclass(kind, UnauthenticatedError | PasswordDueError | FactorEnrolmentDueError)
+}
 WAITS = {OverloadedError, TooManyAttemptsError}  # they say how long to wait
 ERRORS = [
     *(kind(SENTENCE, 3) if kind in WAITS else kind(SENTENCE) for kind in KINDS if kind not in LOG_IN),
