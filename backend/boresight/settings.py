@@ -70,13 +70,6 @@ def _mail_server(text: str) -> str:
     return text
 
 
-def _log_format(text: str) -> str:
-    """Read the format of logs."""
-    if text not in FORMATS:
-        raise ValueError(text)
-    return text
-
-
 def _one_of(*words: str) -> Callable[[str], str]:
     """Return what reads one of these words."""
 
@@ -277,7 +270,10 @@ class Settings:
         "", "path", "Certificates (PEM) of the authorities that its time-stamps must lead back to."
     )
     log_format: str = _setting(
-        "text", "text or json", "json = one JSON object a line, with request, person, run and trace.", read=_log_format
+        "text",
+        "text or json",
+        "json = one JSON object a line, with request, person, run and trace.",
+        read=_one_of(*FORMATS),
     )
     otlp_endpoint: str = _setting(
         "", "URL", "Collector of traces by OTLP over HTTP, without /v1/traces; empty = no traces.", read=_site

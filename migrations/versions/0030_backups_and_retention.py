@@ -16,7 +16,7 @@ down_revision = "0029"
 branch_labels = None
 depends_on = None
 
-KIND = "BACKUP"
+KINDS = "'DRIFT', 'AGE', 'MISMATCH', 'CHAIN', 'FILES', 'HEAD', 'CLOCK', 'INGEST', 'LINK', 'BACKUP'"
 STATES = "'RUNNING', 'TESTING', 'SUCCEEDED', 'FAILED'"
 NUMBERS = ("at_minute", "every_hours", "keep_daily", "keep_weekly", "keep_monthly")
 FIXED = {
@@ -94,15 +94,10 @@ def _guard(table: str, fixed: tuple[str, ...]) -> None:
 
 
 def _widen_kinds() -> None:
-    """Let alarms be of one more kind than now."""
+    """Let alarms be of one more kind."""
     if _is_postgresql():
-        words = op.get_bind().scalar(
-            sa.text("SELECT pg_get_constraintdef(oid) FROM pg_constraint WHERE conname = 'ck_alarms_kind'")
-        )
-        known = re.findall(r"'([A-Z ]+)'", str(words))
-        kinds = ", ".join(f"'{kind}'" for kind in dict.fromkeys((*known, KIND)))
         op.execute("ALTER TABLE alarms DROP CONSTRAINT ck_alarms_kind")
-        op.execute(f"ALTER TABLE alarms ADD CONSTRAINT ck_alarms_kind CHECK (kind IN ({kinds}))")
+        op.execute(f"ALTER TABLE alarms ADD CONSTRAINT ck_alarms_kind CHECK (kind IN ({KINDS}))")
         return
     made = op.get_bind().exec_driver_sql(
         "SELECT type, sql FROM sqlite_master WHERE tbl_name = 'alarms' AND sql IS NOT NULL"
@@ -110,7 +105,7 @@ def _widen_kinds() -> None:
     found = made.fetchall()
     (table,) = (sql for kind, sql in found if kind == "table")
     table = re.sub(r'^CREATE TABLE "?alarms"?', "CREATE TABLE alarms_new", table)
-    op.execute(table if f"'{KIND}'" in table else re.sub(r"(kind IN \([^)]*)\)", rf"\1, '{KIND}')", table))
+    op.execute(re.sub(r"kind IN \([^)]*\)", f"kind IN ({KINDS})", table))
     op.execute("INSERT INTO alarms_new SELECT * FROM alarms")
     op.execute("DROP TABLE alarms")
     op.execute("ALTER TABLE alarms_new RENAME TO alarms")

@@ -28,18 +28,22 @@ def walked(sums, days, z=None, **of):
     return WalkedPasses(sums, np.zeros((len(sums), N)) if z is None else z, OWN, days, **of)
 
 
-def dense_doubt(H, e, days, sigma, columns=None):
-    """-2 log of the restricted likelihood: steps as noise, the first state and the coefficients of columns as free."""
+def dense_problem(H, days, sigma, columns):
+    """The coefficients of what is free, and the covariance of the pieces with the steps as noise."""
     K, rows, _ = H.shape
-    X, y = H.reshape(-1, N), e.ravel()
-    if columns is not None:
-        X = np.concatenate([h @ b for h, b in zip(H, columns, strict=True)])
-    V = np.eye(len(y))
+    X = H.reshape(-1, N) if columns is None else np.concatenate([h @ b for h, b in zip(H, columns, strict=True)])
+    V = np.eye(K * rows)
     for k in range(1, K):
         J = np.zeros((K, rows, len(OWN)))
         J[k:] = H[k:, :, OWN]
         J = J.reshape(-1, len(OWN))
         V += J @ np.diag(days[k - 1] * sigma**2) @ J.T
+    return X, V
+
+
+def dense_doubt(H, e, days, sigma, columns=None):
+    """-2 log of the restricted likelihood: steps as noise, the first state and the coefficients of columns as free."""
+    (X, V), y = dense_problem(H, days, sigma, columns), e.ravel()
     inverse = np.linalg.inv(V)
     inner = X.T @ inverse @ X
     rest = inverse - inverse @ X @ np.linalg.solve(inner, X.T @ inverse)
@@ -166,14 +170,7 @@ def test_the_deviance_is_the_dense_likelihood_at_the_best_first_state_and_border
 
 
 def dense_deviance(H, e, days, sigma, columns):
-    K, rows, _ = H.shape
-    X = H.reshape(-1, N) if columns is None else np.concatenate([h @ b for h, b in zip(H, columns, strict=True)])
-    V, y = np.eye(K * rows), e.ravel()
-    for k in range(1, K):
-        J = np.zeros((K, rows, len(OWN)))
-        J[k:] = H[k:, :, OWN]
-        J = J.reshape(-1, len(OWN))
-        V += J @ np.diag(days[k - 1] * sigma**2) @ J.T
+    (X, V), y = dense_problem(H, days, sigma, columns), e.ravel()
     inverse = np.linalg.inv(V)
     left = y - X @ np.linalg.solve(X.T @ inverse @ X, X.T @ inverse @ y)
     return np.linalg.slogdet(V)[1] + left @ inverse @ left

@@ -86,11 +86,10 @@ def _is_this_machine(host: str) -> bool:
 
 
 class Connection:
-    """Requests to one server; use it as a context manager."""
+    """Requests to one server, within budgets of time and size."""
 
     def __init__(self, server: Server) -> None:
         self.server = server
-        self.headers: dict[str, str] = {}
         self._client = httpx.Client(
             base_url=server.url,
             timeout=TIMEOUT_S,
@@ -118,27 +117,34 @@ class Connection:
                 f"{self.server.name} at {self.server.url} answered something that is no JSON; check {self.server.setting}_URL."
             ) from error
 
+    def ask_mapping(self, method: str, path: str, **given: Any) -> Mapping[str, Any]:
+        """Send one request and return the JSON object of its answer."""
+        document = self.ask_document(method, path, **given)
+        if not isinstance(document, Mapping):
+            raise UnavailableError(
+                f"{self.server.name} at {self.server.url} answered something else than it should; check its version."
+            )
+        return document
+
     def stream(
         self, method: str, path: str, *, most_bytes: int, headers: Mapping[str, str] | None = None, **given: Any
     ) -> Iterator[bytes]:
         """Send one request and yield the body of its answer as it comes, within the budgets."""
         ends_s, left = time.monotonic() + LONGEST_ANSWER_S, most_bytes
-        with self._told():
-            sent = {**self.headers, **(headers or {})}
-            with self._client.stream(method, path, headers=sent, **given) as answer:
-                if not answer.is_success:
-                    self._refuse(answer)
-                for piece in answer.iter_raw():
-                    left -= len(piece)
-                    if left < 0:
-                        raise TooMuchError(
-                            f"{self.server.name} answered with more than {most_bytes / 1e6:.0f} MB; ask for a shorter time."
-                        )
-                    if time.monotonic() > ends_s:
-                        raise TooMuchError(
-                            f"{self.server.name} took more than {LONGEST_ANSWER_S:.0f} s to answer; ask for a shorter time."
-                        )
-                    yield piece
+        with self._told(), self._client.stream(method, path, headers=dict(headers or {}), **given) as answer:
+            if not answer.is_success:
+                self._refuse(answer)
+            for piece in answer.iter_raw():
+                left -= len(piece)
+                if left < 0:
+                    raise TooMuchError(
+                        f"{self.server.name} answered with more than {most_bytes / 1e6:.0f} MB; ask for a shorter time."
+                    )
+                if time.monotonic() > ends_s:
+                    raise TooMuchError(
+                        f"{self.server.name} took more than {LONGEST_ANSWER_S:.0f} s to answer; ask for a shorter time."
+                    )
+                yield piece
 
     @contextmanager
     def _told(self) -> Iterator[None]:

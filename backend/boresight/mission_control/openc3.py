@@ -13,7 +13,7 @@ import csv
 import io
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Any, Final, Self
+from typing import Any, Final
 from urllib.parse import quote, urlsplit
 
 import orjson
@@ -44,14 +44,6 @@ class OpenC3:
     def __init__(self, server: Server, scope: str) -> None:
         self.scope = scope
         self._connection = Connection(server)
-
-    def __enter__(self) -> Self:
-        """Open it."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close it."""
-        self.close()
 
     def close(self) -> None:
         """Close the connection."""
@@ -156,12 +148,7 @@ class OpenC3:
         return answer["result"]
 
     def _document(self, method: str, path: str, **given: Any) -> Mapping[str, Any]:
-        document = self._connection.ask_document(method, path, headers=self._admission, **given)
-        if not isinstance(document, Mapping):
-            raise UnavailableError(
-                f"OpenC3 at {self._connection.server.url} answered something else than it should; check its version."
-            )
-        return document
+        return self._connection.ask_mapping(method, path, headers=self._admission, **given)
 
 
 def _list_rows(result: Any, columns: int) -> Sequence[Sequence[Sequence[Any]]]:

@@ -12,7 +12,7 @@ import io
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Final, Self
+from typing import Any, Final
 from urllib.parse import quote
 
 from boresight.errors import UnavailableError
@@ -55,14 +55,6 @@ class Yamcs:
     def __init__(self, server: Server, instance: str) -> None:
         self.instance = instance
         self._connection = Connection(server)
-
-    def __enter__(self) -> Self:
-        """Open it."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close it."""
-        self.close()
 
     def close(self) -> None:
         """Close the connection."""
@@ -143,12 +135,7 @@ class Yamcs:
         return self._connection.ask(method, path, **given)
 
     def _document(self, method: str, path: str, **given: Any) -> Mapping[str, Any]:
-        document = self._connection.ask_document(method, path, headers=self._admission, **given)
-        if not isinstance(document, Mapping):
-            raise UnavailableError(
-                f"Yamcs at {self._connection.server.url} answered something else than it should; check its version."
-            )
-        return document
+        return self._connection.ask_mapping(method, path, headers=self._admission, **given)
 
 
 def _read_rows(content: bytes, columns: int) -> Sequence[tuple[int, str]]:

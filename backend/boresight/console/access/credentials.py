@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from itsdangerous import BadData, SignatureExpired, URLSafeTimedSerializer
 from markupsafe import escape
@@ -85,69 +85,15 @@ def read_secret(folder: Path) -> bytes:
     return place.read_bytes()
 
 
-class LogInCookie:
-    """Writes and reads the cookie of one installation."""
+class SignedCookie:
+    """A cookie that this installation signs, out of reach of scripts."""
 
-    def __init__(self, settings: Settings) -> None:
-        self._max_age_s = round(settings.session_hours * 3600)
-        self._secure = bool(settings.secure_cookies)
-        self.name = SECURE_PREFIX + SESSION_COOKIE if self._secure else SESSION_COOKIE
-        self._serializer = URLSafeTimedSerializer(read_secret(settings.data_folder), salt=SESSION_COOKIE)
+    def __init__(self, serializer: URLSafeTimedSerializer, name: str, longest_s: float, *, is_secure: bool) -> None:
+        self._serializer, self._salt = serializer, name
+        self._max_age_s, self._secure = round(longest_s), is_secure
+        self.name = SECURE_PREFIX + name if is_secure else name
 
-    def write(self, response: Response, token: str) -> str:
-        """Set the cookie of a new session and return its CSRF token, which is new too."""
-        csrf_token = secrets.token_urlsafe(24)
-        value = self._serializer.dumps([token, csrf_token])
-        response.set_cookie(
-            self.name,
-            value if isinstance(value, str) else value.decode(),
-            max_age=self._max_age_s,
-            path="/",
-            secure=self._secure,
-            httponly=True,
-            samesite="lax",
-        )
-        return csrf_token
-
-    def write_theme(self, response: Response, theme: str) -> None:
-        """Tell the browser which theme its person chose, before it paints a page; of the system's there is nothing to tell."""
-        if theme == "system":
-            response.delete_cookie(THEME_COOKIE, path="/", secure=self._secure, samesite="lax")
-            return
-        response.set_cookie(THEME_COOKIE, theme, max_age=THEME_S, path="/", secure=self._secure, samesite="lax")
-
-    def clear(self, response: Response) -> None:
-        """Take the cookie away from the browser."""
-        response.delete_cookie(self.name, path="/", secure=self._secure, httponly=True, samesite="lax")
-
-    def short(self, name: str, longest_s: float) -> ShortCookie:
-        """Return a cookie of the same installation for what takes a person some minutes."""
-        return ShortCookie(self, name, longest_s)
-
-    def read(self, value: str) -> CookieContent:
-        """Return what a cookie says."""
-        try:
-            said, signed = self._serializer.loads(value, max_age=self._max_age_s, return_timestamp=True)
-            token, csrf_token = said
-        except SignatureExpired as error:
-            raise SessionEndedError("expired") from error
-        except (BadData, ValueError, TypeError) as error:
-            raise UnauthenticatedError("This log-in is not known to this server; log in again.") from error
-        if not isinstance(token, str) or not isinstance(csrf_token, str):  # an old version's cookie
-            raise UnauthenticatedError("This log-in is not known to this server; log in again.")
-        return CookieContent(token, csrf_token, signed.timestamp() + self._max_age_s)
-
-
-class ShortCookie:
-    """A signed cookie of some minutes, out of reach of scripts: what a log-in waits with before it is one."""
-
-    def __init__(self, installation: LogInCookie, name: str, longest_s: float) -> None:
-        self._secure = installation._secure  # noqa: SLF001 - the cookies of one installation
-        self._serializer = installation._serializer  # noqa: SLF001 - likewise
-        self.name = SECURE_PREFIX + name if self._secure else name
-        self._salt, self._max_age_s = name, round(longest_s)
-
-    def write(self, response: Response, content: list[str]) -> None:
+    def write_content(self, response: Response, content: list[str]) -> None:
         """Set it."""
         value = self._serializer.dumps(content, salt=self._salt)
         response.set_cookie(
@@ -160,19 +106,70 @@ class ShortCookie:
             samesite="lax",
         )
 
-    def read(self, request: Request) -> list[str] | None:
-        """Return what it says; None where there is none that counts."""
-        try:
-            value = request.cookies.get(self.name, "")
-            content = self._serializer.loads(value, max_age=self._max_age_s, salt=self._salt)
-        except (BadData, ValueError, TypeError):
-            return None
-        is_ours = isinstance(content, list) and all(isinstance(one, str) for one in content)
-        return content if is_ours else None
+    def read_content(self, value: str) -> tuple[Any, datetime]:
+        """Return what a value says and when it was signed; raises BadData, ValueError or TypeError of one that is not ours."""
+        content, signed = self._serializer.loads(value, max_age=self._max_age_s, return_timestamp=True, salt=self._salt)
+        return content, signed
 
     def clear(self, response: Response) -> None:
         """Take it away from the browser."""
         response.delete_cookie(self.name, path="/", secure=self._secure, httponly=True, samesite="lax")
+
+
+class LogInCookie(SignedCookie):
+    """Writes and reads the log-in cookie of one installation."""
+
+    def __init__(self, settings: Settings) -> None:
+        serializer = URLSafeTimedSerializer(read_secret(settings.data_folder), salt=SESSION_COOKIE)
+        hours_s = settings.session_hours * 3600
+        super().__init__(serializer, SESSION_COOKIE, hours_s, is_secure=bool(settings.secure_cookies))
+
+    def write(self, response: Response, token: str) -> str:
+        """Set the cookie of a new session and return its CSRF token, which is new too."""
+        csrf_token = secrets.token_urlsafe(24)
+        self.write_content(response, [token, csrf_token])
+        return csrf_token
+
+    def write_theme(self, response: Response, theme: str) -> None:
+        """Tell the browser which theme its person chose, before it paints a page; of the system's there is nothing to tell."""
+        if theme == "system":
+            response.delete_cookie(THEME_COOKIE, path="/", secure=self._secure, samesite="lax")
+            return
+        response.set_cookie(THEME_COOKIE, theme, max_age=THEME_S, path="/", secure=self._secure, samesite="lax")
+
+    def short(self, name: str, longest_s: float) -> ShortCookie:
+        """Return a cookie of the same installation for what takes a person some minutes."""
+        return ShortCookie(self._serializer, name, longest_s, is_secure=self._secure)
+
+    def read(self, value: str) -> CookieContent:
+        """Return what a cookie says."""
+        try:
+            said, signed = self.read_content(value)
+            token, csrf_token = said
+        except SignatureExpired as error:
+            raise SessionEndedError("expired") from error
+        except (BadData, ValueError, TypeError) as error:
+            raise UnauthenticatedError("This log-in is not known to this server; log in again.") from error
+        if not isinstance(token, str) or not isinstance(csrf_token, str):  # an old version's cookie
+            raise UnauthenticatedError("This log-in is not known to this server; log in again.")
+        return CookieContent(token, csrf_token, signed.timestamp() + self._max_age_s)
+
+
+class ShortCookie(SignedCookie):
+    """A signed cookie of some minutes: what a log-in waits with before it is one."""
+
+    def write(self, response: Response, content: list[str]) -> None:
+        """Set it."""
+        self.write_content(response, content)
+
+    def read(self, request: Request) -> list[str] | None:
+        """Return what it says; None where there is none that counts."""
+        try:
+            content, _ = self.read_content(request.cookies.get(self.name, ""))
+        except (BadData, ValueError, TypeError):
+            return None
+        is_ours = isinstance(content, list) and all(isinstance(one, str) for one in content)
+        return content if is_ours else None
 
 
 MOST_REMEMBERED = 10_000

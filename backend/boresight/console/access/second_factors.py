@@ -17,7 +17,8 @@ import hmac
 import json
 import secrets
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -300,9 +301,17 @@ def finish_waiting(
     user = session.get_known(User, row.user_id)
     if user.disabled_utc is not None:
         raise SecondFactorError("This account is disabled; ask an administrator.")
-    try:
-        actor = Actor(user.id, user.name, user.printed_name, frozenset(user.roles), "session", None, request_id)
+    actor = Actor(user.id, user.name, user.printed_name, frozenset(user.roles), "session", None, request_id)
+    with _answering(session, row):
         kind = use(session, actor, user, given, "log-in", row)
+    return row, kind
+
+
+@contextmanager
+def _answering(session: Session, row: FactorChallenge) -> Iterator[None]:
+    """End a challenge with its right answer, or with the last wrong one that it takes; each is counted though it is refused."""
+    try:
+        yield
     except SecondFactorError:
         row.failures += 1
         if row.failures >= MOST_FAILURES:
@@ -310,7 +319,6 @@ def finish_waiting(
         keep_despite_refusal(session)
         raise
     row.ended_utc = utc_now()
-    return row, kind
 
 
 # Enrolment
@@ -391,15 +399,8 @@ def enrol(
         raise RefusedInputError(f"The name of a second factor has at most {LONGEST_LABEL} letters; shorten it.")
     offered = _find_own(session, actor, challenge_id)
     first = not rows.list_factors(session, user.id)
-    try:
+    with _answering(session, offered):
         factor = _make(session, user, offered, answer, rules, site)
-    except SecondFactorError:
-        offered.failures += 1
-        if offered.failures >= MOST_FAILURES:
-            offered.ended_utc = utc_now()
-        keep_despite_refusal(session)
-        raise
-    offered.ended_utc = utc_now()
     factor.label = label or {"totp": "Authenticator app", "webauthn": "Security key"}[factor.kind]
     session.put(factor)
     rows.end_open_log_ins(session, user.id, utc_now(), "ended", spare_id=actor.session_id)
@@ -515,11 +516,12 @@ def list_enrolled_ids(session: Session) -> frozenset[int]:
 
 def encrypt_anew(session: Session, box: SecretBox) -> int:
     """Encrypt every readable secret of an authenticator app with the newest key; return how many."""
-    found = [row for row in rows.list_encrypted_factors(session) if row.kind == "totp" and box.open(row.secret)]
-    for row in found:
-        row.secret = box.seal(str(box.open(row.secret)))
-        audit.append(session, SYSTEM, "encrypted the secret of", _subject(row))
-    return len(found)
+    count = 0
+    for row in rows.list_encrypted_factors(session):
+        if row.kind == "totp" and (renewed := box.renew(row.secret)) is not None:
+            row.secret, count = renewed, count + 1
+            audit.append(session, SYSTEM, "encrypted the secret of", _subject(row))
+    return count
 
 
 def _subject(factor: SecondFactor) -> str:

@@ -1,7 +1,7 @@
 """WebAuthn (W3C Level 2): the options that a browser is given, and the check of what an authenticator signed.
 
 A credential belongs to one site, its relying party id, which is the host that people type; the browser refuses it to any
-other. No attestation is asked for: which make a key is of decides nothing here.
+other. No attestation is asked for: which make a key is of decides nothing here. The library is loaded when a key is first used.
 """
 
 from __future__ import annotations
@@ -10,35 +10,24 @@ import hashlib
 import ipaddress
 import json
 import secrets
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
-
-import webauthn
-from webauthn.helpers import (
-    base64url_to_bytes,
-    bytes_to_base64url,
-    options_to_json,
-    parse_authentication_credential_json,
-    parse_client_data_json,
-)
-from webauthn.helpers.exceptions import WebAuthnException
-from webauthn.helpers.structs import (
-    AuthenticatorSelectionCriteria,
-    PublicKeyCredentialDescriptor,
-    ResidentKeyRequirement,
-    UserVerificationRequirement,
-)
 
 from boresight.console.access.tables import SecondFactor, User
 from boresight.errors import RefusedInputError, SecondFactorError
+
+if TYPE_CHECKING:
+    from webauthn.helpers.structs import PublicKeyCredentialDescriptor
 
 CHALLENGE_BYTES = 32
 WAIT_MS = 120_000
 LONGEST_ANSWER = 8_000  # characters; one is about 1,000, with an attestation some more
 LONGEST_CREDENTIAL = 1_023  # bytes (WebAuthn, 4)
 NO_ANSWER = "The answer of the security key cannot be read; reload the page and try again."
-MALFORMED = (WebAuthnException, ValueError, KeyError, TypeError, AttributeError, IndexError)
+MALFORMED = (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError)
 
 
 @dataclass(frozen=True)
@@ -77,11 +66,32 @@ class RegisteredCredential:
 
 def new_challenge() -> str:
     """Return random bytes in base64url."""
-    return bytes_to_base64url(secrets.token_bytes(CHALLENGE_BYTES))
+    return secrets.token_urlsafe(CHALLENGE_BYTES)
+
+
+@contextmanager
+def _refusing(answer: str, sentence: str) -> Iterator[None]:
+    """Refuse an answer that is too long, or that the library finds wrong or cannot read."""
+    from webauthn.helpers.exceptions import WebAuthnException  # noqa: PLC0415 - when a key is used
+
+    if len(answer) > LONGEST_ANSWER:
+        raise SecondFactorError(NO_ANSWER)
+    try:
+        yield
+    except (WebAuthnException, *MALFORMED) as error:
+        raise SecondFactorError(sentence) from error
 
 
 def make_creation_options(user: User, known: Sequence[SecondFactor], challenge: str, site: Site) -> str:
     """Return the options of `navigator.credentials.create` as JSON."""
+    import webauthn  # noqa: PLC0415 - when a key is used
+    from webauthn.helpers import base64url_to_bytes, options_to_json  # noqa: PLC0415 - when a key is used
+    from webauthn.helpers.structs import (  # noqa: PLC0415 - when a key is used
+        AuthenticatorSelectionCriteria,
+        ResidentKeyRequirement,
+        UserVerificationRequirement,
+    )
+
     site.refuse_address()
     options = webauthn.generate_registration_options(
         rp_id=site.rp_id,
@@ -94,49 +104,55 @@ def make_creation_options(user: User, known: Sequence[SecondFactor], challenge: 
         authenticator_selection=AuthenticatorSelectionCriteria(
             resident_key=ResidentKeyRequirement.DISCOURAGED, user_verification=UserVerificationRequirement.PREFERRED
         ),
-        exclude_credentials=_describe(known, site),
+        exclude_credentials=_describe(_list_own(known, site)),
     )
     return options_to_json(options)
 
 
 def make_request_options(known: Sequence[SecondFactor], challenge: str, site: Site) -> str | None:
     """Return the options of `navigator.credentials.get` as JSON; None where no key of this site is known."""
-    allowed = _describe(known, site)
-    if not allowed:
+    own = _list_own(known, site)
+    if not own:
         return None
+    import webauthn  # noqa: PLC0415 - when a key is used
+    from webauthn.helpers import base64url_to_bytes, options_to_json  # noqa: PLC0415 - when a key is used
+    from webauthn.helpers.structs import UserVerificationRequirement  # noqa: PLC0415 - when a key is used
+
     options = webauthn.generate_authentication_options(
         rp_id=site.rp_id,
         challenge=base64url_to_bytes(challenge),
         timeout=WAIT_MS,
-        allow_credentials=allowed,
+        allow_credentials=_describe(own),
         user_verification=UserVerificationRequirement.PREFERRED,
     )
     return options_to_json(options)
 
 
-def _describe(known: Sequence[SecondFactor], site: Site) -> list[PublicKeyCredentialDescriptor]:
-    return [
-        PublicKeyCredentialDescriptor(id=base64url_to_bytes(one.credential_id))
-        for one in known
-        if one.credential_id is not None and one.rp_id == site.rp_id
-    ]
+def _list_own(known: Sequence[SecondFactor], site: Site) -> list[str]:
+    """Return the credentials of a site."""
+    return [one.credential_id for one in known if one.credential_id is not None and one.rp_id == site.rp_id]
+
+
+def _describe(credentials: Sequence[str]) -> list[PublicKeyCredentialDescriptor]:
+    from webauthn.helpers import base64url_to_bytes  # noqa: PLC0415 - when a key is used
+    from webauthn.helpers.structs import PublicKeyCredentialDescriptor  # noqa: PLC0415 - when a key is used
+
+    return [PublicKeyCredentialDescriptor(id=base64url_to_bytes(one)) for one in credentials]
 
 
 def check_registration(answer: str, challenge: str, site: Site) -> RegisteredCredential:
     """Check what `navigator.credentials.create` returned."""
-    if len(answer) > LONGEST_ANSWER:
-        raise SecondFactorError(NO_ANSWER)
-    try:
+    import webauthn  # noqa: PLC0415 - when a key is used
+    from webauthn.helpers import base64url_to_bytes, bytes_to_base64url  # noqa: PLC0415 - when a key is used
+
+    unfit = "The security key was not registered, for its answer does not fit this page; reload the page and try again."
+    with _refusing(answer, unfit):
         made = webauthn.verify_registration_response(
             credential=answer,
             expected_challenge=base64url_to_bytes(challenge),
             expected_rp_id=site.rp_id,
             expected_origin=site.origin,
         )
-    except MALFORMED as error:
-        raise SecondFactorError(
-            "The security key was not registered, for its answer does not fit this page; reload the page and try again."
-        ) from error
     if len(made.credential_id) > LONGEST_CREDENTIAL:
         raise SecondFactorError(NO_ANSWER)
     return RegisteredCredential(
@@ -155,19 +171,23 @@ class Assertion:
 
 def read_assertion(answer: str) -> Assertion:
     """Read which credential and which challenge an answer names."""
-    if len(answer) > LONGEST_ANSWER:
-        raise SecondFactorError(NO_ANSWER)
-    try:
+    from webauthn.helpers import bytes_to_base64url, parse_authentication_credential_json, parse_client_data_json  # noqa: PLC0415 - when a key is used
+
+    with _refusing(answer, NO_ANSWER):
         given = parse_authentication_credential_json(json.loads(answer))
         told = parse_client_data_json(given.response.client_data_json)
         return Assertion(answer, bytes_to_base64url(given.raw_id), bytes_to_base64url(told.challenge))
-    except (*MALFORMED, RecursionError) as error:
-        raise SecondFactorError(NO_ANSWER) from error
 
 
 def check_assertion(given: Assertion, challenge: str, site: Site, public_key: str, sign_count: int) -> int:
     """Check an answer against a challenge and a public key; returns the new count of signatures."""
-    try:
+    import webauthn  # noqa: PLC0415 - when a key is used
+    from webauthn.helpers import base64url_to_bytes  # noqa: PLC0415 - when a key is used
+
+    other = (
+        "The security key's answer was refused: it is of another key, page or attempt; reload the page and try again."
+    )
+    with _refusing(given.answer, other):
         checked = webauthn.verify_authentication_response(
             credential=given.answer,
             expected_challenge=base64url_to_bytes(challenge),
@@ -176,8 +196,4 @@ def check_assertion(given: Assertion, challenge: str, site: Site, public_key: st
             credential_public_key=base64url_to_bytes(public_key),
             credential_current_sign_count=sign_count,
         )
-    except MALFORMED as error:
-        raise SecondFactorError(
-            "The security key's answer was refused: it is of another key, page or attempt; reload the page and try again."
-        ) from error
     return checked.new_sign_count

@@ -358,11 +358,12 @@ def forget_old(session: Session) -> int:
 
 def encrypt_anew(session: Session, box: SecretBox) -> int:
     """Encrypt every readable address with the newest key; return how many."""
-    found = [row for row in rows.list_addresses(session) if box.open(row.address) is not None]
-    for row in found:
-        row.address = box.seal(str(box.open(row.address)))
-        audit.append(session, SYSTEM, "encrypted", _subject(row))
-    return len(found)
+    count = 0
+    for row in rows.list_addresses(session):
+        if (renewed := box.renew(row.address)) is not None:
+            row.address, count = renewed, count + 1
+            audit.append(session, SYSTEM, "encrypted", _subject(row))
+    return count
 
 
 def _describe(row: MessageAddress) -> dict[str, object]:

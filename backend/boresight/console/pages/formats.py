@@ -72,11 +72,16 @@ AS_WRITTEN = ("<pre", "<textarea", "<script", "<code")  # what people copy, or s
 TOLD = (" title", " aria-label")  # attributes that are read out
 
 
+def _tag_before(page: str, found: re.Match[str]) -> str:
+    """Return what stands before a place in a page, from its last tag on: without a > the place is inside that tag."""
+    return page[max(page.rfind("<", 0, found.start()), 0) : found.start()]
+
+
 def show_times(page: str, style: TimeStyle) -> str:
     """Print every stored time in the texts of a page in a person's form; fields, quoted documents and attributes keep it."""
 
     def show(found: re.Match[str]) -> str:
-        tag = page[max(page.rfind("<", 0, found.start()), 0) : found.start()]
+        tag = _tag_before(page, found)
         is_text = ">" in tag and not tag.startswith(AS_WRITTEN)
         return _show(found[0], style) if is_text or tag.rpartition('="')[0].endswith(TOLD) else found[0]
 
@@ -94,7 +99,7 @@ def show_numbers(page: str) -> str:
     """Write the numbers in the sentences of a page as its tables do; fields, attributes and what people wrote keep theirs."""
 
     def show(found: re.Match[str]) -> str:
-        tag = page[max(page.rfind("<", 0, found.start()), 0) : found.start()]
+        tag = _tag_before(page, found)
         if ">" not in tag or tag.startswith((*AS_WRITTEN, *QUOTED)):
             return found[0]
         text = found[0]

@@ -20,6 +20,7 @@ from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading
 from boresight.console.alarms.tables import Alarm
 from boresight.console.approvals.tables import Approval
+from boresight.console.fleet.tables import Sensor
 from boresight.console.help.glossary import list_terms
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import Run
@@ -62,23 +63,29 @@ def search(session: Reading, q: str = "") -> JSONResponse:
     """Find what a text names; a number finds what has that number too, and a kind before either keeps to it: `run 9`."""
     text = " ".join(q.split())[:LONGEST_TEXT]
     if meant := KINDS.get(text.lower()):
-        newest = islice((one for one in _newest(session) if one.kind == meant), MOST_OF_A_KIND)
-        unique = {one.href: one for one in (*newest, *_find(session, text))}
+        unique = {one.href: one for one in (*_newest(session, meant), *_find(session, text))}
         return JSONResponse({"found": [asdict(one) for one in unique.values()]})
     kind, name = _split(text)
     found = {one.href: one for one in _find(session, name) if kind is None or one.kind == kind} if text else {}
     return JSONResponse({"found": [asdict(one) for one in found.values()]})
 
 
-def _newest(session: Session) -> Iterator[Found]:
-    """Yield the newest of what a kind alone asks for."""
-    yield from (Found("Sensor", row.name, "", f"/sensors/{row.id}") for row in _rows(session, "sensors", "", "sensor"))
-    yield from map(_set, _rows(session, "parameter-sets", "", "-set"))
-    for row in lists.list_newest(session, Approval, limit=MOST_OF_A_KIND):
-        yield _request(row, session.get_one(ParameterSet, row.parameter_set_id))
-    yield from map(_run, _rows(session, "runs", "", "-run"))
-    yield from map(_telemetry, _rows(session, "telemetry", "", "-uploaded"))
-    yield from map(_alarm, lists.list_newest(session, Alarm, limit=MOST_OF_A_KIND))
+def _newest(session: Session, kind: str) -> Iterator[Found]:
+    """Yield the newest of a kind."""
+    match kind:
+        case "Sensor":
+            yield from map(_sensor, _rows(session, "sensors", "", "sensor"))
+        case "Parameter set":
+            yield from map(_set, _rows(session, "parameter-sets", "", "-set"))
+        case "Request":
+            for row in lists.list_newest(session, Approval, limit=MOST_OF_A_KIND):
+                yield _request(row, session.get_one(ParameterSet, row.parameter_set_id))
+        case "Run":
+            yield from map(_run, _rows(session, "runs", "", "-run"))
+        case "Telemetry":
+            yield from map(_telemetry, _rows(session, "telemetry", "", "-uploaded"))
+        case "Alarm":
+            yield from map(_alarm, lists.list_newest(session, Alarm, limit=MOST_OF_A_KIND))
 
 
 def _split(text: str) -> tuple[str | None, str]:
@@ -93,8 +100,7 @@ def _find(session: Session, text: str) -> Iterator[Found]:
     number = parse_row_id(text.lstrip("#"))
     if number is not None:
         yield from _of_number(session, number)
-    for row in _rows(session, "sensors", text, "sensor"):
-        yield Found("Sensor", row.name, "simulated" if row.simulated else "", f"/sensors/{row.id}")
+    yield from map(_sensor, _rows(session, "sensors", text, "sensor"))
     sets = _rows(session, "parameter-sets", text, "-set")
     yield from map(_set, sets)
     for row in sets:
@@ -152,6 +158,10 @@ def _of_number(session: Session, number: int) -> Iterator[Found]:
         yield _alarm(alarm)
     if (known := session.get(TelemetrySet, number)) is not None:
         yield _telemetry(known)
+
+
+def _sensor(row: Sensor) -> Found:
+    return Found("Sensor", row.name, "simulated" if row.simulated else "", f"/sensors/{row.id}")
 
 
 def _set(row: ParameterSet) -> Found:

@@ -286,14 +286,14 @@ def _step_of_candidate(viewer: _Viewer, row: ParameterSet, report: GateReport | 
         said = f"Assess {row.name} against the gates and the baseline."
         return viewer.step_for(gates.ASSESSORS, said, "Assess", f"{address}/assess", posts=True)
     if stopped := gates.lay_waivers(viewer.session, report).blocking:
-        said = f"{row.name} is stopped by {count_gates(stopped)}: waive what can be waived, or calibrate again."
+        said = f"{row.name} is stopped by {_count_gates(stopped)}: waive what can be waived, or calibrate again."
         return viewer.step_for(gates.ASSESSORS, said, "Open its gates", f"{address}/gates")
     return viewer.step_for(
         ("analyst",), f"Submit {row.name} with a reason; another person signs it.", "Submit", f"{address}#reason"
     )
 
 
-def count_gates(stopped: Sequence[object]) -> str:
+def _count_gates(stopped: Sequence[object]) -> str:
     """Say how many gates stop a set."""
     return f"{len(stopped)} gate{'s' if len(stopped) != 1 else ''}"
 
@@ -319,7 +319,7 @@ def _signing_step(viewer: _Viewer, request: Approval, report: GateReport | None)
     names = tuple(user.printed_name for user in able)
     stopped = () if report is None else gates.lay_waivers(viewer.session, report).blocking
     if stopped:
-        said = f"It is stopped by {count_gates(stopped)}: it can be refused, and approved only once they are waived."
+        said = f"It is stopped by {_count_gates(stopped)}: it can be refused, and approved only once they are waived."
         return NextStep(said, "Review", f"/approvals/{request.id}#gates", is_mine=mine, who=names, role="approver")
     return NextStep(said, "Review and sign", f"/approvals/{request.id}#sign", is_mine=mine, who=names, role="approver")
 

@@ -84,14 +84,13 @@ def _keep(session: Session, box: SecretBox, encrypted: int) -> SecretStorage:
 
 def encrypt_anew(session: Session, box: SecretBox) -> int:
     """Encrypt every readable secret with the newest key; return how many."""
-    found = [row for row in rows.list_webhooks(session) if box.open(row.secret) is not None]
-    for row in found:
-        row.secret = box.seal(str(box.open(row.secret)))
-        earlier = box.open(row.previous_secret)
-        row.previous_secret = None if earlier is None else box.seal(earlier)
-        row.version += 1
-        audit.append(session, SYSTEM, "encrypted the secret of", f"webhooks/{row.id}")
-    return len(found)
+    count = 0
+    for row in rows.list_webhooks(session):
+        if (renewed := box.renew(row.secret)) is not None:
+            row.secret, row.previous_secret, count = renewed, box.renew(row.previous_secret), count + 1
+            row.version += 1
+            audit.append(session, SYSTEM, "encrypted the secret of", f"webhooks/{row.id}")
+    return count
 
 
 def list_readable_ids(session: Session, box: SecretBox) -> list[int]:

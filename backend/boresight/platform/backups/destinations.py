@@ -187,7 +187,7 @@ class BucketDestination(Destination):
             ) from error
         except BaseError as error:
             raise UnavailableError(
-                f"The object store at {self.address} does not answer, or not to these credentials; check address, key andnetwork."
+                f"The object store at {self.address} does not answer, or not to these credentials; check address, key and network."
             ) from error
 
 

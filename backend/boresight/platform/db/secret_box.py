@@ -54,6 +54,11 @@ class SecretBox:
         except InvalidToken:
             return None
 
+    def renew(self, stored: str | None) -> str | None:
+        """Encrypt a stored secret with the newest key; None without a secret or without its key."""
+        secret = self.open(stored)
+        return None if secret is None else self.seal(secret)
+
     def add_key(self) -> None:
         """Add a new key in first place; secrets encrypted with older keys remain readable."""
         self._keys()  # refuse an unreadable file before it is overwritten
