@@ -32,7 +32,8 @@ from boresight.cli import main
 seconds = []
 for words in json.loads(sys.argv[1]):
     began = time.monotonic()
-    main(words, standalone_mode=False)
+    if code := main(words, standalone_mode=False):
+        sys.exit(code)
     seconds.append(time.monotonic() - began)
 print("\\n" + json.dumps(seconds))
 """

@@ -77,7 +77,9 @@ class Site:
         self._method = method
         self._blobs = FolderBlobStore(folder / "blobs")
         self._environment = os.environ | variables(data_folder=folder, blobs="")
-        self._environment["PYTHONPATH"] = str(ROOT)  # the workers are asked by a function of this module
+        self._environment["PYTHONPATH"] = (
+            f"{ROOT / 'backend'}{os.pathsep}{ROOT}"  # the workers are asked by a function of this module
+        )
         self._environment.setdefault("NUMBA_CACHE_DIR", str(folder / "kernels"))
         self._environment |= certified(folder)
         self._runs = 0

@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from boresight.calibration.calibration import parse_calibration
+from boresight.calibration.calibration import ProcessNoise, parse_calibration
 from boresight.console.fleet.tables import Sensor
 from boresight.console.runs.pages.run import FORMER, PARTS
 from boresight.console.runs.queries import Line, write_event
@@ -15,6 +15,7 @@ from boresight.console.runs.tables import RUN_STATES, RunEvent
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.figures import CHAPTERS, FIGURES
 from boresight.figures.example_calibration import get_example_calibrations
+from boresight.figures.report import render_report
 from boresight.figures.tables import parameter_rows
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
@@ -32,6 +33,15 @@ def test_the_head_says_the_verdict_and_the_weakest_direction_over_every_part(sit
         text = read(site.visitor("victor").get(f"/runs/2?part={part}"))
         assert "consistent" in text
         assert results["sqrf"]["observability"]["weakest"]["sentence"] in text
+
+
+def test_a_filter_that_lets_parameters_change_says_its_process_noise_and_where_that_is_from(site, read):
+    noise = ProcessNoise(per="frame", source="usual", sentence="Drift: the usual one.")
+    result = replace(EXAMPLES["batch"], process_noise=noise)
+    run_id = site.add_run("batch", state="SUCCEEDED", result=result.to_dict())
+    pages = (read(site.visitor("victor").get(f"/runs/{run_id}?part={part}")) for part in PARTS)
+    assert any("Drift: the usual one." in page for page in pages)
+    assert "Drift: the usual one." in render_report(result)
 
 
 def test_the_parts_say_provenance_notes_and_the_set_that_was_made(site, read):

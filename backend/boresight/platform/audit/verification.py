@@ -84,9 +84,12 @@ def find_changed_triggers(
 def _expected(migrated: Callable[[sa.Connection], None]) -> dict[str, str]:
     """Return the triggers of the newest schema, as SQLite has them."""
     engine = sa.create_engine("sqlite://")
-    with engine.begin() as connection:
-        migrated(connection)
-        return {trigger.name: trigger.words for trigger in _found(connection, postgresql=False)}
+    try:
+        with engine.begin() as connection:
+            migrated(connection)
+            return {trigger.name: trigger.words for trigger in _found(connection, postgresql=False)}
+    finally:
+        engine.dispose()
 
 
 def _found(connection: sa.Connection, *, postgresql: bool) -> Iterator[Trigger]:

@@ -320,9 +320,10 @@ def make_remedy_address(run: Run, remedy: Remedy) -> str:
 
 
 def make_uncertainty(result: Calibration | None) -> dict[str, Any]:
-    """Gather what the sigmas do not tell of: misfit, other minima, and intervals that are not symmetric."""
+    """Gather what sigmas do not tell of: process noise and where it is from, misfit, other minima, and asymmetric intervals."""
     found = result or Calibration(status="running")
     return {
+        "process_noise": found.process_noise.sentence if found.process_noise else "",
         "misfit": found.misfit.sentence if found.misfit else "",
         "minima": found.minima.sentence if found.minima else "",
         "others": minimum_rows(found),
