@@ -29,8 +29,12 @@ def sensor(people):
         return register_with_table(window, json.loads(EXAMPLE.replace("ST16-7", "FLOWN-1")))
 
 
-def record(window, state, source):
-    window.page.get_by_role("region", name="Record a step by statement").get_by_role("button", name=state).click()
+def record(window, state, source, *, is_early=False):
+    """Record a step; early: the dialog is opened before its script runs, so as a popover."""
+    if is_early:
+        window.page.locator(f"#record-{state.lower()}").evaluate("dialog => dialog.showPopover()")
+    else:
+        window.page.get_by_role("region", name="Record a step by statement").get_by_role("button", name=state).click()
     asked = window.page.get_by_role("dialog")
     if state == "SENT":
         asked.get_by_label("Package that was sent").select_option(index=1)
@@ -53,10 +57,11 @@ def test_a_set_goes_from_export_to_active_through_a_dump_that_was_damaged(people
         window.page.get_by_role("link", name="Steps of PS-FLOWN-1-0").click()
         steps = window.page.url
         window.page.get_by_role("button", name=re.compile("^Build the package")).click()
+        expect(window.page.get_by_role("status").filter(has_text="The package is built")).to_be_visible()
         ladder = window.page.locator(".ladder")
         expect(ladder.get_by_role("listitem").first).to_contain_text("done")
         record(window, "SENT", "Pass 4711, TC log line 88")
-        record(window, "LOADED", "Pass 4711, TM 6")
+        record(window, "LOADED", "Pass 4711, TM 6", is_early=True)
         table = sent_table(window, steps.split("/")[-2])
         upload(window, table[:17] + bytes([table[17] ^ 0x10]) + table[18:], "Pass 4712, dump 1")
         found = window.page.get_by_role("region", name="What the last read-back found")

@@ -39,7 +39,7 @@ class YamcsStandIn:
         routes = [
             ("/auth/token", self.token, "POST"),
             ("/api/mdb/{instance}/parameters", self.parameters, "GET"),
-            ("/api/parameter-values/{instance}/streams/{stream}", self.load, "POST"),
+            ("/api/parameter-values/{instance}/streams/{stream:path}", self.load, "POST"),
             ("/api/archive/{instance}:exportParameterValues", self.export, "GET POST"),
             ("/api/archive/{instance}/parameters/{name:path}", self.history, "GET"),
             ("/api/archive/{instance}/events", self.archive_events, "GET POST"),

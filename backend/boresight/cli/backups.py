@@ -191,9 +191,11 @@ def list_taken() -> None:
 @backup.command()
 @click.argument("name", metavar="NAME|FILE")
 @click.option(
-    "--key", type=click.Path(exists=True, dir_okay=False, path_type=Path), help="The key file, where it is another."
+    "--key-file",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="The key file, where it is another.",
 )
-def verify(name: str, key: Path | None) -> None:
+def verify(name: str, key_file: Path | None) -> None:
     """Restore a backup into a temporary store and verify it: a scheduled one by its NAME, which is recorded, or a FILE.
 
     Schema, audit log, the rows that it seals, and every byte of the stored files are verified; exit code 1 when one is not as it
@@ -208,7 +210,7 @@ def verify(name: str, key: Path | None) -> None:
 
     settings = read_settings()
     settings.data_folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    keys = _keys(settings, key)
+    keys = _keys(settings, key_file)
     if Path(name).is_file():
         found = try_restore(Path(name), settings.data_folder, keys)
     else:
@@ -259,9 +261,11 @@ def _opened(name: str, scratch: Path) -> Iterator[Path | BinaryIO]:
 @click.command()
 @click.argument("file", metavar="FILE|ADDRESS")
 @click.option(
-    "--key", type=click.Path(exists=True, dir_okay=False, path_type=Path), help="The key file of an encrypted backup."
+    "--key-file",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="The key file of an encrypted backup.",
 )
-def restore(file: str, key: Path | None) -> None:
+def restore(file: str, key_file: Path | None) -> None:
     """Restore a backup into an empty data folder or PostgreSQL database, and verify its audit log and stored files.
 
     ADDRESS is that of an object in a bucket, such as s3://backups/boresight/NAME.
@@ -277,7 +281,7 @@ def restore(file: str, key: Path | None) -> None:
     settings = read_settings()
     blobs = open_blobs(settings.blob_place)
     with _opened(file, settings.data_folder) as archive:
-        taken = backups.read_backup(archive, settings.database_url, blobs, _keys(settings, key))
+        taken = backups.read_backup(archive, settings.database_url, blobs, _keys(settings, key_file))
     with open_store(settings.database_url) as engine:
         with open_reading(engine) as session:
             known = taken.blobs_at in {

@@ -1,7 +1,7 @@
 /**
  * Acts with consequences (templates/shared/acts.html): the button opens its dialog as a modal one. A dialog inside a form
  * opens when the form is complete, unless its button sends the form without that check, and no key sends that form past its
- * dialog. One that stands open was refused.
+ * dialog. One that stands open was refused; one that was opened before this script ran is a popover, and sends its form too.
  */
 import { around, find, findAll } from "./dom.js";
 
@@ -24,7 +24,7 @@ document.addEventListener("click", (event) => {
 
 document.addEventListener("submit", (event) => {
   const dialog = event.submitter?.closest("dialog.act-dialog");
-  if (dialog instanceof HTMLDialogElement && !dialog.open) event.preventDefault();
+  if (dialog instanceof HTMLDialogElement && !dialog.matches("[open], :popover-open")) event.preventDefault();
 }, true);
 
 /** Open the dialog, take up the field, or unfold the comment that the address names: a link leads to it from another page. */

@@ -65,7 +65,9 @@ fitAll(document);
 
 for (const tab of findAll(".tabs [aria-current]", HTMLElement)) { // on a telephone its row is scrolled sideways
   const row = tab.parentElement;
-  if (row && row.scrollWidth > row.clientWidth) row.scrollLeft = tab.offsetLeft - row.offsetLeft - 12;
+  if (row) new ResizeObserver(() => {
+    if (row.scrollWidth > row.clientWidth) row.scrollLeft = tab.offsetLeft - row.offsetLeft - 12;
+  }).observe(row);
 }
 
 const top = find(".top", HTMLElement);

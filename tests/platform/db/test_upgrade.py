@@ -80,7 +80,7 @@ def _upgrade_and_move(boresight, monkeypatch, data: Path, postgresql) -> None:
     key = data / "backup.key"
     monkeypatch.setenv("BORESIGHT_DATA_FOLDER", str(data.parent / "moved"))
     monkeypatch.setenv("BORESIGHT_DATABASE_URL", postgresql.url.render_as_string(hide_password=False))
-    accepted(boresight("restore", archive, "--key", key))
+    accepted(boresight("restore", archive, "--key-file", key))
     accepted(boresight("audit", "verify", "--head", head))
     assert {path.name for path in _files(data.parent / "moved")} == before.files.keys()
     engine = open_engine(postgresql.url.render_as_string(hide_password=False))
