@@ -1,6 +1,7 @@
 /**
  * Security keys (WebAuthn). A button with data-security-key asks the key for one signature and puts its answer into the field that
- * it names. A form with data-security-key-form has what the key is asked in the page: a log-in, or an enrolment.
+ * it names. A form with data-security-key-form has what the key is asked in the page: a log-in, or an enrolment. Its button is
+ * disabled until this script runs, for the form alone has no answer to send.
  */
 import { find, findAll, need } from "../shared/dom.js";
 import { describeError, send } from "../shared/requests.js";
