@@ -65,6 +65,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return _build(ROOT, tmp_path_factory.mktemp("dist"), "--wheel")
 
 
+@pytest.mark.full
 def test_built_elsewhere_at_another_time_from_the_source_archive_it_is_the_same_wheel_byte_for_byte(wheel, tmp_path):
     tracked = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=False).stdout
     if not tracked:

@@ -104,6 +104,7 @@ def searched(rng, K, step=0.0, gap=None):
     )
 
 
+@pytest.mark.full
 def test_a_step_is_proposed_where_there_is_none_as_rarely_as_the_level_says_and_not_much_more_rarely():
     sets, level = effort(1000, 5000), 0.1
     p_values = np.array([searched(np.random.default_rng([4, seed]), 30).p_value(1.0) for seed in range(sets)])

@@ -91,6 +91,7 @@ def test_one_command_leads_from_a_hard_night_to_a_calibration(boresight, folder,
     assert found["matching"]["flagged"]["blended"] > 0
 
 
+@pytest.mark.full
 def test_a_night_is_seen_through_the_air_of_the_sensor_s_site_and_without_the_site_its_camera_is_wrong(
     folder, images, night
 ):
