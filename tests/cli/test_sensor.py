@@ -35,6 +35,27 @@ def test_every_fault_is_a_line(boresight, tmp_path):
     assert not (tmp_path / "x.json").exists()
 
 
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (("--rows", "0"), "rows"),
+        (("--columns", "abc"), "columns"),
+        (("--sheet", "ST16"), "Sinclair ST-16"),
+        (("--sheet", "Nonsense"), "Sinclair ST-16"),
+        (("--parity", "0"), "parity"),
+        (("--model", "browny"), "brown_conrady"),
+        (("--field-of-view-deg", "200"), "field"),
+        (("--focal-length-mm", "3500000"), "focal"),
+        (("--pixel-pitch-um", "0.0069"), "pitch"),
+    ],
+)
+def test_one_fault_is_told_and_what_was_meant(boresight, tmp_path, words, named):
+    done = boresight("sensor", "new", *NUMBERS, *words, "--out", tmp_path / "x.json")
+    assert done.exit_code == 1
+    assert named in done.stderr
+    assert "unexpected" not in done.stderr
+
+
 def test_a_wrong_site_and_one_with_a_server_are_refused(boresight, tmp_path):
     out = tmp_path / "sensor.json"
     boresight("sensor", "new", *NUMBERS, "--out", out)

@@ -492,7 +492,7 @@ def new_sensor(
     from boresight.library.results import NewSensor
     from boresight.telemetry.data_sheets import LensAndDetector
     from boresight.telemetry.declarations import parse_site
-    from boresight.telemetry.new_sensor import describe_sensor, joined
+    from boresight.telemetry.new_sensor import describe_sensor, join_refusals
     from boresight.telemetry.read.checks import Faults
 
     faults = Faults("The new sensor")
@@ -505,7 +505,7 @@ def new_sensor(
         try:
             described = describe_sensor(lens)
         except RefusedInputError as refusal:
-            raise joined(faults, refusal) from refusal
+            raise join_refusals(faults, refusal) from refusal
         faults.refuse()
         return NewSensor.of(described)
     faults.refuse()

@@ -70,7 +70,7 @@ def describe_typed(typed: Mapping[str, str], subject: str = "The new sensor") ->
     try:
         described = describe_sensor(found, subject)
     except RefusedInputError as refusal:
-        raise refusal if not faults.count else joined(faults, refusal) from refusal
+        raise join_refusals(faults, refusal) from refusal
     faults.refuse()
     return described
 
@@ -97,8 +97,10 @@ def _read_typed(typed: Mapping[str, str], faults: Faults) -> LensAndDetector:
     return LensAndDetector(**known, site=parse_site(site or None, faults))
 
 
-def joined(faults: Faults, refusal: RefusedInputError) -> RefusedInputError:
-    """The refusal of these faults and those of another one, less what is missing because it could not be read."""
+def join_refusals(faults: Faults, refusal: RefusedInputError) -> RefusedInputError:
+    """Return the refusal of these faults and those of another one, less what is missing because it could not be read."""
+    if not faults.count:
+        return refusal
     unread = [str(one).split(" is ")[0] for one in faults.refusal().faults]
     for one in refusal.faults:
         if not any(str(one).startswith(f"{name} is missing") for name in unread):
