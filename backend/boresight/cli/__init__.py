@@ -12,16 +12,15 @@ import os
 import click
 
 import boresight
-from boresight.cli.administration import certificates, migrate, user, webhook
+from boresight.cli.administration import certificates, migrate, retention, user, webhook
 from boresight.cli.align import align
-from boresight.cli.assess import assess
 from boresight.cli.audit import audit
 from boresight.cli.backups import backup, restore
 from boresight.cli.calibrate import calibrate
 from boresight.cli.choose import choose
 from boresight.cli.convert import convert
 from boresight.cli.diagnose import diagnose
-from boresight.cli.evaluate import check, evaluate, match
+from boresight.cli.evaluate import assess, check, evaluate, match
 from boresight.cli.extract import extract
 from boresight.cli.importing import import_telemetry
 from boresight.cli.mission_control import openc3, yamcs
@@ -29,7 +28,6 @@ from boresight.cli.output import RefusingGroup
 from boresight.cli.plan import plan
 from boresight.cli.report import report
 from boresight.cli.reproduce import reproduce, simulate
-from boresight.cli.retention import retention
 from boresight.cli.schema import schema
 from boresight.cli.sensor import sensor
 from boresight.cli.serve import demo, serve
