@@ -9,10 +9,11 @@ import tempfile
 import threading
 import time
 from collections import OrderedDict
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from boresight.errors import StorageError
+from boresight.errors import RefusedInputError, StorageError
 
 FULL = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
 READ_ONLY = frozenset((errno.EROFS, errno.EACCES, errno.EPERM))
@@ -30,6 +31,16 @@ def storage_error(error: OSError, place: Path | str | None = None) -> StorageErr
     if error.errno in ABSENT and place is not None:
         return StorageError(absent(named))
     return None
+
+
+@contextmanager
+def writing(place: Path | str) -> Iterator[None]:
+    """Say in a sentence why a file or folder cannot be written; raises StorageError of a disk and RefusedInputError of a path."""
+    try:
+        yield
+    except OSError as error:
+        why = f"{place} cannot be written ({error.strerror or error}): choose another place."
+        raise storage_error(error) or RefusedInputError(why) from error
 
 
 def full(place: object) -> str:

@@ -251,3 +251,18 @@ def test_a_simulation_repeats_by_its_seed(simulated):
     assert np.array_equal(again.telemetry.row_px, simulated.telemetry.row_px)
     other = bs.simulate({"sensor": 1, "frames": 5}, seed=7)
     assert len(np.unique(other.telemetry.frame)) == 5
+
+
+def test_what_cannot_be_written_or_changed_is_refused_in_a_sentence(cal, tmp_path):
+    for save in (cal.save, cal.report):
+        with pytest.raises(bs.BoresightError, match="choose another place"):
+            save(tmp_path / "none" / "cal.json")
+    with pytest.raises(AttributeError, match="not changed"):
+        cal.parameters.f_m = 3.0
+
+
+def test_a_row_of_the_frame_divides_its_change_by_the_sigma_that_the_summary_shows(cal):
+    frame = cal.to_frame("polars")
+    ratio = dict(zip(frame["parameter"], frame["change"] / frame["sigma_with_misfit"], strict=True))
+    told = dict(zip(frame["parameter"], frame["change_over_sigma"], strict=True))
+    assert {name: told[name] for name in cal.free} == pytest.approx({name: ratio[name] for name in cal.free})

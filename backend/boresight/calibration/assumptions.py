@@ -22,7 +22,8 @@ from boresight.calibration.calibration import Assumption, UnseenDeparture
 from boresight.calibration.corrections import lacks_refraction
 from boresight.calibration.readout import ReadoutCorrection, find_rates
 from boresight.calibration.trust.trust_tests import MATTERS, TANGENTIAL
-from boresight.cameras import CAMERA_MODELS
+from boresight.cameras import CAMERA_MODELS, name_camera_with
+from boresight.cameras.model import Role
 from boresight.site import Site
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.directions import star_directions
@@ -201,7 +202,8 @@ def _tilt(sensor: Sensor, x: FloatArray) -> list[Assumption]:
     sentence = (
         f"The camera model has no tilt, so a detector square to the optical axis is assumed. A tilt of "
         f"{USUAL_TILT_RAD * 1e3:g} mrad would be fitted as a principal point {moved_px:.2g} px off, with no sign in the residuals "
-        f"and almost none in the directions of stars: calibrate with a model that has it, such as inverted_wang, or {WHERE}."
+        f"and almost none in the directions of stars: calibrate with a model that has it, such as "
+        f"{name_camera_with(Role.TILT)}, or {WHERE}."
     )
     return [Assumption(name=name, declared=False, value="none", sentence=sentence)]
 
@@ -228,7 +230,7 @@ def _decentring(sensor: Sensor, unseen: Sequence[UnseenDeparture]) -> list[Assum
             return [Assumption(name=name, declared=True, value="would be noticed", sentence=said)]
     sentence = (
         f"The camera model has no tangential terms, so a centred lens is assumed; {how}: calibrate with a model that has "
-        f"them, such as brown_conrady, or {WHERE}."
+        f"them, such as {name_camera_with(Role.DECENTRING)}, or {WHERE}."
     )
     return [Assumption(name=name, declared=False, value="none", sentence=sentence)]
 

@@ -17,6 +17,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
+from boresight.disks import writing
 from boresight.errors import RefusedInputError
 
 if TYPE_CHECKING:
@@ -47,6 +48,14 @@ class Values(Mapping[str, Number_co]):
 
     def __init__(self, numbers: Mapping[str, Number_co] | None = None) -> None:
         self._numbers: dict[str, Number_co] = dict(numbers or {})
+
+    def __setattr__(self, name: str, value: object) -> None:
+        """Take the numbers once; what an estimate found is not changed."""
+        if name not in Values.__slots__:
+            raise AttributeError(
+                f"{name} is what was found and is not changed: copy the numbers with dict() to change them"
+            )
+        super().__setattr__(name, value)
 
     def __getitem__(self, name: str) -> Number_co:
         """Return a number by the parameter's name."""
@@ -1343,7 +1352,8 @@ class Calibration:
 
     def save(self, path: str | Path) -> None:
         """Write the calibration JSON to a file."""
-        Path(path).write_text(self.to_json() + "\n", encoding="utf-8")
+        with writing(path):
+            Path(path).write_text(self.to_json() + "\n", encoding="utf-8")
 
 
 #: Classes of what JSON takes as it is.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from pkgutil import iter_modules
 
-from boresight.cameras.model import CameraModel
+from boresight.cameras.model import CameraModel, Role
 
 CAMERA_MODELS: dict[str, CameraModel] = {
     value.name: value
@@ -16,4 +16,10 @@ CAMERA_MODELS: dict[str, CameraModel] = {
 #: What is compiled beforehand and shown as an example where no sensor says which camera it has.
 DEFAULT_CAMERA = CAMERA_MODELS["inverted_wang"]
 
-__all__ = ["CAMERA_MODELS", "DEFAULT_CAMERA", "CameraModel"]
+
+def name_camera_with(role: Role) -> str:
+    """Name a camera that has a parameter of a role, for sentences that advise one."""
+    return min(name for name, camera in CAMERA_MODELS.items() if role in {one.role for one in camera.parameters})
+
+
+__all__ = ["CAMERA_MODELS", "DEFAULT_CAMERA", "CameraModel", "name_camera_with"]

@@ -436,7 +436,12 @@ def _list_several(given: Any) -> list[Any]:
 
 
 def _id(thing: Any) -> int:
-    return thing if isinstance(thing, int) else int(thing.id)
+    found = thing if isinstance(thing, int) else getattr(thing, "id", None)
+    if not isinstance(found, int):
+        raise RefusedInputError(
+            f"{thing!r} is no number: give the number of a run, a set or a sensor, or what the client returned."
+        )
+    return found
 
 
 def read_run(run: Run | int) -> Operation[Run]:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, overload
 
 from boresight.calibration import calibration as tree
 from boresight.calibration.calibration import ShadowOfSet, StarsOffDetector, Values, to_plain
+from boresight.disks import writing
 from boresight.errors import RefusedInputError
 from boresight.library import text
 from boresight.library.text import Summary, summary_lines
@@ -141,14 +142,18 @@ class Calibration(Tabular, tree.Calibration):
     def _columns(self) -> Mapping[str, Any]:
         names = list(self.parameters)
         initial, final = ([values.get(name) for name in names] for values in (self.initial, self.parameters))
+        change = [None if a is None or b is None else b - a for a, b in zip(initial, final, strict=True)]
+        sigma = [self.sigma.get(name) for name in names]
+        wider = [self.sigma_with_misfit.get(name, alone) for name, alone in zip(names, sigma, strict=True)]
         return {
             "parameter": names,
             "unit": [self.units.get(name, "") for name in names],
             "initial": initial,
             "final": final,
-            "change": [None if a is None or b is None else b - a for a, b in zip(initial, final, strict=True)],
-            "sigma": [self.sigma.get(name) for name in names],
-            "change_over_sigma": [self.delta_over_sigma.get(name) for name in names],
+            "change": change,
+            "sigma": sigma,
+            "sigma_with_misfit": wider,
+            "change_over_sigma": [d / s if d is not None and s else None for d, s in zip(change, wider, strict=True)],
             "typical_sigma": [self.typical_sigma.get(name) for name in names],
             "free": [name in self.free for name in names],
         }
@@ -157,7 +162,8 @@ class Calibration(Tabular, tree.Calibration):
         """Write the report, one HTML file that stands alone."""
         from boresight.figures.report import render_report
 
-        Path(path).write_text(render_report(self), encoding="utf-8")
+        with writing(path):
+            Path(path).write_text(render_report(self), encoding="utf-8")
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -301,7 +307,8 @@ class NewSensor(Summarised):
 
     def save(self, path: str | Path) -> None:
         """Write the sensor file."""
-        Path(path).write_text(json.dumps(self.document, indent=1) + "\n")
+        with writing(path):
+            Path(path).write_text(json.dumps(self.document, indent=1) + "\n")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -321,7 +328,8 @@ class CameraFile:
 
     def save(self, path: str | Path) -> None:
         """Write the file."""
-        Path(path).write_bytes(self.content)
+        with writing(path):
+            Path(path).write_bytes(self.content)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -340,12 +348,8 @@ class Simulation(Tabular):
     def save(self, folder: str | Path, suffix: Literal["csv", "parquet"] = "csv") -> None:
         """Write both sets, sensor.json, truth.json and scenario.json into a folder, which is made."""
         place = Path(folder)
-        try:
+        with writing(place):
             place.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise RefusedInputError(
-                f"The folder {place} cannot be made: {error.strerror}; choose another place."
-            ) from error
         save_telemetry(self.telemetry, place / f"calibration.{suffix}")
         save_telemetry(self.validation, place / f"validation.{suffix}")
         documents = {"sensor": self.scenario["sensor"], "truth": self.scenario["truth"], "scenario": self.scenario}
@@ -395,5 +399,5 @@ def save_telemetry(telemetry: Telemetry, path: Path) -> None:
 
     if path.suffix.lower() not in {".csv", ".jsonl", ".ndjson", ".parquet"}:
         raise RefusedInputError(f"{path.name} has no known format: end the name with .csv, .jsonl or .parquet.")
-    with path.open("wb") as stream:
+    with writing(path), path.open("wb") as stream:
         write_table(contract_table(telemetry), stream, path.suffix.lower())

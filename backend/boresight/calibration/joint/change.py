@@ -22,6 +22,7 @@ from boresight.calibration.calibration import InputPass, ParameterStep, PassVari
 from boresight.calibration.joint.passes_fit import PassesFit, PassesProblem, judge_fall, middle_days
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.times import DAY_US, parse_times
+from boresight.cameras.model import Role
 from boresight.errors import RefusedInputError
 from boresight.estimation.block_bordered import Regressed
 from boresight.estimation.change import LEVEL, Equations, drop_powers, step_falls
@@ -242,7 +243,7 @@ def _size(fitted: PassesFit, number: int) -> tuple[float, float]:
 def _sentence(of: PassesProblem, found: ParameterStep, place: int) -> str:
     """Say what stepped, how far and when."""
     camera, p = of.problem.camera, of.parameters.free[place]
-    factor, unit = (1e6 / of.x[p], "ppm") if found.parameter == "f_m" else (1.0, camera.units[p])
+    factor, unit = (1e6 / of.x[p], "ppm") if camera.parameters[p].role is Role.FOCAL else (1.0, camera.units[p])
     size = f"{camera.symbols[p]} stepped by {found.step * factor:+.3g} ± {found.sigma * factor:.2g} {unit}".rstrip()
     if found.event_utc is not None:
         return f"{size} at {found.event_utc}"

@@ -43,6 +43,8 @@ from boresight.calibration.trust.displacements import Score, find_score
 from boresight.calibration.trust.fitted_set import UNLIKELY
 from boresight.calibration.trust.flaws import Flaw
 from boresight.calibration.trust.trust_tests import TRUST_TESTS, Examined, gate_of_test
+from boresight.cameras import name_camera_with
+from boresight.cameras.model import Role
 from boresight.estimation.statistics.special import fdtrc
 
 #: Degrees of freedom of Student's distribution that are tried, and rounds of its fit and of the mixture's.
@@ -89,7 +91,7 @@ CAUSES: dict[str, CauseKind] = {
         CauseKind(
             "tangential",
             "The lens is decentred: tangential distortion that the camera model does not have displaces stars by about {size} px",
-            "calibrate with a camera model that has it, such as brown_conrady, or free the tilt",
+            f"calibrate with a camera model that has it, such as {name_camera_with(Role.DECENTRING)}, or free the tilt",
             ("tangential", *GENERAL),
         ),
         CauseKind(

@@ -58,7 +58,9 @@ def record_step(session: Session, actor: Actor, row: Alarm, event: str, text: st
         AlarmEvent(alarm_id=row.id, event=event, user_id=actor.user_id, printed_name=name, text=text, at_utc=utc_now())
     )
     session.flush()
-    after = {"state": get_alarm_state(row), "version": row.version, "kind": row.kind, "level": row.level, **told}
+    after = {
+        "event": event, "state": get_alarm_state(row), "version": row.version, "kind": row.kind, "level": row.level, **told
+    }  # fmt: skip
     audit.append(session, actor, f"alarm {event.lower()}", name_subject(row), None, after, text or None)
 
 

@@ -57,6 +57,7 @@ from boresight.platform.db.sessions import Session, utc_after, utc_now, utc_text
 from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.web.text_validation import refuse_control_characters
 from boresight.telemetry.read.limits import Limits
+from boresight.verdicts.gates.measurements import GATES
 from boresight.verdicts.numbers import urad
 from boresight.verdicts.verdict import parse_run_summary
 
@@ -64,7 +65,6 @@ log = logging.getLogger(__name__)
 
 AHEAD_S = 3600.0  # that the times of telemetry may be ahead of this clock
 QUIET_DAYS = 7.0
-OF_VALIDATION = ("validation", "availability", "matched-stars")  # gates on frames that may be older than a change
 MOST_QUIET_DAYS = 90.0
 LONGEST_REASON = 2000
 LONGEST_NAME = 200
@@ -328,7 +328,7 @@ def recommend(found: PolicyFinding, gate_report: Mapping[str, Any]) -> str:
     if not gate_report["blocking"]:
         return "SUBMIT"
     judged = {one["name"]: one["status"] for one in gate_report["gates"]}
-    held_apart = all(judged[name] == "NO-DATA" or name.startswith(OF_VALIDATION) for name in gate_report["blocking"])
+    held_apart = all(judged[name] == "NO-DATA" or GATES[name].of_validation for name in gate_report["blocking"])
     return "MORE DATA" if held_apart else "RECALIBRATE"
 
 

@@ -101,13 +101,13 @@ def _promoted(of: Source) -> News:
 
 def _on_board(of: Source) -> News:
     row = of.session.get_one(ParameterSet, of.number)
-    state = of.record.action.removeprefix("recorded ").removesuffix(" for")
-    return News(row.sensor_id, f"{row.name} is {state} on board", f"/parameter-sets/{row.id}/uplink")
+    said = f"{row.name} is {of.after.get('onboard_state')} on board"
+    return News(row.sensor_id, said, f"/parameter-sets/{row.id}/uplink")
 
 
 def _alarm(of: Source) -> News:
     row = of.session.get_one(Alarm, of.number)
-    again = " again, or graver" if of.record.action.endswith("again") else ""
+    again = " again, or graver" if of.after.get("event") == "RAISED AGAIN" else ""
     return News(row.sensor_id, f"alarm {row.id}, {row.kind}, {row.level}, is raised{again}", f"/alarms/{row.id}")
 
 
