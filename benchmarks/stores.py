@@ -252,5 +252,5 @@ def wait_for_result(
 def compute_digest(result: bytes) -> str:
     """Return the digest of what two runs of the same work share of their results."""
     document = {name: value for name, value in orjson.loads(result).items() if name not in OWN}
-    document["inputs"].pop("sha256s", None)  # of the upload, which the same work alone is not given
+    document.get("inputs", {}).pop("sha256s", None)  # of the upload, which the same work alone is not given
     return hashlib.sha256(orjson.dumps(document, option=orjson.OPT_SORT_KEYS)).hexdigest()

@@ -67,7 +67,7 @@ def utc(context: Context, text: str | None) -> Markup | str:
     return time_element(text, _style(context))
 
 
-STORED_TIME = re.compile(r"\b\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?Z")
+STORED_TIME = re.compile(r"\d(?<!\w\d)\d{3}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?Z")
 AS_WRITTEN = ("<pre", "<textarea", "<script", "<code")  # what people copy, or send back
 TOLD = (" title", " aria-label")  # attributes that are read out
 
@@ -88,10 +88,15 @@ def show_times(page: str, style: TimeStyle) -> str:
     return STORED_TIME.sub(show, page)
 
 
-#: A number as a terminal or a log has it: a hyphen for the sign, commas, a power of ten with an e, a % without a space, urad.
+#: A number as a terminal or a log has it: a hyphen for the sign, commas, a power of ten with an e, a % without a space, urad. Each
+#: begins with one of few letters, which a page of many is searched for quickly.
 PLAIN_NUMBER = re.compile(
-    r"(?<![\w.,/#‐-])-(?=\.?\d)|(?<![\w.,-])\d{1,3}(?:,\d{3})+(?![\d,])|(?<=\d)%|(?<=\d)e[+-]?\d+(?!\w)|(?<!\w)urad(?!\w)"
+    r"[-,%eu](?:(?<![\w.,/#‐-]-)(?<=-)(?=\.?\d)|(?<=\d,)(?=\d{3}(?:,\d{3})*(?![\d,]))|(?<=\d%)|(?<=\de)[+-]?\d+(?!\w)"
+    r"|(?<!\wu)(?<=u)rad(?!\w))"
 )
+#: What stands before a comma that parts thousands.
+THOUSANDS = re.compile(r"(?:^|[^\w.,-])\d{1,3}(?:,\d{3})*$")
+MOST_DIGITS = 40
 QUOTED = ("<q", "<blockquote", "<title")  # what people wrote
 
 
@@ -103,13 +108,16 @@ def show_numbers(page: str) -> str:
         if ">" not in tag or tag.startswith((*AS_WRITTEN, *QUOTED)):
             return found[0]
         text = found[0]
+        if text == ",":
+            is_number = THOUSANDS.search(page, max(found.start() - MOST_DIGITS, 0), found.start())
+            return NARROW_SPACE if is_number else text
         if text == "-":
             return MINUS
         if text == "%":
             return f"{NARROW_SPACE}%"
         if text == "urad":
             return "µrad"
-        return f"·10{str(int(text[1:])).translate(RAISED)}" if text.startswith("e") else text.replace(",", NARROW_SPACE)
+        return f"·10{str(int(text[1:])).translate(RAISED)}"
 
     return PLAIN_NUMBER.sub(show, page)
 
