@@ -664,9 +664,9 @@ GATES = {
         Gate(
             "parameter-shift",
             "Parameter shift",
-            "How far is it from the incumbent, in sigmas?",
+            "How far is it from the incumbent, in sigmas of the difference?",
             "below",
-            "σ",
+            "σ of the difference",
             measure=parameter_shift,
             marginal=15.0,  # of the difference's own sigmas, not of typical ones as `FAR_TYPICAL_SIGMAS`
         ),
