@@ -1,7 +1,7 @@
 /**
  * Acts with consequences (templates/shared/acts.html): the button opens its dialog as a modal one. A dialog inside a form
  * opens when the form is complete, unless its button sends the form without that check, and no key sends that form past its
- * dialog. One that stands open was refused; one that was opened before this script ran is a popover, and sends its form too.
+ * dialog. Choosing a file opens the dialog that the input names (`data-opens`). One that stands open was refused; one that was opened before this script ran is a popover, and sends its form too.
  */
 import { around, find, findAll } from "./dom.js";
 
@@ -20,6 +20,12 @@ document.addEventListener("click", (event) => {
   event.preventDefault();
   if (button.hasAttribute("data-act")) open(dialog);
   else dialog.close();
+});
+
+document.addEventListener("change", ({ target }) => {
+  const name = target instanceof HTMLInputElement && target.files?.length ? target.dataset.opens : undefined;
+  const dialog = name && find(`#${CSS.escape(name)}`, HTMLDialogElement);
+  if (dialog && !dialog.open) open(dialog);
 });
 
 document.addEventListener("submit", (event) => {
