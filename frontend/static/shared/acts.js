@@ -33,12 +33,12 @@ document.addEventListener("submit", (event) => {
   if (dialog instanceof HTMLDialogElement && !dialog.matches("[open], :popover-open")) event.preventDefault();
 }, true);
 
-/** Open the dialog, take up the field, or unfold the comment that the address names: a link leads to it from another page. */
+/** Open the dialog, take up the field, or unfold what the address names or has in it: a link leads to it from another page. */
 function takeUp() {
   const named = location.hash.length > 1 ? find(`#${CSS.escape(location.hash.slice(1))}`, HTMLElement) : null;
   if (named instanceof HTMLDialogElement && named.matches(".act-dialog") && !named.open) open(named);
   else if (named?.matches("input, textarea, select")) named.focus();
-  const folded = named?.closest("details.thread");
+  const folded = named?.closest("details.thread, details.advanced") ?? named?.querySelector(":scope > details.advanced:only-child");
   if (folded instanceof HTMLDetailsElement && !folded.open) {
     folded.open = true;
     named?.scrollIntoView({ block: "center" });

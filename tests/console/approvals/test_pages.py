@@ -179,7 +179,7 @@ def test_a_change_stands_beside_one_sigma_and_the_others_are_a_press_away(site, 
             }
             for head in (table, folded)
         )
-        assert {cell for cell in of_sigma if "σ" in cell} <= {"± σ", "Change ± σ", "Change / σ", "(New − truth) / σ"}
+        assert {cell for cell in of_sigma if "σ" in cell} <= {"± σ", "Change ± σ", "Change / σ", "(new − truth) / σ"}
         assert {"Noise σ", "Typical σ", "Change / noise σ"} <= others
         assert changes.index('<details class="panel-details other-sigmas">') < changes.index(folded)
         assert find_term("σ").anchor in shown
