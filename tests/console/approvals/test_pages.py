@@ -11,7 +11,7 @@ from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.review import warn_of_shifts, warn_of_turn
 from boresight.console.approvals.tables import Approval
-from boresight.console.help.glossary import find_term
+from boresight.console.help.glossary import terms_of_parameters
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.platform.db.sessions import open_reading, open_writing, utc_now
 from tests.sites import PASSWORD, answer_points
@@ -182,7 +182,7 @@ def test_a_change_stands_beside_one_sigma_and_the_others_are_a_press_away(site, 
         assert {cell for cell in of_sigma if "σ" in cell} <= {"± σ", "Change ± σ", "Change / σ", "(new − truth) / σ"}
         assert {"Noise σ", "Typical σ", "Change / noise σ"} <= others
         assert changes.index('<details class="panel-details other-sigmas">') < changes.index(folded)
-        assert find_term("σ").anchor in shown
+        assert terms_of_parameters()["reliable_sigma"].address in shown
 
 
 def test_a_comment_stands_on_its_gate_is_answered_resolved_and_reopened(site, request_page, read):

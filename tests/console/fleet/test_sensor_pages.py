@@ -207,7 +207,7 @@ def test_a_calibrated_baseline_shows_its_sigma_and_its_change_from_the_ground(si
         session.flush()
         session.get_one(ParameterSet, made.id).ground_state = "BASELINE"
     table = site.visitor("victor").get("/sensors/1").split("Parameters of the baseline")[1].split("</table>")[0]
-    assert "± σ" in re.sub(r"</?a[^>]*>", "", table)
+    assert "± σ" in table
     assert "Change" in table
 
 

@@ -1,7 +1,7 @@
 """The terms of the console, read from `docs/glossary.md`, and where they are explained.
 
 A page that is rendered explains each term where it first stands in a label: a heading, part of a table, a fact, a group of fields;
-and each parameter's letter, which is no word, wherever it stands as one (`data-parameter` has its name in the code).
+and each letter, of a parameter and the σ beside it, wherever it stands as one (`data-parameter` has its name in the code).
 There it is a link to the glossary, or the button that sorts the column, with the meaning at it, which `glossary.js` shows under
 the pointer and at the focus.
 """
@@ -23,7 +23,7 @@ LABEL = re.compile(
     r'|<var data-parameter="(?P<parameter>\w+)">(?P<letter>.+?)</var>'
     r'|<(?:h[1-4]|dt|th|legend)\b(?![^>]*class="sr")[^>]*>\s*(?P<label>[^<>]+?)(?=\s*<)'
 )
-PARAMETERS = "Letters"  # the heading of those of camera parameters
+PARAMETERS = "Letters"  # the heading of what is no word: camera parameters and their σ
 OTHERWISE = frozenset({"state", "term", "cause"})  # also of runs, of noise, of failures
 
 
