@@ -343,7 +343,7 @@ def judge_drift(trend: Trend, alpha: float = FALSE_ALARM_RATE) -> DriftResult:
         slope,
         line,
         len(series),
-        held.rejects and _is_jump(first, later[:-1], names, share),
+        held.rejects and newest.timed and _is_jump(first, later[:-1], names, share),
     )
     return _with_sentence(found, trend.baseline)
 
