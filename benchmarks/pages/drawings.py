@@ -36,9 +36,9 @@ DRAW = """([text, format, width]) => {
     return Plotly.toImage({ data, layout }, { format, width, height: layout.height, scale: 1 });
 }"""
 
-#: The example: frames that calibrate and that judge it, of two seeds, in numbers of so many digits.
-FRAMES, VALIDATION_FRAMES = 60, 30
-SEEDS = (1, 2)
+#: The example: frames that calibrate and that judge it, of two seeds, in numbers of so many digits; and too few, of a third.
+FRAMES, VALIDATION_FRAMES, TOO_FEW_FRAMES = 60, 30, 8
+SEEDS, SEED_OF_FEW = (1, 2), 3
 DIGITS = 7
 HEAD = """# The figures
 
@@ -57,6 +57,18 @@ table("result.json", "radial")  # the numbers behind it, in SI, as columns
 `/gallery` of every installation has the same figures to hover over, in every state and theme. This page and its images
 are written by `python -m benchmarks.pages --figures`.
 """
+
+
+#: Figures that are shown of another example too: which one, and what is to be seen in it.
+ALSO_SHOWN = {
+    "observability": (
+        "weak",
+        (
+            "Of eight frames alone, directions are weak: their bars are amber, hatched and below the dotted line, and the words "
+            "name the parameters to use together, to hold fixed, or to observe with more frames."
+        ),
+    )
+}
 
 
 def growth_figure(document: Mapping[str, Any]) -> go.Figure:
@@ -90,16 +102,16 @@ def write_figures(*, renew: bool) -> None:
         get_example_calibrations.cache_clear()
     shutil.rmtree(DOCS / "figures", ignore_errors=True)
     (DOCS / "figures").mkdir()
-    _write(
-        (
-            figure_json(draw(get_example_calibrations()["filter"], figure.name)).decode(),
-            "webp",
-            WIDE_PX if figure.wide else WIDTH_PX,
-            DOCS / name_image(figure),
-        )
-        for figure in FIGURES.values()
-    )
+    shown = [(figure, "filter", "") for figure in FIGURES.values()]
+    shown += [(FIGURES[name], of, of) for name, (of, _) in ALSO_SHOWN.items()]
+    _write(_image(figure, example, also) for figure, example, also in shown)
     (DOCS / "figures.md").write_text(guide_page(), encoding="utf-8")
+
+
+def _image(figure: Figure, example: str, also: str = "") -> tuple[str, str, int, Path]:
+    """Return a figure of an example as JSON, with the format, width and place of its image."""
+    drawn = figure_json(draw(get_example_calibrations()[example], figure.name)).decode()
+    return drawn, "webp", WIDE_PX if figure.wide else WIDTH_PX, DOCS / name_image(figure, also)
 
 
 @contextmanager
@@ -129,14 +141,18 @@ def guide_page() -> str:
     return HEAD + "\n" + "\n".join(chapters)
 
 
-def name_image(figure: Figure) -> str:
-    """Name the image of a figure, beside the page."""
-    return f"figures/{figure.name}.webp"
+def name_image(figure: Figure, also: str = "") -> str:
+    """Name the image of a figure, beside the page; `also`: of which other example."""
+    return f"figures/{figure.name}{f'-{also}' if also else ''}.webp"
 
 
 def _entry(figure: Figure) -> str:
     guide = figure.guide.replace("<", "&lt;").replace(">", "&gt;")
-    return f"### {figure.title}\n\n`{figure.name}`. {guide}\n\n![{figure.title}]({name_image(figure)})\n\n"
+    entry = f"### {figure.title}\n\n`{figure.name}`. {guide}\n\n![{figure.title}]({name_image(figure)})\n\n"
+    if figure.name not in ALSO_SHOWN:
+        return entry
+    of, sentence = ALSO_SHOWN[figure.name]
+    return f"{entry}{sentence}\n\n![{figure.title}: {of}]({name_image(figure, of)})\n\n"
 
 
 def make_example_calibration(catalogue: Catalogue) -> bytes:
@@ -153,7 +169,16 @@ def make_example_calibration(catalogue: Catalogue) -> bytes:
             ("filter", CalibrationSettings(method="sqrf", smooth=True)),
         )
     }
+    made["weak"] = make_weak_calibration(catalogue)
     return orjson.dumps(_shortened(made)) + b"\n"
+
+
+def make_weak_calibration(catalogue: Catalogue) -> dict[str, Any]:
+    """Calibrate the same sensor with too few frames, so that directions are weak; without what is examined of it, to be small."""
+    scenario = dataclasses.replace(calibration_scenario(1), frames=TOO_FEW_FRAMES)
+    telemetry = simulate(scenario, np.random.default_rng(SEED_OF_FEW), catalogue)
+    found = calibrate(telemetry, scenario.sensor, catalogue, CalibrationSettings())
+    return dataclasses.replace(found, trust=None).to_dict()
 
 
 def _shortened(value: Any) -> Any:

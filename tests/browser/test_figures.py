@@ -66,7 +66,7 @@ def test_a_hover_has_the_numbers_of_the_tables(people, sequential_run, part, nam
 def test_a_table_of_a_figure_has_them_too(people, batch_run):
     with people.seat("analyst") as window:
         window.open(f"/runs/{batch_run}?part=evidence")
-        table = window.figure("efficiency").locator("details.figure-table")
+        table = window.figure("two-halves").locator("details.figure-table")
         table.locator("summary").click()
         expect(table.locator("tbody tr").first).to_be_visible()
         said = " ".join(table.locator("td").all_text_contents())

@@ -47,8 +47,9 @@ def upload(window, dump, source):
     form = window.page.get_by_role("region", name="Read back")
     file = {"name": "dump.bin", "mimeType": "application/octet-stream", "buffer": dump}
     form.get_by_label("Dump of the table").set_input_files(file)
-    form.get_by_label("Source").fill(source)
-    form.get_by_role("button", name="Compare").click()
+    asked = window.page.get_by_role("dialog")
+    asked.get_by_label("Source").fill(source)
+    asked.get_by_role("button", name="Compare and record").click()
 
 
 def test_a_set_goes_from_export_to_active_through_a_dump_that_was_damaged(people, sensor):

@@ -102,8 +102,7 @@ def take_it_on_board(people, made):
         table = sent_table(window, made.rpartition("/")[2])
         dump = {"name": "dump.bin", "mimeType": "application/octet-stream", "buffer": table}
         window.page.get_by_label("Dump of the table").set_input_files(dump)
-        window.page.locator("#read-back-source").fill("Pass 4712")
-        at.press("button", "^Compare with what was sent")
+        at.confirm("Compare", Source="Pass 4712")
         at.next("Sign ACTIVE")
         at.confirm("Sign", Source="Pass 4713", What_your_signature="I saw it.", Your_password=get_password("operator"))
         expect(window.page.locator("#stations li").last).to_contain_text("Active: done")

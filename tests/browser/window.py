@@ -55,7 +55,12 @@ TRACES = """figure => figure._fullData.map(t => Object.fromEntries(
 ))"""
 SETTLED = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 50))))"
 HIGHEST_PX = 420
-FIRST = "() => document.querySelector('plot-figure, .answer, main .empty, main .log').getBoundingClientRect().top"
+#: Where the first figure's axes begin, as soon as they are drawn, or what stands in its place.
+FIRST = """() => {
+    const first = document.querySelector("plot-figure, .answer, main .empty, main .log");
+    if (first.localName === "plot-figure" && first.dataset.state === "loading") return null;
+    return (first.querySelector(".nsewdrag") ?? first).getBoundingClientRect().top || null;
+}"""
 LAST_VIEW = """() => Math.max(0, ...[...document.querySelectorAll(".small-view")]
     .map(one => one.getBoundingClientRect().bottom))"""
 FORGET_THEME = """() => {
@@ -243,11 +248,11 @@ class Window:
         self.page.evaluate(SETTLED)
 
     def begins_high(self, address: str) -> None:
-        """Hold that the first figure of a page, or what stands in its place, and all small views are in sight at 1280 x 720."""
+        """Hold that the first figure's axes, or what stands in their place, and all small views are in sight at 1280 x 720."""
         self.open(address)
         self.page.set_viewport_size(GLANCE)
         expect(self.page.locator(".link-banner")).to_have_count(0)  # a busy machine's server answers late
-        top = self.page.evaluate(FIRST)
+        top = self.page.wait_for_function(FIRST).json_value()
         assert top <= HIGHEST_PX, f"the first figure of {address} begins at {top} px"
         last = self.page.evaluate(LAST_VIEW)
         assert last <= GLANCE["height"], f"the views of {address} end at {last} px"

@@ -4,13 +4,15 @@ import re
 from dataclasses import fields, replace
 from pathlib import Path
 
+import numpy as np
 import orjson
 import plotly.graph_objects as go
 import pytest
 
-from benchmarks.pages.drawings import _shortened, guide_page, name_image
+from benchmarks.pages.drawings import ALSO_SHOWN, TOO_FEW_FRAMES, _shortened, guide_page, name_image
 from boresight.calibration.calibration import Calibration
 from boresight.errors import RefusedInputError
+from boresight.estimation.statistics.observability import WEAK
 from boresight.figures import FIGURES, Trace, figure_json
 from boresight.figures.example_calibration import PLACE, get_example_calibrations, make_example_traces
 from boresight.figures.notebook import TEMPLATES, draw, table
@@ -124,6 +126,16 @@ def test_every_figure_has_something_to_draw_of_the_example(figure, names):
     assert PLACE.stat().st_size < MOST_BYTES
 
 
+def test_the_example_with_too_few_frames_has_weak_directions_that_are_amber_and_named_in_the_guide():
+    weak = get_example_calibrations()["weak"]
+    assert weak.frames == TOO_FEW_FRAMES
+    values = np.array(weak.observability.singular_values)
+    assert 0 < (values < 1 / WEAK).sum() < len(values)
+    bars = FIGURES["observability"].draw(make_example_traces(("weak",))).data[0]
+    assert [bool(shape) for shape in bars.marker.pattern.shape] == (values < 1 / WEAK).tolist()
+    assert name_image(FIGURES["observability"], "weak") in guide_page()
+
+
 @EVERY_FIGURE
 def test_where_nothing_is_known_every_figure_says_so(figure):
     drawn = figure.draw(make_example_traces(("nothing",)))
@@ -150,7 +162,8 @@ def test_the_page_and_its_small_images_are_those_of_the_registry():
     renew = "write it again with `python -m benchmarks.pages --figures`"
     assert (DOCS / "figures.md").read_text() == guide_page(), renew
     images = list((DOCS / "figures").iterdir())
-    assert {image.stem for image in images} == set(FIGURES)
+    also = {f"{name}-{of}" for name, (of, _) in ALSO_SHOWN.items()}
+    assert {image.stem for image in images} == set(FIGURES) | also
     assert sum(image.stat().st_size for image in images) < MOST_IMAGE_BYTES
     assert set(FIGURES) >= {"convergence", "rms", "radial", "observability", "coverage", "parameters"}
 

@@ -19,6 +19,7 @@ from boresight.calibration.calibration import (
 )
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.trust.trust_tests import TRUST_TESTS
+from boresight.figures.tables import parameter_rows, printed_rows
 from boresight.platform.db.documents import canonical
 from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
 from boresight.simulation.sensors import st16_truth
@@ -33,7 +34,18 @@ from boresight.verdicts.gates.assessment import (
     started_from,
 )
 from boresight.verdicts.gates.measurements import Measurement, Score, ValidationScores
-from boresight.verdicts.numbers import MINUS, QUANTITIES, quantity, to_second_digit, with_reach
+from boresight.verdicts.numbers import (
+    MINUS,
+    QUANTITIES,
+    find_power,
+    grouped,
+    parameter,
+    quantity,
+    sigma,
+    to_second_digit,
+    unit,
+    with_reach,
+)
 from tests.calibrations import changed
 from tests.effort import effort
 from tests.verdicts.gate_cases import NAMES, SENSOR, SIGMA, a_result, a_set, gate_inputs
@@ -290,6 +302,35 @@ def test_the_rms_is_told_in_multiples_of_the_stated_noise():
     assert measured.incumbent == pytest.approx(4)
     noisier = dataclasses.replace(SENSOR, centroid_sigma_px=2 * SENSOR.centroid_sigma_px)
     assert found("validation-rms", sensor=noisier, validation=scores).value == pytest.approx(1)
+
+
+def test_the_numbers_of_a_row_share_one_power_of_ten_and_a_pure_number_has_no_unit():
+    power = find_power(1.033e8, -2.1e6, 1.4e6)
+    assert [grouped(to_second_digit(one, 1.4e6, power=power)) for one in (1.033e8, -2.1e6, 1.4e6)] == [
+        "1.033·10⁸",
+        f"{MINUS}0.021·10⁸",
+        "0.014·10⁸",
+    ]
+    result = Calibration(
+        status="converged",
+        camera_model="inverted_wang",
+        parameters={"b4_per_m4": 1.033e8, "g_y": 1.0002},
+        initial={"b4_per_m4": 9.9e6, "g_y": 1.0},
+        sigma={"b4_per_m4": 1.4e6, "g_y": 2e-5},
+    )
+    row = parameter_rows(result)
+    assert [one.power for one in row] == [8, 0]
+    printed = printed_rows(result)[0]
+    assert [printed.initial, printed.final, printed.change, printed.sigma] == [
+        "0.099·10⁸",
+        "1.033·10⁸",
+        "+0.934·10⁸",
+        "0.014·10⁸",
+    ]
+    assert parameter(9.9e6, "b4_per_m4", 1.4e6, row[0].power) == "0.099·10⁸"
+    assert parameter(9.9e6, "b4_per_m4", None, row[0].power) == "0.099·10⁸"
+    assert sigma(1.4e6, "b4_per_m4", row[0].power) == "0.014·10⁸"
+    assert [unit(name) for name in ("f_m", "g_y", "k1")] == ["mm", "", ""]
 
 
 @given(

@@ -1,9 +1,10 @@
 """Example calibrations of a simulated sensor, for the gallery, the documentation and tests.
 
 `example_calibration.json` travels with the package, because no page should wait for a calibration to show what a figure looks like.
-It holds one sensor's frames, calibrated by `filter` and by `batch`. Of the filter, `partial` is what it had told
-half-way, and `nothing` is a run that has not come anywhere yet. Numbers keep seven significant digits, which is more
-than a drawing shows. `python -m benchmarks.pages --figures --renew` makes the file again, from seeds.
+It holds one sensor's frames, calibrated by `filter` and by `batch`, and in `weak` so few of them that directions are weak. Of the
+filter, `partial` is what it had told half-way, and `nothing` is a run that has not come anywhere yet. Numbers keep seven
+significant digits, which is more than a drawing shows. `python -m benchmarks.pages --figures --renew` makes the file again, from
+seeds.
 """
 
 from __future__ import annotations
@@ -23,12 +24,16 @@ JUDGED_AT_THE_END = (
     "chi2", "chi2_per_dof", "evaluation", "frame_observability", "matching", "observability", "smoothed", "trust",
     "validation",
 )  # fmt: skip
-LABELS = {"filter": ("Run 2", "as frames come down"), "batch": ("Run 1", "all frames at once")}
+LABELS = {
+    "filter": ("Run 2", "as frames come down"),
+    "batch": ("Run 1", "all frames at once"),
+    "weak": ("Run 3", "eight frames alone"),
+}
 
 
 @cache
 def get_example_calibrations() -> dict[str, Calibration]:
-    """Read the example: the calibrations `filter`, `batch`, `partial` and `nothing`."""
+    """Read the example: the calibrations `filter`, `batch`, `weak`, `partial` and `nothing`."""
     found = {name: parse_calibration(document) for name, document in orjson.loads(PLACE.read_bytes()).items()}
     return found | {"partial": _half_way(found["filter"]), "nothing": Calibration(status="running")}
 

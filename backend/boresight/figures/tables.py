@@ -32,10 +32,12 @@ from boresight.verdicts.numbers import (
     NARROW_SPACE,
     Quantity,
     count,
+    find_power,
     fixed,
     grouped,
     number,
     percent,
+    power,
     quantity,
     signed,
     to_second_digit,
@@ -69,6 +71,11 @@ class ParameterRow:
     def estimated(self) -> bool:
         """Tell whether this run estimated the parameter."""
         return self.sigma is not None
+
+    @property
+    def power(self) -> int:
+        """Return the power of ten that its numbers share on a page."""
+        return power(self.name, self.old, self.new, self.delta, self.sigma_with_misfit, self.truth)
 
     @property
     def delta_over_sigma(self) -> float | None:
@@ -201,15 +208,24 @@ def printed_rows(result: Calibration) -> list[PrintedRow]:
 
 def _printed(row: ParameterRow, item: Quantity) -> PrintedRow:
     known, change_sigma = _scaled(row.sigma, item.factor), _scaled(row.sigma, item.change_factor)
+    old, new, delta = (
+        _scaled(row.old, item.factor),
+        _scaled(row.new, item.factor),
+        _scaled(row.delta, item.change_factor),
+    )
     wide = _scaled(row.sigma_with_misfit, item.change_factor)
+    changes = find_power(delta, wide, large=LARGE)
+    values = find_power(old, new, large=LARGE)
+    if item.change_unit == item.unit:
+        values = changes = max(values, changes)
     return PrintedRow(
         symbol=item.symbol,
         unit=item.unit,
-        initial=digits(_scaled(row.old, item.factor), known),
-        final=digits(_scaled(row.new, item.factor), known),
-        change=_changed(_scaled(row.delta, item.change_factor), change_sigma),
-        sigma=digits(change_sigma, change_sigma),
-        with_misfit=digits(wide, wide),
+        initial=digits(old, known, values),
+        final=digits(new, known, values),
+        change=_changed(delta, change_sigma, changes),
+        sigma=digits(change_sigma, change_sigma, changes),
+        with_misfit=digits(wide, wide, changes),
         change_unit=item.change_unit,
         worth=_signed(row.delta_over_sigma),
         typical=_signed(row.delta_over_typical) if row.estimated else MISSING,
@@ -220,17 +236,20 @@ def _scaled(value: float | None, factor: float) -> float | None:
     return None if value is None else value * factor
 
 
-def digits(value: float | None, sigma: float | None) -> str:
-    """Print a value to the second significant digit of its sigma; six significant digits where there is none."""
+def digits(value: float | None, sigma: float | None, power: int | None = None) -> str:
+    """Print a value to the second significant digit of its sigma; six significant digits where there is none.
+
+    `power`: that of its row; the value's own where None.
+    """
     if value is None:
         return MISSING
     if not sigma or not math.isfinite(sigma):
         return grouped(f"{value:.6g}")
-    return grouped(to_second_digit(value, sigma, LARGE))
+    return grouped(to_second_digit(value, sigma, LARGE, power))
 
 
-def _changed(change: float | None, sigma: float | None) -> str:
-    text = digits(change, sigma)
+def _changed(change: float | None, sigma: float | None, power: int) -> str:
+    text = digits(change, sigma, power)
     return text if change is None or change < 0 or sigma is None else f"+{text}"
 
 

@@ -53,7 +53,7 @@ def quantity(name: str, result: Calibration | None = None) -> Quantity:
         return QUANTITIES[name]
     symbols, units = (result.symbols, result.units) if result else ({}, {})
     symbol = re.sub(r"[^\w]", "", symbols.get(name) or name)
-    unit = re.sub(r"[<>&]", "", units.get(name) or "")
+    unit = re.sub(r"[<>&]|^1$", "", units.get(name) or "")
     return Quantity(symbol, unit, 1.0, unit, 1.0)
 
 
@@ -123,53 +123,78 @@ def urad(value_rad: Any, digits: int = 4) -> str:
     return number(value_rad * 1e6, digits) if is_number(value_rad) else MISSING
 
 
-def to_second_digit(value: float, sigma: float, large: float = LARGE) -> str:
-    """Write a number to the second significant digit of its sigma, in Python's own form; from `large` on with a power."""
+def to_second_digit(value: float, sigma: float, large: float = LARGE, power: int | None = None) -> str:
+    """Write a number to the second significant digit of its sigma, in Python's own form; from `large` on with a power.
+
+    `power`: that of the row, see `find_power`; the number's own where None.
+    """
     decimals = 1 - math.floor(math.log10(sigma))
     rounded = round(value, decimals) + 0.0  # a zero without a sign
-    if abs(rounded) < large:
+    if power is None:
+        power = find_power(rounded, large=large)
+    if not power:
         return f"{rounded:.{max(decimals, 0)}f}"
-    return f"{rounded:.{max(math.floor(math.log10(abs(rounded))) + decimals, 0)}e}"
+    return f"{rounded / 10**power:.{max(power + decimals, 0)}f}e{power}"
 
 
-def with_reach(value: float, reach: float, sigma: float, large: float = LARGE) -> str:
-    """Print `value ± reach`, both to the second digit of a sigma; one power of ten for both where either is large."""
-    if max(abs(value), abs(reach)) < large:
-        return " ± ".join(grouped(to_second_digit(one, sigma)) for one in (value, reach))
-    power = math.floor(math.log10(max(abs(value), abs(reach))))
+def find_power(*values: float | None, large: float = LARGE) -> int:
+    """Return the power of ten that numbers of one row share: that of the greatest, 0 where it is below `large`."""
+    greatest = max((abs(value) for value in values if value is not None and math.isfinite(value)), default=0.0)
+    return math.floor(math.log10(greatest)) if greatest >= large else 0
+
+
+def with_reach(value: float, reach: float, sigma: float, large: float = LARGE, power: int | None = None) -> str:
+    """Print `value ± reach`, both to the second digit of a sigma; one power of ten for both where either is large.
+
+    `power`: that of the row; their own where None.
+    """
+    power = find_power(value, reach, large=large) if power is None else power
+    if not power:
+        return " ± ".join(grouped(to_second_digit(one, sigma, power=0)) for one in (value, reach))
     decimals = max(power + 1 - math.floor(math.log10(sigma)), 0)
     texts = (grouped(f"{one / 10**power:.{decimals}f}") for one in (value, reach))
     return f"({' ± '.join(texts)})·10{str(power).translate(RAISED)}"
 
 
 def unit(name: str) -> str:
-    """Return the unit a parameter is shown in: `f_m` gives mm."""
-    return quantity(name).unit or "1"
+    """Return the unit a parameter is shown in: `f_m` gives mm, a pure number none."""
+    return quantity(name).unit
 
 
-def parameter(value: Any, name: str, sigma: Any = None) -> str:
-    """Print a parameter in its page unit, to the second significant digit of its sigma; as given where none is known."""
+def power(name: str, *values: float | None) -> int:
+    """Return the power of ten that a parameter's numbers share in a row, in its page unit."""
+    factor = quantity(name).factor
+    return find_power(*(value * factor for value in values if value is not None))
+
+
+def parameter(value: Any, name: str, sigma: Any = None, power: int | None = None) -> str:
+    """Print a parameter in its page unit, to the second significant digit of its sigma; as given where none is known.
+
+    `power`: that of the row; the number's own where None.
+    """
     if not is_number(value):
         return MISSING
     factor = quantity(name).factor
-    if not is_number(sigma) or sigma <= 0:
-        return grouped(f"{value * factor:.6g}")
-    return grouped(to_second_digit(value * factor, sigma * factor))
+    if is_number(sigma) and sigma > 0:
+        return grouped(to_second_digit(value * factor, sigma * factor, power=power))
+    if power:
+        return grouped(f"{float(f'{value * factor:.6g}') / 10**power:.6g}e{power}")
+    return grouped(f"{value * factor:.6g}")
 
 
-def sigma(value: Any, name: str) -> str:
+def sigma(value: Any, name: str, power: int | None = None) -> str:
     """Print a sigma in its parameter's page unit, two significant digits; `fixed` where it was not estimated."""
-    return parameter(value, name, value) if is_number(value) and value > 0 else "fixed"
+    return parameter(value, name, value, power) if is_number(value) and value > 0 else "fixed"
 
 
-def plus_minus(value: Any, name: str, sigma_si: Any = None, times: float = 1.0) -> str:
-    """Print `value ± times sigma` in the page unit, without the unit (its column has it)."""
+def plus_minus(value: Any, name: str, sigma_si: Any = None, times: float = 1.0, power: int | None = None) -> str:
+    """Print `value ± times sigma` in the page unit, without the unit (its column has it); `power`: that of the row."""
     if not is_number(sigma_si) or sigma_si <= 0:
-        return parameter(value, name)
+        return parameter(value, name, power=power)
     if not is_number(value):
         return MISSING
     factor = quantity(name).factor
-    return with_reach(value * factor, times * sigma_si * factor, sigma_si * factor)
+    return with_reach(value * factor, times * sigma_si * factor, sigma_si * factor, power=power)
 
 
 def sigmas(value: Any) -> str:

@@ -1,7 +1,7 @@
 /**
  * Acts with consequences (templates/shared/acts.html): the button opens its dialog as a modal one. A dialog inside a form
  * opens when the form is complete, unless its button sends the form without that check, and no key sends that form past its
- * dialog. One that stands open was refused; one that was opened before this script ran is a popover, and sends its form too.
+ * dialog. Choosing a file opens the dialog that the input names (`data-opens`). One that stands open was refused; one that was opened before this script ran is a popover, and sends its form too.
  */
 import { around, find, findAll } from "./dom.js";
 
@@ -22,17 +22,23 @@ document.addEventListener("click", (event) => {
   else dialog.close();
 });
 
+document.addEventListener("change", ({ target }) => {
+  const name = target instanceof HTMLInputElement && target.files?.length ? target.dataset.opens : undefined;
+  const dialog = name && find(`#${CSS.escape(name)}`, HTMLDialogElement);
+  if (dialog && !dialog.open) open(dialog);
+});
+
 document.addEventListener("submit", (event) => {
   const dialog = event.submitter?.closest("dialog.act-dialog");
   if (dialog instanceof HTMLDialogElement && !dialog.matches("[open], :popover-open")) event.preventDefault();
 }, true);
 
-/** Open the dialog, take up the field, or unfold the comment that the address names: a link leads to it from another page. */
+/** Open the dialog, take up the field, or unfold what the address names or has in it: a link leads to it from another page. */
 function takeUp() {
   const named = location.hash.length > 1 ? find(`#${CSS.escape(location.hash.slice(1))}`, HTMLElement) : null;
   if (named instanceof HTMLDialogElement && named.matches(".act-dialog") && !named.open) open(named);
   else if (named?.matches("input, textarea, select")) named.focus();
-  const folded = named?.closest("details.thread");
+  const folded = named?.closest("details.thread, details.advanced") ?? named?.querySelector(":scope > details.advanced:only-child");
   if (folded instanceof HTMLDetailsElement && !folded.open) {
     folded.open = true;
     named?.scrollIntoView({ block: "center" });

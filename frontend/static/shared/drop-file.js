@@ -26,6 +26,8 @@ for (const place of findAll(".drop", HTMLElement)) {
   place.addEventListener("drop", (event) => {
     mark(event, false);
     const files = event.dataTransfer?.files;
-    if (input && files?.length) input.files = files;
+    if (!input || !files?.length) return;
+    input.files = files;
+    input.dispatchEvent(new Event("change", { bubbles: true })); // as when it is chosen
   });
 }

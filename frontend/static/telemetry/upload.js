@@ -51,6 +51,8 @@ function showRefusal(answer) {
   const page = new DOMParser().parseFromString(answer.responseText, "text/html");
   const told = page.getElementById("upload-result") ?? page.querySelector(".problem .body");
   if (told) result().replaceChildren(...told.childNodes);
+  const recognised = find("#profile", HTMLSelectElement, page)?.value;
+  if (recognised) need("#profile", HTMLSelectElement).value = recognised;
   else refuse(`The server answered ${answer.status}; try again.`);
 }
 

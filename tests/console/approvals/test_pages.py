@@ -1,5 +1,6 @@
 """The inbox and the page of a request."""
 
+import html
 import re
 
 import pytest
@@ -8,8 +9,9 @@ from boresight.calibration.parameter_set import ParameterSetDocument
 from boresight.console.approvals import gate_profiles
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
-from boresight.console.approvals.review import warn_of_shifts
+from boresight.console.approvals.review import warn_of_shifts, warn_of_turn
 from boresight.console.approvals.tables import Approval
+from boresight.console.help.glossary import terms_of_parameters
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.platform.db.sessions import open_reading, open_writing, utc_now
 from tests.sites import PASSWORD, answer_points
@@ -144,6 +146,43 @@ def test_an_estimate_farther_than_sensors_move_is_a_warning_and_a_held_parameter
     found = ParameterSetDocument(camera_model="inverted_wang", parameters=moved, sigma={"f_m": 1e-6, "g_y": None})
     said = warn_of_shifts(found, {"f_m": 0.016, "g_y": 1.0}, {"f_m": 1e-4, "g_y": 1e-3})
     assert list(said) == (["shift-f_m"] if warned else [])
+
+
+@pytest.mark.parametrize(
+    ("rotation", "consistent", "warned"),
+    [((3.0, 0.0, 4.0), True, True), ((1.5, 0.0, 0.0), True, False), ((1.5, 0.0, 0.0), False, True)],
+)
+def test_a_turn_of_the_attitude_that_the_data_show_is_a_warning_and_one_of_chance_is_none(rotation, consistent, warned):
+    alignment = {
+        "rotation_arcsec": list(rotation),
+        "sigma_of_mean_arcsec": [1.0, 1.0, 1.0],
+        "consistent": consistent,
+        "sentence": "Loading these parameters turns the reported attitude.",
+    }
+    found = ParameterSetDocument(camera_model="inverted_wang", parameters={}, alignment=alignment)
+    assert warn_of_turn(found) == ({"attitude-turn": alignment["sentence"]} if warned else {})
+    assert warn_of_turn(ParameterSetDocument(camera_model="inverted_wang", parameters={})) == {}
+
+
+def test_a_change_stands_beside_one_sigma_and_the_others_are_a_press_away(site, request_page):
+    page = site.visitor("alan").get(request_page)
+    set_page = re.search(r"/parameter-sets/\d+", page)[0]
+    pages = {page: 'id="change-title"'}
+    pages |= {site.visitor("ada").get(at): '<table class="data parameters">' for at in (set_page, "/runs/1")}
+    for shown, begin in pages.items():
+        changes = shown[shown.index(begin) :]
+        table, folded = re.findall(r"<thead>.*?</thead>", changes, re.DOTALL)[:2]
+        of_sigma, others = (
+            {
+                html.unescape(re.sub("<[^>]+>", "", cell)).strip()
+                for cell in re.findall(r"<th .*?</th>", head, re.DOTALL)
+            }
+            for head in (table, folded)
+        )
+        assert {cell for cell in of_sigma if "σ" in cell} <= {"± σ", "Change ± σ", "Change / σ", "(new − truth) / σ"}
+        assert {"Noise σ", "Typical σ", "Change / noise σ"} <= others
+        assert changes.index('<details class="panel-details other-sigmas">') < changes.index(folded)
+        assert terms_of_parameters()["reliable_sigma"].address in shown
 
 
 def test_a_comment_stands_on_its_gate_is_answered_resolved_and_reopened(site, request_page, read):

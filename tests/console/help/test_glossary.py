@@ -5,7 +5,8 @@ import re
 
 import pytest
 
-from boresight.console.help.glossary import find_term, list_terms, mark_terms
+from boresight.cameras import CAMERA_MODELS
+from boresight.console.help.glossary import find_term, list_terms, mark_terms, terms_of_parameters
 
 LINK = re.compile(r'<a class="term" href="([^"]+)" data-meaning="([^"]+)">([^<]+)</a>')
 
@@ -56,6 +57,23 @@ def test_a_column_that_is_sorted_is_explained_at_its_button_and_what_is_not_seen
     page = '<th scope="col"><button type="button" data-sort="word">Baseline</button></th><h2 class="sr">Verdict</h2>'
     meaning = html.escape(find_term("baseline").meaning)
     assert mark_terms(page) == page.replace('"word">', f'"word" data-meaning="{meaning}">')
+
+
+def test_every_parameter_of_a_camera_is_explained_wherever_its_letter_stands_first_by_a_link():
+    letters = terms_of_parameters()
+    assert set(letters) - {"reliable_sigma"} == {
+        name for camera in CAMERA_MODELS.values() for name in camera.parameter_names
+    }
+    for camera in CAMERA_MODELS.values():
+        for name, symbol in zip(camera.parameter_names, camera.symbols, strict=True):
+            assert symbol in letters[name].names
+    page = '<th scope="row">\n<var data-parameter="f_m">f</var></th><dt><var data-parameter="f_m">f</var></dt><h2>f and s</h2>'
+    marked = mark_terms(page)
+    meaning = html.escape(letters["f_m"].meaning)
+    assert marked.count(f'data-meaning="{meaning}"') == 2
+    assert marked.count(f'<a class="term" href="{letters["f_m"].address}"') == 1
+    assert "<h2>f and s</h2>" in marked
+    assert mark_terms('<var data-parameter="tilt_rad">tilt</var>') == "<var>tilt</var>"
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,10 @@ import pytest
 
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.tables import Approval
+from boresight.console.fleet.trend_document import Advice
 from boresight.console.ingest import policies, service
 from boresight.console.ingest.folder import WatchedFolder
+from boresight.console.ingest.judgement import PolicyFinding, Reason
 from boresight.console.ingest.rules import PolicyRules
 from boresight.console.ingest.tables import IngestDecision, IngestPolicy
 from boresight.console.jobs.ingest_watcher import IngestWatcher
@@ -121,11 +123,30 @@ def test_within_the_forecast_nothing_is_prepared_and_outside_a_set_with_its_gate
     assert (asked.state, prepared.ground_state, prepared.run_id) == ("ASKED", "CANDIDATE", asked.run_id)
     assert asked.evidence["gates"]["verdict"] in {"PASS", "MARGINAL", "FAIL", "NO-DATA"}
     assert sum(one["recommended"] for one in asked.evidence["alternatives"]) == 1
+    assert (asked.evidence["recalibrate"]["answer"], asked.evidence["advised"]) in {
+        ("YES", "SUBMIT"),
+        ("YES", "RECALIBRATE"),
+    }
     pipeline.watcher.decide()
     assert pipeline.read(asked.id).version == asked.version  # looking again changes nothing
     with open_reading(pipeline.engine) as session:
         assert audit.verify(session).ok
         assert audit.find_last_change(session, f"ingest-decisions/{asked.id}").actor == "Ingest"
+
+
+@pytest.mark.parametrize(
+    ("answer", "blocking", "advised"),
+    [
+        ("YES", [], "SUBMIT"),
+        ("YES", ["validation-rms-incumbent"], "RECALIBRATE"),
+        ("YES", ["convergence"], "RECALIBRATE"),
+        ("MORE DATA NEEDED", [], "MORE DATA"),
+        ("NOT YET", [], "MORE DATA"),
+    ],
+)
+def test_what_is_recommended_is_what_the_trend_advises(answer, blocking, advised):
+    found = PolicyFinding("ASKED", (Reason("OUTSIDE", "It left the baseline."),))
+    assert service.recommend(found, {"blocking": blocking}, Advice(answer, "Said.")) == advised
 
 
 def test_one_question_a_sensor_a_newer_one_supersedes_it(pipeline):

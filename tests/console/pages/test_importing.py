@@ -1,6 +1,7 @@
 """The pages of importing: a profile saved, a file seen before it is stored."""
 
 import json
+import re
 
 PROFILE = {
     "name": "pages",
@@ -30,3 +31,20 @@ def test_a_file_is_seen_before_it_is_stored(site):
     assert "First rows, and what they mean" in shown.text
     assert "the number of the first pixel" in shown.text
     assert ada.get("/telemetry").count("/telemetry/") == before
+
+
+def test_a_preview_recognises_the_profile_and_the_form_keeps_it_to_be_changed(site):
+    ada = site.visitor("ada")
+    ada.post("/import-profiles", document=json.dumps({**PROFILE, "name": "seen"}))
+    data = {"csrf_token": ada.csrf_token, "sensor_id": "1", "purpose": "calibration", "profile": "", "preview": "1"}
+
+    def preview(content):
+        files = {"file": ("stars.csv", content)}
+        return ada.send("POST", "/telemetry", data=data, files=files, headers={"Accept": "text/html"}).text
+
+    shown = preview(b"F,X,Y\n1,11,21\n1,51,61\n")
+    assert "by the profile seen, version 1; it was recognised" in shown
+    assert re.search(r'<option value="\d+" selected>seen, version 1</option>', shown)
+    own = preview(b"frame,exposure,row_px,col_px\n0,0,20,10\n0,0,60,50\n")
+    assert '<option value="contract" selected>' in own
+    assert "No mapping profile reads stars.csv" in preview(b"apples,pears\n1,2\n")

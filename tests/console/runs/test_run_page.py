@@ -89,7 +89,7 @@ def test_a_parameter_that_was_not_free_is_said_to_be_not_estimated_below_the_adv
     page = site.visitor("victor").get(f"/runs/{run_id}")
     row = page[page.index("a1_rad</code></th>") :].split("</tr>")[0]
     assert "not estimated" in row
-    assert "—" in row
+    assert row.count("–") >= 2
     assert page.index("Do not use this.") < page.index('id="parameters"')
 
 
@@ -237,6 +237,19 @@ def test_a_part_draws_the_figures_of_its_chapters_and_folds_away_those_for_resea
         is_folded = before.rfind('<details class="advanced">') > before.rfind('<section class="panel" aria')
         assert is_folded or not figure.advanced
     assert re.findall('data-tab="([a-z]+)" aria-current="page"', page) == [part]
+
+
+def test_of_the_evidence_the_answers_stand_open_and_the_research_is_folded_under_a_sentence_each(site, examined):
+    page = site.visitor("victor").get(f"/runs/{examined[1]}?part=evidence")
+    folds = re.findall(
+        r'<details class="advanced"><summary>(.*?)<span class="quiet">(.*?)</span></summary>', page, re.DOTALL
+    )
+    assert len(folds) >= 5
+    assert all(sentence.endswith(".") for _, sentence in folds)
+    first = page.index('<details class="advanced">')
+    assert page.index('id="figure-two-halves"') < page.index('id="examination-title"') < first
+    shown = list_figures(re.sub(r'<details class="advanced">.*?</details>\n(?=<|$)', "", page, flags=re.DOTALL))
+    assert {"two-halves", "residual-quiver"} <= shown
 
 
 def test_every_chapter_of_figures_is_in_one_part():

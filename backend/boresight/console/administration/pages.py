@@ -112,6 +112,7 @@ PARTS = {"figures": "Figures", "elements": "Elements"}
 STATES = {
     "one": ("One run", ("filter",)),
     "two": ("Two runs compared", ("filter", "batch")),
+    "weak": ("Weak directions", ("weak",)),
     "partial": ("Half-way", ("partial",)),
     "nothing": ("Nothing yet", ("nothing",)),
 }

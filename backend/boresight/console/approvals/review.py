@@ -12,6 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from boresight.calibration.parameter_set import ParameterSetDocument, parse_parameter_set
 from boresight.cameras.model import FAR_TYPICAL_SIGMAS
 from boresight.console.approvals import queries as rows
@@ -34,6 +36,7 @@ VIEWS = {
     "observability": "Observability",
 }
 LONGEST_REASON = 1000
+SHOWN_SIGMAS = 2.0  # from where on a rotation of the attitude is one that its data show
 
 
 @dataclass(frozen=True)
@@ -114,6 +117,7 @@ def _list_warnings(session: Session, approval: Approval, row: ParameterSet) -> l
     old = {} if incumbent is None else parse_parameter_set(incumbent.document).parameters
     said = {f"advice-{i}": sentence for i, sentence in enumerate(found.advice or [], 1)}
     said |= warn_of_shifts(found, old, typical)
+    said |= warn_of_turn(found)
     if row.run_id is None:
         said["ground-calibration"] = "This is a ground calibration: declared, not estimated from telemetry."
     return [Point(WARNING, name, "Warning", sentence) for name, sentence in said.items()]
@@ -135,6 +139,18 @@ def warn_of_shifts(
                 "trusting it."
             )
     return said
+
+
+def warn_of_turn(found: ParameterSetDocument) -> dict[str, str]:
+    """Return a warning where loading a set turns the reported attitude by more than chance, so that C_SD must be loaded with it."""
+    turn = found.alignment
+    if turn is None:
+        return {}
+    rotation, sigma = np.array(turn["rotation_arcsec"]), np.array(turn["sigma_of_mean_arcsec"])
+    # along its own axis, n = r / |r|, the rotation has the variance n . diag(sigma^2) n
+    if turn["consistent"] and rotation @ rotation <= SHOWN_SIGMAS * np.linalg.norm(rotation * sigma):
+        return {}
+    return {"attitude-turn": turn["sentence"]}
 
 
 def answer_points(points: Sequence[Point], given: Sequence[Acknowledgement]) -> list[Point]:

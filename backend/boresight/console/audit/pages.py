@@ -37,7 +37,7 @@ from boresight.errors import RefusedInputError
 from boresight.platform.audit import log as audit
 from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.blobs.files import count_bytes
-from boresight.verdicts.numbers import MISSING, QUANTITIES, parameter
+from boresight.verdicts.numbers import MISSING, QUANTITIES, grouped, parameter
 
 LONGEST_VALUE = 120
 HASH = re.compile(r"[0-9a-f]{64}")
@@ -150,7 +150,7 @@ def _shown(name: str, value: Any) -> str:
 
 def _number(value: float) -> str:
     """Print a number: counts whole, measures to seven digits."""
-    return str(value) if isinstance(value, int) else f"{value:.7g}"
+    return str(value) if isinstance(value, int) else grouped(f"{value:.7g}")
 
 
 def _text(text: str) -> str:

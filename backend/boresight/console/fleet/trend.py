@@ -280,7 +280,8 @@ class DriftResult:
     """What the tests say.
 
     `names`: (k,) parameters that were tested. `difference`, `sigma`: (k,) newest minus baseline and one sigma of it,
-    SI. `covariance`: (k, k) of the difference.
+    SI. `covariance`: (k, k) of the difference. `is_jump`: the newest is where neither the baseline nor the line through the
+    calibrations since then has it.
     """
 
     verdict: str
@@ -294,6 +295,7 @@ class DriftResult:
     slope: tests.ChiSquareTest | None = None
     line: RegressionLine | None = None
     counted: int = 0
+    is_jump: bool = False
 
     @property
     def largest(self) -> tuple[str, float] | None:
@@ -341,8 +343,17 @@ def judge_drift(trend: Trend, alpha: float = FALSE_ALARM_RATE) -> DriftResult:
         slope,
         line,
         len(series),
+        held.rejects and newest.timed and _is_jump(first, later[:-1], names, share),
     )
     return _with_sentence(found, trend.baseline)
+
+
+def _is_jump(newest: Epoch, before: Sequence[TrendPoint], names: Sequence[str], share: float) -> bool:
+    """Whether the line through the calibrations before does not forecast the newest; False where there is no line."""
+    epochs = [make_epoch(point, names) for point in before if point.timed and set(point.names) == set(names)]
+    line = tests.forecast(epochs, newest.t_d, newest.temperature_c)
+    test = None if line is None else tests.baseline_test(newest, line, share)
+    return test is not None and test.rejects
 
 
 def _verdict(held: tests.ChiSquareTest, slope: tests.ChiSquareTest | None, baseline: ParameterSet) -> str:

@@ -2,7 +2,8 @@
 
 - `YES`: it drifts, its ground calibration does not hold or can be replaced, its baseline is over its age and there is
   newer telemetry, or newer telemetry would at least halve the sigmas.
-- `MORE DATA NEEDED`: nothing is newer than the baseline's data, or too coarse to see a change of three of its sigmas.
+- `MORE DATA NEEDED`: nothing is newer than the baseline's data, or too coarse to see a change of three of its sigmas; or only
+  the newest calibration stands apart, from the baseline and from the line through those before it.
 - `NOT YET`: the newest calibration agrees with the baseline.
 
 Sigmas with further data are foretold by the number of stars, sigma = sigma_0 sqrt(S_0 / S).
@@ -76,6 +77,11 @@ def _rules(
 ) -> Iterator[tuple[str, str]]:
     """Yield the answers that fit, the gravest first; there is always one."""
     name, ratio = baseline.name, data.ratio
+    if drift.verdict == "DRIFT" and drift.is_jump and drift.newest is not None:
+        apart = (
+            f"Run {drift.newest.run_id} agrees neither with {name} nor with the line through the calibrations before it"
+        )
+        yield "MORE DATA NEEDED", f"{apart}, a jump or wrong data: calibrate another pass before you decide."
     if drift.verdict == "DRIFT":
         yield "YES", f"Recalibrate: {name} is no longer valid."
     if drift.verdict == "GROUND SHIFT":

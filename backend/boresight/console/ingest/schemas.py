@@ -63,7 +63,7 @@ class IngestDecision(Row):
     sentence: str
     evidence: Document = Field(
         description="`reasons` with code and sentence; `holds` and `forecast`, the tests against baseline and line; `gates`; "
-        "`alternatives` with the one that is `recommended`."
+        "`alternatives` with the one that is `recommended`; `recalibrate`, what the sensor's trend advised then."
     )
     decided_utc: str | None
     answer: Literal["SUBMIT", "WAIT", "MORE DATA", "RECALIBRATE"] | None

@@ -14,7 +14,7 @@ import hashlib
 import logging
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from boresight.console.approvals import service as approvals
 from boresight.console.approvals.gates import GateAssessment
 from boresight.console.fleet.tables import Sensor
 from boresight.console.fleet.trend import read_trend
+from boresight.console.fleet.trend_document import Advice, advise
 from boresight.console.ingest import policies
 from boresight.console.ingest import queries as rows
 from boresight.console.ingest.judgement import PolicyFinding, Reason, judge_newest
@@ -57,7 +58,6 @@ from boresight.platform.db.sessions import Session, utc_after, utc_now, utc_text
 from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.web.text_validation import refuse_control_characters
 from boresight.telemetry.read.limits import Limits
-from boresight.verdicts.gates.measurements import GATES
 from boresight.verdicts.numbers import urad
 from boresight.verdicts.verdict import parse_run_summary
 
@@ -244,6 +244,7 @@ class Found:
     decision_id: int
     judgement: PolicyFinding
     alternatives: tuple[Mapping[str, Any], ...] = ()
+    advice: Advice | None = None
 
 
 def examine(session: Session, decision_id: int) -> Found:
@@ -258,10 +259,13 @@ def examine(session: Session, decision_id: int) -> Found:
         said = f"Run {run.id} ended {(summary.status or 'without a status').replace('_', ' ')}: {summary.advice or 'see its page.'}"
         return Found(row.id, PolicyFinding("NOT JUDGED", (Reason("UNUSABLE", said),)))
     rules = policies.read_rules(policy)
-    found = judge_newest(read_trend(session, row.sensor_id), run.id, rules)
+    trend = read_trend(session, row.sensor_id)
+    found = judge_newest(trend, run.id, rules)
     if found.state == "ASKED":
         found = _as_answered(session, row, found) or found
-    return Found(row.id, found, _list_alternatives(found, run) if found.state == "ASKED" else ())
+    if found.state != "ASKED":
+        return Found(row.id, found)
+    return Found(row.id, found, _list_alternatives(found, run), advise(trend))
 
 
 def _of_failure(run: Run) -> PolicyFinding:
@@ -314,22 +318,23 @@ def _list_alternatives(found: PolicyFinding, run: Run) -> tuple[Mapping[str, Any
     said = {
         "SUBMIT": f"Ask that this set become the baseline: an approver signs, an operator promotes. {price}{gain}.",
         "WAIT": f"{name} stays, and the same change is not asked again for the days that you give; a jump is. {price}.",
-        "MORE DATA": f"{name} stays, and the next set asks again: {more} in a row, with sigmas smaller by √{more} together. "
-        "Where the gates are judged on older validation frames, upload some that were taken since.",
-        "RECALIBRATE": f"Calibrate {sets} with other settings, or a longer pass, and submit what that finds.",
+        "MORE DATA": f"{name} stays, and the next set asks again: {more} in a row, with sigmas smaller by √{more} together.",
+        "RECALIBRATE": f"Calibrate {sets} with other settings, or a longer pass, and submit what that finds. Where a gate of "
+        "validation stops this set, its frames may be older than the change: upload some that were taken since.",
     }
     return tuple({"answer": one, "sentence": said[one]} for one in ANSWERS)
 
 
-def recommend(found: PolicyFinding, gate_report: Mapping[str, Any]) -> str:
-    """Return the answer that the findings speak for."""
-    if found.forecast is not None and found.forecast.rejects:
+def recommend(found: PolicyFinding, gate_report: Mapping[str, Any], advice: Advice | None) -> str:
+    """Return the answer that the findings speak for: never to wait for data where the sensor's trend says to recalibrate now.
+
+    What stops a set at the gates does not make the baseline valid again: then another calibration is asked for, on validation
+    frames of its own time.
+    """
+    jumps = found.forecast is not None and found.forecast.rejects
+    if jumps or (advice is not None and advice.answer != "YES"):
         return "MORE DATA"
-    if not gate_report["blocking"]:
-        return "SUBMIT"
-    judged = {one["name"]: one["status"] for one in gate_report["gates"]}
-    held_apart = all(judged[name] == "NO-DATA" or GATES[name].of_validation for name in gate_report["blocking"])
-    return "MORE DATA" if held_apart else "RECALIBRATE"
+    return "RECALIBRATE" if gate_report["blocking"] else "SUBMIT"
 
 
 def prepare_set(session: Session, blobs: BlobStore, decision_id: int) -> ParameterSet:
@@ -349,11 +354,12 @@ def conclude(session: Session, found: Found, assessment: GateAssessment | None =
         _end(session, row, judged.state, judged.reasons, evidence)
         return row
     report = gates.record_report(session, INGEST, assessment)
-    advised = recommend(judged, report.document)
+    advised = recommend(judged, report.document, found.advice)
     evidence |= {
         "gates": {"verdict": report.verdict, "blocking": report.document["blocking"], "sha256": report.sha256},
         "alternatives": [{**one, "recommended": one["answer"] == advised} for one in found.alternatives],
         "advised": advised,
+        "recalibrate": None if found.advice is None else asdict(found.advice),
     }
     row.parameter_set_id = assessment.parameter_set_id
     _supersede(session, row, f"Decision {row.id} asks with newer telemetry.")

@@ -105,7 +105,7 @@ class MissionControl:
             self._tell()
             return
         try:
-            if intake.wanted is None:
+            if intake.wanted is None or intake.wanted.profile is None:
                 raise NotFoundError("The policy has no mapping profile; write a version with one.")
             found, asked = self._export(rules.feed, intake.wanted.profile, asked)
         except BoresightError as error:

@@ -162,13 +162,14 @@ def _base_name(sent: str) -> str:
 
 
 def import_request(session: Session, upload: Upload) -> telemetry_sets.ImportRequest | None:
-    """Return by which profile a form wants its file imported; None where it names none."""
-    key = upload.fields.get("profile", "").strip()
-    if not key:
+    """Return by which profile a form wants its file imported; None where it names none and asks for no preview of the likeliest."""
+    key, preview = (upload.fields.get(name, "").strip() for name in ("profile", "preview"))
+    if not key and not preview:
         return None
     time, elements = (upload.fields.get(name, "").strip() or None for name in ("time", "elements"))
-    profile = profiles.find_profile(session, key)
-    return telemetry_sets.ImportRequest(profile, time and read_time(time), elements)
+    profile = profiles.find_profile(session, key) if key else None
+    offers = () if key else tuple(offer.profile for offer in profiles.list_offers(session))
+    return telemetry_sets.ImportRequest(profile, time and read_time(time), elements, offers)
 
 
 def _is_kept(upload: Upload) -> bool:

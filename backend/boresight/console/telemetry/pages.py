@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import orjson
 from fastapi import APIRouter, Depends, Form, Request
-from fastapi.concurrency import contextmanager_in_threadpool
+from fastapi.concurrency import contextmanager_in_threadpool, run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.calibration.diagnosis.result import Diagnosis
@@ -70,6 +70,7 @@ from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.web.paging import parse_row_id
 from boresight.settings import Settings
 from boresight.telemetry.imports.builtin import BUILT_IN
+from boresight.telemetry.imports.profile import Profile
 from boresight.telemetry.quality.report import QualityReport, RadialCoverage
 from boresight.telemetry.read.formats import parse_json
 
@@ -117,7 +118,7 @@ SETS = Table(
 
 @dataclass(frozen=True)
 class TelemetryContext:
-    """The state of the upload form: its choices and why it was refused."""
+    """The state of the upload form: its choices and why it was refused; `guessed`: nobody chose the profile of the preview."""
 
     sensor: int | None = None
     find: str = ""
@@ -127,6 +128,7 @@ class TelemetryContext:
     time: str = ""
     elements: str = ""
     preview: dict[str, Any] | None = None
+    guessed: bool = False
 
     @property
     def sensors(self) -> tuple[tuple[int, str], ...]:
@@ -217,7 +219,7 @@ async def upload(
         upload = replace(upload, fields={**upload.fields, "sensor_id": upload.fields["instead"]})
     prepared = _prepared(actor, upload, settings, forecast_sources, engine)
     if upload.fields.get("preview"):
-        shown = await _previewed(upload, prepared)
+        shown = await _previewed(upload, prepared, engine)
         return await read_again(request, partial(_page, request, actor.roles, settings.upload_limit_mb, shown))
     outcome = await _attempt(request, actor, upload, forecast_sources.blobs, prepared)
     if outcome.value is None:
@@ -230,15 +232,25 @@ async def upload(
     return response
 
 
-async def _previewed(upload: Upload, checking: AbstractContextManager[PreparedUpload]) -> TelemetryContext:
-    """Import and check a form's file, and store nothing."""
+async def _previewed(
+    upload: Upload, checking: AbstractContextManager[PreparedUpload], engine: Engine
+) -> TelemetryContext:
+    """Import and check a form's file by the profile that is chosen or fits best, and store nothing."""
     try:
         async with contextmanager_in_threadpool(checking) as prepared:
             if prepared.imported is None:
-                raise RefusedInputError("Choose the mapping profile that the file is to be imported by.")
-            return replace(_refused(upload, None), preview=prepared.imported.to_preview())
+                raise RefusedInputError("The file was not imported: choose its mapping profile.")
+            told, shown = prepared.imported.to_preview(), _refused(upload, None)
+            key = shown.profile or await run_in_threadpool(_find_key, engine, prepared.imported.profile)
+            return replace(shown, preview=told, guessed=not shown.profile, profile=key)
     except BoresightError as error:
         return _refused(upload, RefusalContext.of(error))
+
+
+def _find_key(engine: Engine, profile: Profile) -> str:
+    """Return what the form names an offered profile by."""
+    with open_reading(engine) as session:
+        return next((offer.key for offer in list_offers(session) if offer.profile == profile), "")
 
 
 async def _attempt(

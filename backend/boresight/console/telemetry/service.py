@@ -41,6 +41,7 @@ from boresight.platform.web.text_validation import normal_name
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.imports.mapping import Imported, SourceFile, import_files
 from boresight.telemetry.imports.profile import Profile
+from boresight.telemetry.imports.recognition import recognise
 from boresight.telemetry.mapping import parse_mapping
 from boresight.telemetry.quality.detector import OffDetectorError
 from boresight.telemetry.quality.findings import Finding
@@ -89,11 +90,12 @@ class PreparedUpload:
 
 @dataclass(frozen=True)
 class ImportRequest:
-    """By which profile a file is to be imported, and what it does not say itself."""
+    """By which profile a file is imported, the likeliest of `offers` where it is None, and what it does not say itself."""
 
-    profile: Profile
+    profile: Profile | None
     time: str | None = None
     elements: str | None = None
+    offers: tuple[Profile, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -200,7 +202,11 @@ def _import(
         orbit = SourceFile(folder / "elements", "The two-line elements")
         orbit.path.write_text(wanted.elements)
     source = SourceFile(path, _source_name(images, name))
-    imported = import_files([source], wanted.profile, sensor=sensor, orbit=orbit, time=wanted.time, limits=limits)
+    beside: dict[str, Any] = {"sensor": sensor, "orbit": orbit, "time": wanted.time, "limits": limits}
+    if wanted.profile is None:
+        imported = recognise(source, wanted.offers, **beside)[0]
+    else:
+        imported = import_files([source], wanted.profile, **beside)
     with (folder / IMPORTED).open("wb") as stream:
         imported.write(stream, ".parquet")
     return imported

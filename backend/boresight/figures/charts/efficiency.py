@@ -71,4 +71,5 @@ EFFICIENCY = part_figure(
         "stars (dotted, 1). A little above 1 is good; below 1 the claim is too good to be true, far above it the method "
         "wastes data."
     ),
+    advanced=True,
 )

@@ -102,4 +102,5 @@ MATCHING = make_figure(
         "between two stars, and the parameters with them."
     ),
     wide=True,
+    advanced=True,
 )

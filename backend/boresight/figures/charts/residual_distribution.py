@@ -136,4 +136,5 @@ RESIDUAL_DISTRIBUTION = part_figure(
     ),
     wide=True,
     forms={"narrow": partial(draw, beside=1)},
+    advanced=True,
 )

@@ -496,10 +496,7 @@ def assumptions(inputs: GateInputs) -> Measurement:
 
 @dataclass(frozen=True)
 class Gate:
-    """One question that a parameter set is asked, what measures it, and its thresholds in the default profile.
-
-    `of_validation`: it is asked of the validation frames, which may be older than a change of the sensor.
-    """
+    """One question that a parameter set is asked, what measures it, and its thresholds in the default profile."""
 
     name: str
     title: str
@@ -510,7 +507,6 @@ class Gate:
     lowest: float = 0.0
     highest: float = 1e15
     critical: bool = False
-    of_validation: bool = False
     limit: float | None = None
     marginal: float | None = None
 
@@ -547,7 +543,6 @@ GATES = {
             "How large are the arc errors on validation frames, in multiples of the stated noise of an arc?",
             "below",
             "× noise",
-            of_validation=True,
             measure=_rms_in_noise,
             limit=3.0,
             marginal=1.5,
@@ -558,7 +553,6 @@ GATES = {
             "How large are they compared with the incumbent's, on the same arcs?",
             "below",
             "× incumbent",
-            of_validation=True,
             measure=partial(_against, "validation-rms-incumbent"),
             limit=1.05,
             marginal=1.05,
@@ -570,7 +564,6 @@ GATES = {
             "above",
             "of frames",
             highest=1.0,
-            of_validation=True,
             measure=partial(_score, "availability"),
             limit=0.25,
             marginal=0.9,
@@ -583,7 +576,6 @@ GATES = {
             "of frames",
             lowest=-1.0,
             highest=1.0,
-            of_validation=True,
             measure=partial(_against, "availability-incumbent"),
             limit=-0.02,
             marginal=-0.02,
@@ -594,7 +586,6 @@ GATES = {
             "How many matches a validation frame would the flight code accept?",
             "above",
             "a frame",
-            of_validation=True,
             measure=partial(_score, "matched-stars"),
             limit=2.0,
             marginal=6.0,
@@ -606,7 +597,6 @@ GATES = {
             "above",
             "a frame",
             lowest=-1000.0,
-            of_validation=True,
             measure=partial(_against, "matched-stars-incumbent"),
             limit=-0.3,
             marginal=-0.3,
@@ -674,9 +664,9 @@ GATES = {
         Gate(
             "parameter-shift",
             "Parameter shift",
-            "How far is it from the incumbent, in sigmas?",
+            "How far is it from the incumbent, in sigmas of the difference?",
             "below",
-            "σ",
+            "σ of the difference",
             measure=parameter_shift,
             marginal=15.0,  # of the difference's own sigmas, not of typical ones as `FAR_TYPICAL_SIGMAS`
         ),

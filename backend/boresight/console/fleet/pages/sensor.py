@@ -212,7 +212,7 @@ def baseline_values(sensor: Sensor, baseline: ParameterSet | None) -> list[Basel
     document, found = sensor.document, parse_parameter_set(baseline.document) if baseline else None
     values = found.parameters if found else document["initial"]
     measured = baseline is not None and baseline.run_id is not None
-    sigma = (found.sigma if found and measured else None) or Values()
+    sigma = found.reliable_sigma if found and measured else Values()
     return [
         BaselineValue(
             name=name,

@@ -32,7 +32,7 @@ from boresight.figures.charts.methods import MethodScores, method_scores
 from boresight.figures.style.axes import ALIGNMENTS
 from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.history import SETTLED_SIGMAS
-from boresight.verdicts.numbers import MISSING, count, fixed, number, parameter, plus_minus, quantity, sigmas, urad
+from boresight.verdicts.numbers import MISSING, count, fixed, number, plus_minus, power, quantity, sigmas, urad
 
 #: Differences from here on are marked; chance makes one of 370 as large.
 FAR_SIGMAS = 3.0
@@ -86,7 +86,8 @@ def _cell(found: Comparison, i: int, k: int) -> ComparedCell:
     """Print parameter i of run k."""
     name, result, base = found.names[i], found.compared[k].calibration, found.compared[found.reference].calibration
     value, sigma = result.parameters.get(name), result.reliable_sigma.get(name)
-    printed = parameter(value, name) if sigma is None else plus_minus(value, name, sigma)
+    shared = power(name, *(one.calibration.parameters.get(name) for one in found.compared))
+    printed = plus_minus(value, name, sigma, power=shared)
     held = "held fixed" if value is not None and sigma is None else ""
     against = found.contrasts[k]
     if k == found.reference:
