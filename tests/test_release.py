@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+import zipfile
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -18,6 +19,8 @@ from boresight.platform.audit.signing import SigningKey
 from release import licences
 from release.licences import Package, list_packages
 from release.sbom import write_sbom
+from tests.console.operations import OPENAPI
+from tests.platform.db.released import RELEASED
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -98,6 +101,9 @@ def test_a_release_is_signed_and_its_sums_cover_every_file(tmp_path):
     assert names == built | {"SHA256SUMS", "SHA256SUMS.sig"}
     sums = dict(reversed(line.split()) for line in (out / "SHA256SUMS").read_text().splitlines())
     assert sums == {name: hashlib.sha256((out / name).read_bytes()).hexdigest() for name in built}
+    with zipfile.ZipFile(out / f"boresight-{version}-py3-none-any.whl") as wheel:
+        metadata = wheel.read(f"boresight-{version}.dist-info/METADATA").decode()
+    assert f"\nVersion: {version}\n" in metadata
     if openssl := shutil.which("openssl"):
         (tmp_path / "key.pem").write_text(key.list_public_keys()[0].pem)
         command = [openssl, "pkeyutl", "-verify", "-rawin", "-pubin", "-inkey", tmp_path / "key.pem"]
@@ -109,9 +115,23 @@ def test_a_release_is_signed_and_its_sums_cover_every_file(tmp_path):
 
 def test_version_licence_and_authors_are_the_same_wherever_they_stand():
     citation = (ROOT / "CITATION.cff").read_text()
-    assert f"\nversion: {PROJECT['version']}\n" in citation
+    assert "version" not in PROJECT  # the build takes it from `__version__`
+    assert PROJECT["dynamic"] == ["version"]
+    assert f"\nversion: {boresight.__version__}\n" in citation
     assert f"\nlicense: {PROJECT['license']}\n" in citation
     assert all(f"name: {author['name']}\n" in citation for author in PROJECT["authors"])
     assert PROJECT["authors"][0]["name"] in (ROOT / "LICENSE").read_text()
-    assert boresight.__version__ == PROJECT["version"]
-    assert re.search(rf"^## {re.escape(PROJECT['version'])}$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    changelog = (ROOT / "CHANGELOG.md").read_text()
+    versions = re.findall(r"^## (\S+)$", changelog, re.MULTILINE)
+    assert versions[0] == boresight.__version__
+    assert set(versions[1:]) == set(RELEASED)  # what was released is what an upgrade is tested from
+    released = re.search(r"^date-released: (\S+)$", citation, re.MULTILINE)[1]
+    assert f"\n## {versions[0]}\n\n{released}. " in changelog
+    assert f"Version {boresight.__version__}:" in (ROOT / "README.md").read_text()
+
+
+def test_the_version_is_a_semantic_one_and_command_and_rest_say_it():
+    assert re.fullmatch(r"[1-9]\d*\.\d+\.\d+", boresight.__version__)
+    done = subprocess.run([sys.executable, "-m", "boresight", "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout == f"boresight, version {boresight.__version__}\n"
+    assert OPENAPI["info"]["version"] == boresight.__version__

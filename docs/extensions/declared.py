@@ -35,6 +35,8 @@ from boresight.telemetry.schema import OPTIONAL_COLUMNS, REQUIRED_COLUMNS
 from boresight.verdicts.gates.measurements import GATES
 
 ROOT = Path(__file__).resolve().parents[2]
+#: A document and its number, as its `schema` says them.
+DOCUMENT = re.compile(r"boresight\.[a-z-]+/[0-9]+")
 MARK = re.compile(r"^<!-- declared: ([a-z-]+) -->$", re.MULTILINE)
 
 
@@ -281,6 +283,13 @@ def import_schema() -> str:
     return _schema("import-profile.schema.json")
 
 
+def documents() -> str:
+    """Name every document that has a number of its own, as the code writes it."""
+    sources = (ROOT / "backend" / "boresight").rglob("*.py")
+    found = {name for path in sources for name in DOCUMENT.findall(path.read_text(encoding="utf-8"))}
+    return ", ".join(map(_code, sorted(found))) + "."
+
+
 # What a site is told.
 
 
@@ -326,8 +335,8 @@ def decisions() -> str:
 WRITERS: dict[str, Callable[[], str]] = {
     function.__name__.replace("_", "-"): function
     for function in (
-        alarms, calibration_schema, cameras, causes, columns, commands, decisions, declarations, gates, import_schema, library,
-        message_kinds, methods, metrics, operations, options, settings, site_fields, trust_tests,
+        alarms, calibration_schema, cameras, causes, columns, commands, decisions, declarations, documents, gates, import_schema,
+        library, message_kinds, methods, metrics, operations, options, settings, site_fields, trust_tests,
     )
 }  # fmt: skip
 

@@ -14,6 +14,7 @@ import click
 import pytest
 import yaml
 
+import boresight
 from benchmarks.servers import free_port
 from boresight.cli import main
 from boresight.settings import SETTINGS
@@ -196,8 +197,7 @@ def test_the_manifests_start_what_the_compose_file_starts_and_kustomize_takes_th
     (whole,) = MANIFESTS["kustomization.yaml"]
     assert set(whole["resources"]) == MANIFESTS.keys() - {"kustomization.yaml"}
     assert set(PODS) == set(COMPOSE["services"])
-    version = (ROOT / "pyproject.toml").read_text().partition('version = "')[2].partition('"')[0]
-    assert whole["images"] == [{"name": "boresight", "newTag": version}]
+    assert whole["images"] == [{"name": "boresight", "newTag": boresight.__version__}]
     for name in OURS:
         assert container(name)["command"] == split_command(name)
         environment = COMPOSE["services"][name]["environment"]
