@@ -19,6 +19,7 @@ from boresight.platform.audit.signing import SigningKey
 from release import licences
 from release.licences import Package, list_packages
 from release.sbom import write_sbom
+from release.vulnerabilities import is_affected, read_answer, scan_offline
 from tests.console.operations import OPENAPI
 from tests.platform.db.released import RELEASED
 
@@ -80,6 +81,63 @@ def test_the_bill_of_materials_names_each_package_with_its_licence_and_is_the_sa
     assert all(one["licenses"] and one["purl"].startswith("pkg:pypi/") for one in bill["components"])
     (own,) = (one for one in bill["dependencies"] if one["ref"].startswith("pkg:pypi/boresight@"))
     assert len(own["dependsOn"]) == len(packages)
+
+
+def record(name: str, *events: dict[str, str], **more: object) -> dict[str, object]:
+    affected = {"package": {"ecosystem": "PyPI", "name": name}, "ranges": [{"type": "ECOSYSTEM", "events": [*events]}]}
+    return {"id": f"PYSEC-{name}", "aliases": [f"CVE-{name}"], "summary": "A flaw.", "affected": [affected], **more}
+
+
+@pytest.mark.parametrize(
+    ("version", "affected"),
+    [
+        ("1.9", False), ("2.0", True), ("2.0.4", True), ("2.1", False), ("2.9", False),
+        ("3.0rc1", False), ("3.0", True), ("3.2", True), ("3.2.1", False),
+    ],
+)  # fmt: skip
+def test_a_version_is_affected_from_introduced_on_until_fixed_or_through_last_affected(version, affected):
+    events = [{"introduced": "3.0"}, {"last_affected": "3.2"}, {"introduced": "2.0"}, {"fixed": "2.1"}]
+    assert is_affected(version, {"ranges": [{"type": "ECOSYSTEM", "events": events}]}) is affected
+    assert is_affected(version, {"versions": [version]})
+
+
+def test_the_lock_file_is_scanned_offline_and_an_accepted_flaw_is_left_out(packages, tmp_path):
+    jinja = next(one for one in packages if one.name == "jinja2")
+    told = [
+        record("Jinja2", {"introduced": "0"}),
+        record("numpy", {"introduced": "0"}, {"fixed": "1.0"}),
+        record("scipy", {"introduced": "0"}, withdrawn="2026-01-01T00:00:00Z"),
+        record("not-installed", {"introduced": "0"}),
+    ]
+    with zipfile.ZipFile(tmp_path / "all.zip", "w") as archive:
+        for one in told:
+            archive.writestr(f"{one['id']}.json", json.dumps(one))
+    found = scan_offline(packages, tmp_path / "all.zip")
+    assert [(one.package, one.version, one.names) for one in found.found] == [
+        ("jinja2", jinja.version, ("PYSEC-Jinja2", "CVE-Jinja2"))
+    ]
+    assert (found.looked_up, found.unknown, found.exit_code) == (len(packages), (), 1)
+    assert found.left_by(["CVE-Jinja2"]).exit_code == 0
+    (tmp_path / "empty").mkdir()
+    assert scan_offline(packages, tmp_path / "empty").exit_code == 3
+
+
+def test_what_the_database_did_not_answer_for_is_not_called_sound(packages):
+    sound = [{"name": one.name, "version": one.version, "vulns": []} for one in packages]
+    assert read_answer(sound, packages).exit_code == 0
+    skipped = [*sound[1:], {"name": packages[0].name, "skip_reason": "not found"}]
+    assert read_answer(skipped, packages).exit_code == 3
+    flawed = [*sound[1:], {"name": packages[0].name, "version": "1", "vulns": [{"id": "PYSEC-1", "aliases": []}]}]
+    assert read_answer(flawed, packages).exit_code == 1
+
+
+def test_a_release_with_a_known_flaw_is_refused(tmp_path):
+    (tmp_path / "one.json").write_text(json.dumps(record("jinja2", {"introduced": "0"})))
+    words = [sys.executable, "-m", "release", "--out", tmp_path / "dist", "--database", tmp_path]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "PYSEC-jinja2" in done.stderr
+    assert not (tmp_path / "dist").exists()
 
 
 def test_a_release_is_signed_and_its_sums_cover_every_file(tmp_path):
