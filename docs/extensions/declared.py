@@ -182,6 +182,16 @@ def causes() -> str:
     return "\n\n".join(parts)
 
 
+def cause_advice() -> str:
+    """Write what to do about every cause that advice may name, a section each."""
+    return "\n\n".join(
+        f"(advice-cause-{one.name.replace('_', '-')})=\n### Cause: {one.name.replace('_', ' ')}\n\n"
+        f"{one.sentence.replace('{size}', '…')}. **What to do:** {one.remedy}. "
+        f"[Its tests](../reference/tests-and-causes.md#cause-{one.name})."
+        for one in (*CAUSES.values(), UNKNOWN)
+    )
+
+
 def alarms() -> str:
     """Write what raises each alarm."""
     rows = re.findall(r"^`([A-Z]+)` +(\w+) +(.*(?:\n {20}.*)*)", inspect.getdoc(rules) or "", re.MULTILINE)
@@ -335,8 +345,8 @@ def decisions() -> str:
 WRITERS: dict[str, Callable[[], str]] = {
     function.__name__.replace("_", "-"): function
     for function in (
-        alarms, calibration_schema, cameras, causes, columns, commands, decisions, declarations, documents, gates, import_schema,
-        library, message_kinds, methods, metrics, operations, options, settings, site_fields, trust_tests,
+        alarms, calibration_schema, cameras, cause_advice, causes, columns, commands, decisions, declarations, documents,
+        gates, import_schema, library, message_kinds, methods, metrics, operations, options, settings, site_fields, trust_tests,
     )
 }  # fmt: skip
 
