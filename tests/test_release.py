@@ -193,3 +193,10 @@ def test_the_version_is_a_semantic_one_and_command_and_rest_say_it():
     done = subprocess.run([sys.executable, "-m", "boresight", "--version"], capture_output=True, text=True, check=True)
     assert done.stdout == f"boresight, version {boresight.__version__}\n"
     assert OPENAPI["info"]["version"] == boresight.__version__
+
+
+def test_the_classifiers_name_the_pythons_on_which_every_test_was_run():
+    named = {one.rpartition(" ")[2] for one in PROJECT["classifiers"] if re.search(r"Python :: 3\.\d+$", one)}
+    page = (ROOT / "docs" / "reference" / "versions.md").read_text()
+    assert named == set(re.findall(r"^\| (3\.\d+) \| every test", page, re.MULTILINE))
+    assert PROJECT["requires-python"] == f">={min(named)}"

@@ -28,6 +28,7 @@ from boresight.console.fleet import service as sensors
 from boresight.console.fleet.status import DriftVerdict
 from boresight.errors import UnavailableError
 from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import open_reading, open_writing
 from tests.console.conftest import SENSOR
 from tests.served import House
@@ -107,6 +108,7 @@ def test_the_newest_good_backup_and_its_restore_test_have_their_times(engine):
         session.flush()
         session.add(Backup(schedule_id=schedule.id, state="SUCCEEDED", attempt=1, name="first", **times))
         session.add(Backup(schedule_id=schedule.id, state="FAILED", attempt=1, name="later", **times))
+        audit.append(session, COMMAND_LINE, "scheduled", f"backup-schedules/{schedule.id}")
         session.flush()
         found = read_store(session)
     assert found["backup_scheduled"] == {(): 1.0}
