@@ -31,6 +31,7 @@ TSC := $(BIN)/node frontend/node_modules/typescript/bin/tsc --project frontend
 PYTEST := PATH="$(CURDIR)/$(BIN):$$PATH:$$(echo /usr/lib/postgresql/*/bin | tr ' ' ':')" $(BIN)/pytest --durations 10 --numprocesses 3
 
 KEY ?=
+DATABASE ?=
 
 REQUESTS ?= 100000
 SEED ?= 1
@@ -78,8 +79,8 @@ fuzz: $(MADE)/dev  ## send made-up requests to every operation and documents tha
 	@mkdir -p artefacts
 	$(BIN)/python -m tests.fuzz --requests $(REQUESTS) --seed $(SEED) --json artefacts/fuzz.json
 
-release: $(MADE)/dev  ## build wheel, source archive, bill of materials, licences and sums into dist (KEY=FILE signs them)
-	$(BIN)/python -m release --out dist $(if $(KEY),--key $(KEY))
+release: $(MADE)/dev  ## build wheel, source archive, bill of materials, licences and sums into dist (KEY=FILE signs them, DATABASE=all.zip scans offline)
+	$(BIN)/python -m release --out dist $(if $(KEY),--key $(KEY)) $(if $(DATABASE),--database $(DATABASE))
 
 clean:  ## remove what was built, cached and demonstrated; the virtual environment stays
 	rm -rf artefacts build dist .demo .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache $(VENV)/kernels

@@ -1,10 +1,11 @@
 """`python -m release`: wheel, source archive, bill of materials, licences, their sums, and with a key the signature of those.
 
-    python -m release [--out dist] [--key FILE] [--no-isolation]
+    python -m release [--out dist] [--key FILE] [--no-isolation] [--database all.zip] [--accept ID ...]
 
 SOURCE_DATE_EPOCH is the time of the release, by default that of the newest commit; built again with it, anywhere, the files
 are the same, byte for byte. FILE holds a private Ed25519 key (PEM). Who has the public one verifies by
 `openssl pkeyutl -verify -rawin -pubin -inkey KEYS.pem -sigfile SHA256SUMS.sig -in SHA256SUMS` and `sha256sum -c SHA256SUMS`.
+What is known of vulnerabilities of the packages is said last (`release.vulnerabilities`); a known one refuses the release.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from boresight.platform.audit.signing import SigningKey
 from boresight.uplink.archive import sums
 from release.licences import ROOT, list_packages, write_list
 from release.sbom import write_sbom
+from release.vulnerabilities import add_options, scan
 
 EPOCH = "SOURCE_DATE_EPOCH"
 
@@ -60,11 +62,22 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=ROOT / "dist")
     parser.add_argument("--key", type=Path, help="private Ed25519 key that signs the sums")
     parser.add_argument("--no-isolation", action="store_true", help="build with what is installed here")
+    add_options(parser)
     given = parser.parse_args()
     packages = list(list_packages())
     if refused := [f"{one.name} ({one.licence or 'unknown'})" for one in packages if not one.is_allowed]:
         raise SystemExit(
             f"Licences that are not allowed: {', '.join(refused)}. Replace the packages, or change ALLOWED."
+        )
+    scanned = scan(packages, given.database).left_by(given.accept)
+    if scanned.found:
+        raise SystemExit(
+            "\n".join(
+                [
+                    *scanned.lines(),
+                    "Update these packages by `make lock`, or name with --accept what does not concern Boresight.",
+                ]
+            )
         )
     epoch = find_epoch()
     built = build(given.out, epoch, isolated=not given.no_isolation)
@@ -81,6 +94,7 @@ def main() -> None:
         (given.out / name).write_bytes(content)
     print(files["SHA256SUMS"].decode(), end="")
     print(f"signed by {signer.public.id}" if given.key is not None else "not signed: give --key")
+    print("\n".join(scanned.lines()))
 
 
 if __name__ == "__main__":

@@ -14,13 +14,19 @@ from urllib.parse import unquote, urlsplit
 import pytest
 
 from benchmarks import screenshots
+from boresight.calibration.advice_kinds import ADVICE_KINDS, CAUSE
+from boresight.calibration.trust.causes import CAUSES, UNKNOWN
 from boresight.console.alarms.tables import ALARM_KINDS
 from boresight.figures.charts import FIGURES
+from boresight.figures.example_calibration import get_example_calibrations
 from boresight.telemetry.quality.findings import SEVERITIES
 from boresight.verdicts.gates.measurements import GATES
+from boresight.verdicts.verdict import LEVEL_OF_STATUS, make_verdict_marks, trust_marks
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
+REVIEW = (ROOT / "frontend" / "templates" / "shared" / "review.html").read_text(encoding="utf-8")
+EXAMPLE = get_example_calibrations()["filter"]
 ADDRESSES = {"a": "href", "link": "href", "script": "src", "img": "src", "object": "data"}
 #: What stands on the pages for those who write them, and in no formula: a code block, or a figure's JSON.
 CODE = re.compile(r"<(pre|code|script)\b.*?</\1>", re.DOTALL)
@@ -158,6 +164,24 @@ def test_every_gate_and_every_finding_on_telemetry_has_its_place_in_a_guide_and_
         "telemetry/telemetry_set.html": "respond-to-a-finding.html#finding-",
     }.items():
         assert f"/docs/how-to/{guide}" in (templates / name).read_text(encoding="utf-8")
+
+
+def test_every_kind_of_advice_is_used_and_has_its_place_in_the_guide(pages, site):
+    calls = [
+        node
+        for path in (ROOT / "backend" / "boresight").rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and ast.unparse(node.func) in {"Advice", "of_kind"}
+    ]
+    used = {one.value for call in calls for one in call.args if isinstance(one, ast.Constant)}
+    of_marks = {mark.name for mark in (*make_verdict_marks(EXAMPLE), *trust_marks(EXAMPLE))} - {"fit"}
+    assert ADVICE_KINDS.keys() <= used | of_marks | {"running", "ground_calibration"}
+    assert of_marks | {status for status, level in LEVEL_OF_STATUS.items() if level != "normal"} <= ADVICE_KINDS.keys()
+    guide = pages[site / "how-to" / "respond-to-advice.html"]
+    codes = [*ADVICE_KINDS, *(f"{CAUSE}{name}" for name in (*CAUSES, UNKNOWN.name))]
+    assert {f"advice-{code.replace('_', '-')}" for code in codes} - guide.names == set()
+    (linked,) = re.findall(r"/docs/how-to/respond-to-advice.html#advice-{{ ([^}]*) }}", REVIEW)
+    assert linked == 'sentence.code | replace("_", "-")'
 
 
 def test_the_words_are_spelled_as_they_are():

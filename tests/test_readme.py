@@ -8,7 +8,6 @@ from pathlib import Path
 import click
 import pytest
 
-import boresight
 from boresight.calibration.options import OPTIONS, listed
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import FAR_TYPICAL_SIGMAS
@@ -187,8 +186,3 @@ def test_each_file_and_module_that_a_document_names_stands_there():
             (page.name, name) for name in names if (PACKAGE / name.split(".")[0]).is_dir() and not _is_module(name)
         ]
     assert missing == []
-
-
-def test_the_changelog_tells_this_version():
-    assert f"\n## {boresight.__version__}\n" in (ROOT / "CHANGELOG.md").read_text()
-    assert PROJECT["version"] == boresight.__version__

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+import zipfile
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -18,6 +19,9 @@ from boresight.platform.audit.signing import SigningKey
 from release import licences
 from release.licences import Package, list_packages
 from release.sbom import write_sbom
+from release.vulnerabilities import is_affected, read_answer, scan_offline
+from tests.console.operations import OPENAPI
+from tests.platform.db.released import RELEASED
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -79,6 +83,63 @@ def test_the_bill_of_materials_names_each_package_with_its_licence_and_is_the_sa
     assert len(own["dependsOn"]) == len(packages)
 
 
+def record(name: str, *events: dict[str, str], **more: object) -> dict[str, object]:
+    affected = {"package": {"ecosystem": "PyPI", "name": name}, "ranges": [{"type": "ECOSYSTEM", "events": [*events]}]}
+    return {"id": f"PYSEC-{name}", "aliases": [f"CVE-{name}"], "summary": "A flaw.", "affected": [affected], **more}
+
+
+@pytest.mark.parametrize(
+    ("version", "affected"),
+    [
+        ("1.9", False), ("2.0", True), ("2.0.4", True), ("2.1", False), ("2.9", False),
+        ("3.0rc1", False), ("3.0", True), ("3.2", True), ("3.2.1", False),
+    ],
+)  # fmt: skip
+def test_a_version_is_affected_from_introduced_on_until_fixed_or_through_last_affected(version, affected):
+    events = [{"introduced": "3.0"}, {"last_affected": "3.2"}, {"introduced": "2.0"}, {"fixed": "2.1"}]
+    assert is_affected(version, {"ranges": [{"type": "ECOSYSTEM", "events": events}]}) is affected
+    assert is_affected(version, {"versions": [version]})
+
+
+def test_the_lock_file_is_scanned_offline_and_an_accepted_flaw_is_left_out(packages, tmp_path):
+    jinja = next(one for one in packages if one.name == "jinja2")
+    told = [
+        record("Jinja2", {"introduced": "0"}),
+        record("numpy", {"introduced": "0"}, {"fixed": "1.0"}),
+        record("scipy", {"introduced": "0"}, withdrawn="2026-01-01T00:00:00Z"),
+        record("not-installed", {"introduced": "0"}),
+    ]
+    with zipfile.ZipFile(tmp_path / "all.zip", "w") as archive:
+        for one in told:
+            archive.writestr(f"{one['id']}.json", json.dumps(one))
+    found = scan_offline(packages, tmp_path / "all.zip")
+    assert [(one.package, one.version, one.names) for one in found.found] == [
+        ("jinja2", jinja.version, ("PYSEC-Jinja2", "CVE-Jinja2"))
+    ]
+    assert (found.looked_up, found.unknown, found.exit_code) == (len(packages), (), 1)
+    assert found.left_by(["CVE-Jinja2"]).exit_code == 0
+    (tmp_path / "empty").mkdir()
+    assert scan_offline(packages, tmp_path / "empty").exit_code == 3
+
+
+def test_what_the_database_did_not_answer_for_is_not_called_sound(packages):
+    sound = [{"name": one.name, "version": one.version, "vulns": []} for one in packages]
+    assert read_answer(sound, packages).exit_code == 0
+    skipped = [*sound[1:], {"name": packages[0].name, "skip_reason": "not found"}]
+    assert read_answer(skipped, packages).exit_code == 3
+    flawed = [*sound[1:], {"name": packages[0].name, "version": "1", "vulns": [{"id": "PYSEC-1", "aliases": []}]}]
+    assert read_answer(flawed, packages).exit_code == 1
+
+
+def test_a_release_with_a_known_flaw_is_refused(tmp_path):
+    (tmp_path / "one.json").write_text(json.dumps(record("jinja2", {"introduced": "0"})))
+    words = [sys.executable, "-m", "release", "--out", tmp_path / "dist", "--database", tmp_path]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "PYSEC-jinja2" in done.stderr
+    assert not (tmp_path / "dist").exists()
+
+
 def test_a_release_is_signed_and_its_sums_cover_every_file(tmp_path):
     key, out = SigningKey(tmp_path / "release.key"), tmp_path / "dist"
     key.load()
@@ -98,6 +159,9 @@ def test_a_release_is_signed_and_its_sums_cover_every_file(tmp_path):
     assert names == built | {"SHA256SUMS", "SHA256SUMS.sig"}
     sums = dict(reversed(line.split()) for line in (out / "SHA256SUMS").read_text().splitlines())
     assert sums == {name: hashlib.sha256((out / name).read_bytes()).hexdigest() for name in built}
+    with zipfile.ZipFile(out / f"boresight-{version}-py3-none-any.whl") as wheel:
+        metadata = wheel.read(f"boresight-{version}.dist-info/METADATA").decode()
+    assert f"\nVersion: {version}\n" in metadata
     if openssl := shutil.which("openssl"):
         (tmp_path / "key.pem").write_text(key.list_public_keys()[0].pem)
         command = [openssl, "pkeyutl", "-verify", "-rawin", "-pubin", "-inkey", tmp_path / "key.pem"]
@@ -109,9 +173,30 @@ def test_a_release_is_signed_and_its_sums_cover_every_file(tmp_path):
 
 def test_version_licence_and_authors_are_the_same_wherever_they_stand():
     citation = (ROOT / "CITATION.cff").read_text()
-    assert f"\nversion: {PROJECT['version']}\n" in citation
+    assert "version" not in PROJECT  # the build takes it from `__version__`
+    assert PROJECT["dynamic"] == ["version"]
+    assert f"\nversion: {boresight.__version__}\n" in citation
     assert f"\nlicense: {PROJECT['license']}\n" in citation
     assert all(f"name: {author['name']}\n" in citation for author in PROJECT["authors"])
     assert PROJECT["authors"][0]["name"] in (ROOT / "LICENSE").read_text()
-    assert boresight.__version__ == PROJECT["version"]
-    assert re.search(rf"^## {re.escape(PROJECT['version'])}$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    changelog = (ROOT / "CHANGELOG.md").read_text()
+    versions = re.findall(r"^## (\S+)$", changelog, re.MULTILINE)
+    assert versions[0] == boresight.__version__
+    assert set(versions[1:]) == set(RELEASED)  # what was released is what an upgrade is tested from
+    released = re.search(r"^date-released: (\S+)$", citation, re.MULTILINE)[1]
+    assert f"\n## {versions[0]}\n\n{released}. " in changelog
+    assert f"Version {boresight.__version__}:" in (ROOT / "README.md").read_text()
+
+
+def test_the_version_is_a_semantic_one_and_command_and_rest_say_it():
+    assert re.fullmatch(r"[1-9]\d*\.\d+\.\d+", boresight.__version__)
+    done = subprocess.run([sys.executable, "-m", "boresight", "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout == f"boresight, version {boresight.__version__}\n"
+    assert OPENAPI["info"]["version"] == boresight.__version__
+
+
+def test_the_classifiers_name_the_pythons_on_which_every_test_was_run():
+    named = {one.rpartition(" ")[2] for one in PROJECT["classifiers"] if re.search(r"Python :: 3\.\d+$", one)}
+    page = (ROOT / "docs" / "reference" / "versions.md").read_text()
+    assert named == set(re.findall(r"^\| (3\.\d+) \| every test", page, re.MULTILINE))
+    assert PROJECT["requires-python"] == f">={min(named)}"

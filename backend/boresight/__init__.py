@@ -142,7 +142,8 @@ if TYPE_CHECKING:
     from boresight.telemetry.schema import Telemetry
     from boresight.telemetry.sensors import Sensor
 
-__version__ = "0.1.0"
+#: Declared here alone: package, command, REST and documents take it from here, and tests hold the other files to it.
+__version__ = "1.0.0"
 
 #: Every name of the library, by the module that has it; a module is loaded when one of its names is first asked for.
 _PLACES = {

@@ -35,6 +35,8 @@ from boresight.telemetry.schema import OPTIONAL_COLUMNS, REQUIRED_COLUMNS
 from boresight.verdicts.gates.measurements import GATES
 
 ROOT = Path(__file__).resolve().parents[2]
+#: A document and its number, as its `schema` says them.
+DOCUMENT = re.compile(r"boresight\.[a-z-]+/[0-9]+")
 MARK = re.compile(r"^<!-- declared: ([a-z-]+) -->$", re.MULTILINE)
 
 
@@ -180,6 +182,16 @@ def causes() -> str:
     return "\n\n".join(parts)
 
 
+def cause_advice() -> str:
+    """Write what to do about every cause that advice may name, a section each."""
+    return "\n\n".join(
+        f"(advice-cause-{one.name.replace('_', '-')})=\n### Cause: {one.name.replace('_', ' ')}\n\n"
+        f"{one.sentence.replace('{size}', '…')}. **What to do:** {one.remedy}. "
+        f"[Its tests](../reference/tests-and-causes.md#cause-{one.name})."
+        for one in (*CAUSES.values(), UNKNOWN)
+    )
+
+
 def alarms() -> str:
     """Write what raises each alarm."""
     rows = re.findall(r"^`([A-Z]+)` +(\w+) +(.*(?:\n {20}.*)*)", inspect.getdoc(rules) or "", re.MULTILINE)
@@ -281,6 +293,13 @@ def import_schema() -> str:
     return _schema("import-profile.schema.json")
 
 
+def documents() -> str:
+    """Name every document that has a number of its own, as the code writes it."""
+    sources = (ROOT / "backend" / "boresight").rglob("*.py")
+    found = {name for path in sources for name in DOCUMENT.findall(path.read_text(encoding="utf-8"))}
+    return ", ".join(map(_code, sorted(found))) + "."
+
+
 # What a site is told.
 
 
@@ -326,8 +345,8 @@ def decisions() -> str:
 WRITERS: dict[str, Callable[[], str]] = {
     function.__name__.replace("_", "-"): function
     for function in (
-        alarms, calibration_schema, cameras, causes, columns, commands, decisions, declarations, gates, import_schema, library,
-        message_kinds, methods, metrics, operations, options, settings, site_fields, trust_tests,
+        alarms, calibration_schema, cameras, cause_advice, causes, columns, commands, decisions, declarations, documents,
+        gates, import_schema, library, message_kinds, methods, metrics, operations, options, settings, site_fields, trust_tests,
     )
 }  # fmt: skip
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from boresight.calibration.advice_kinds import ADVICE_KINDS, CAUSE
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.calibration import (
     Calibration,
@@ -53,6 +54,8 @@ def test_every_method_writes_the_contracts_document_and_finds_the_truth(method, 
     document = calibrated(make_telemetry(1, frames=80), method=method, validation=make_telemetry(2))
     assert set(document) >= CONTRACT
     json.dumps(document, allow_nan=False)
+    assert len(document["advice_codes"]) == len(document["advice"])
+    assert all(code in ADVICE_KINDS or code.startswith(CAUSE) for code in document["advice_codes"])
     assert (document["schema"], document["status"]) == ("boresight.calibration/1", "converged")
     assert list(document["parameters"]) == list(document["sigma"]) == document["free"]
     assert document["pairs"] == 2 * document["stars"] - 3 * document["exposures"]

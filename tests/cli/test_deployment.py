@@ -14,6 +14,7 @@ import click
 import pytest
 import yaml
 
+import boresight
 from benchmarks.servers import free_port
 from boresight.cli import main
 from boresight.settings import SETTINGS
@@ -22,6 +23,7 @@ from tests.cli.conftest import assert_refused
 ROOT = Path(__file__).resolve().parents[2]
 COMPOSE = yaml.safe_load((ROOT / "docker-compose.yml").read_text())
 IMAGE = (ROOT / "Dockerfile").read_text()
+KUBERNETES_PAGE = (ROOT / "docs" / "how-to" / "run-on-kubernetes.md").read_text()
 PAGE = (ROOT / "docs" / "deployment.md").read_text()
 OURS = ("scheduler", "worker", "server")
 
@@ -196,8 +198,7 @@ def test_the_manifests_start_what_the_compose_file_starts_and_kustomize_takes_th
     (whole,) = MANIFESTS["kustomization.yaml"]
     assert set(whole["resources"]) == MANIFESTS.keys() - {"kustomization.yaml"}
     assert set(PODS) == set(COMPOSE["services"])
-    version = (ROOT / "pyproject.toml").read_text().partition('version = "')[2].partition('"')[0]
-    assert whole["images"] == [{"name": "boresight", "newTag": version}]
+    assert whole["images"] == [{"name": "boresight", "newTag": boresight.__version__}]
     for name in OURS:
         assert container(name)["command"] == split_command(name)
         environment = COMPOSE["services"][name]["environment"]
@@ -239,6 +240,9 @@ def test_all_pods_that_compute_mount_one_folder_and_passwords_come_from_secrets_
         volumes = {one["name"]: one for one in pod(name)["volumes"]}
         assert mounts.keys() == volumes.keys()
         assert volumes["data"]["persistentVolumeClaim"] == {"claimName": "data"}
+    mounts = {one["mountPath"]: one["name"] for one in container("server")["volumeMounts"]}
+    assert mounts[str(Path(given("server")["BORESIGHT_BACKUP_KEY"]).parent)] == "backup"
+    assert "create secret generic backup --from-literal backup.key=" in KUBERNETES_PAGE
     assert every("PersistentVolumeClaim")["data"]["spec"]["accessModes"] == ["ReadWriteMany"]
     secrets = {(name, key): value for name in PODS for key, value in given(name).items() if "PASSWORD" in key}
     reference = {"secretKeyRef": {"name": "database", "key": "password"}}
@@ -266,6 +270,12 @@ def test_a_pod_is_reached_by_whom_it_serves_and_a_server_is_replaced_while_anoth
     server = every("Deployment")["server"]["spec"]
     assert (server["replicas"] > 1, server["strategy"]["rollingUpdate"]["maxUnavailable"]) == (True, 0)
     assert container("server")["readinessProbe"]["httpGet"]["path"] == "/readyz"
+    drain_s, probe_s = (
+        float(given("server")["BORESIGHT_DRAIN_S"]),
+        container("server")["readinessProbe"]["periodSeconds"],
+    )
+    assert drain_s >= 2 * probe_s  # asked while it drains, and taken out of service before it ends
+    assert drain_s < pod("server")["terminationGracePeriodSeconds"] / 2
     assert every("PodDisruptionBudget")["server"]["spec"]["minAvailable"] == 1
 
 

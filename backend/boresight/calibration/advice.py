@@ -17,6 +17,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from boresight.arrays import FloatArray
+from boresight.calibration.advice_kinds import Advice
 from boresight.calibration.estimate import Estimate, Parameters, claim
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
@@ -46,7 +47,7 @@ def advice(
     nis: ChiSquare,
     observed: Observability,
     rise: float | None,
-) -> list[str]:
+) -> list[Advice]:
     """Collect every sentence that applies; `rise` is what `chi2_rise` found of a batch."""
     return [
         *_of_status(estimate, observed, settings),
@@ -60,7 +61,7 @@ def advice(
     ]
 
 
-def too_few(problem: Problem, minimum_stars: int) -> list[str]:
+def too_few(problem: Problem, minimum_stars: int) -> list[Advice]:
     """Say that nothing can be estimated, and what was missing."""
     reasons = [
         f"{item.count} {item.what[: -1 if item.count == 1 else None]}: {item.reason}" for item in problem.left_out
@@ -70,26 +71,35 @@ def too_few(problem: Problem, minimum_stars: int) -> list[str]:
         f"No exposure has {minimum_stars} usable matched stars that are not on one line, so nothing was estimated; "
         f"match more stars or use other frames ({missing})."
     )
-    return [sentence]
+    return [Advice(sentence, "too_few_stars")]
 
 
-def _of_status(estimate: Estimate, observed: Observability, settings: CalibrationSettings) -> Iterator[str]:
+def _of_status(estimate: Estimate, observed: Observability, settings: CalibrationSettings) -> Iterator[Advice]:
     if estimate.status == "diverged":
         named = (
             "match the stars again, because wrong identities are the likeliest cause; or "
             if settings.match == "given"
             else ""
         )
-        yield f"The fit diverged: do not use these numbers; {named}free fewer parameters, or start closer to the truth."
+        yield Advice(
+            f"The fit diverged: do not use these numbers; {named}free fewer parameters, or start closer to the truth.",
+            "diverged",
+        )
     if estimate.status == "max_iterations":
-        yield "The fit had not settled at its last iteration: allow more iterations, or free fewer parameters."
+        yield Advice(
+            "The fit had not settled at its last iteration: allow more iterations, or free fewer parameters.",
+            "max_iterations",
+        )
     if estimate.status == "rank_deficient":
         lost = [observed.direction(i) for i in range(len(observed.names)) if observed.singular_values[i] == 0]
         names = sorted({name for direction in lost for name, value in direction.items() if abs(value) > 0.1})
-        yield f"These data do not determine {', '.join(names)}: hold at least {len(lost)} of them fixed and run again."
+        yield Advice(
+            f"These data do not determine {', '.join(names)}: hold at least {len(lost)} of them fixed and run again.",
+            "rank_deficient",
+        )
 
 
-def _of_weak_directions(observed: Observability, estimate: Estimate) -> Iterator[str]:
+def _of_weak_directions(observed: Observability, estimate: Estimate) -> Iterator[Advice]:
     if estimate.status == "diverged":
         return
     for i in observed.weak():
@@ -98,10 +108,13 @@ def _of_weak_directions(observed: Observability, estimate: Estimate) -> Iterator
             caution = (
                 "Hold it fixed" if alone else "Use these parameters together, not one by one; hold one of them fixed"
             )
-            yield f"Weakly determined: {observed.sentence(i)} {caution}, or add frames that cover more of the detector."
+            yield Advice(
+                f"Weakly determined: {observed.sentence(i)} {caution}, or add frames that cover more of the detector.",
+                "weakest_direction",
+            )
 
 
-def _of_curvature(observed: Observability, estimate: Estimate, rise: float | None) -> Iterator[str]:
+def _of_curvature(observed: Observability, estimate: Estimate, rise: float | None) -> Iterator[Advice]:
     """Say that a covariance does not hold, and which parameters leave the rest known best when they are held."""
     if rise is None or not is_curved(rise):
         return
@@ -110,13 +123,14 @@ def _of_curvature(observed: Observability, estimate: Estimate, rise: float | Non
         "where the covariance says 1"
     )
     if len(observed.names) == 1:
-        yield f"{opening}, because the fit is curved there: add frames before relying on its sigma."
+        yield Advice(f"{opening}, because the fit is curved there: add frames before relying on its sigma.", "curved")
         return
     alike = _listed([symbol for symbol, _ in observed.named(len(observed.names) - 1)])
     held = to_hold(estimate.A, STRAIGHT) or [_hold_first(estimate.A, list(range(len(observed.names))))]
-    yield (
+    yield Advice(
         f"{opening}, because the data hardly separate {alike} and the fit is curved there; hold "
-        f"{_listed([observed.names[p] for p in held])} fixed and run again before relying on its sigmas."
+        f"{_listed([observed.names[p] for p in held])} fixed and run again before relying on its sigmas.",
+        "curved",
     )
 
 
@@ -131,30 +145,33 @@ def is_overconfident(innovations: float, most: float, chi2_per_dof: float) -> bo
 
 def _of_consistency(
     fit: ChiSquare, nis: ChiSquare, parameters: Parameters, settings: CalibrationSettings, estimate: Estimate
-) -> Iterator[str]:
+) -> Iterator[Advice]:
     """Say where a filter claims too much; what the size of the residuals says is one of the tests of trust."""
     if estimate.status == "diverged":
         return
     if settings.sequential and is_overconfident(nis.mean, nis.upper, fit.mean):
-        yield (
+        yield Advice(
             f"The filter is over-confident (normalised innovations {nis.mean:.3g} per degree of freedom, at most "
-            f"{nis.upper:.3g} expected): do not rely on its sigmas; compare it with a batch run."
+            f"{nis.upper:.3g} expected): do not rely on its sigmas; compare it with a batch run.",
+            "nis",
         )
     claimed = claim(estimate.A, estimate.P, parameters.known_at_start(settings)) if settings.sequential else 1.0
     if claimed > OVERCLAIM:
         times = f"{claimed:.2g} times" if np.isfinite(claimed) else "far more than"
-        yield (
+        yield Advice(
             f"The filter claims {times} the information that the data contain along some direction, because it used "
-            "early frames far from its final state: its sigmas there are too small; run the batch, or start from its result."
+            "early frames far from its final state: its sigmas there are too small; run the batch, or start from its result.",
+            "overclaim",
         )
     if settings.sequential and settings.linearisations == 1:
-        yield (
+        yield Advice(
             "One linearisation per frame, as published, makes the filter over-confident from a distant start: "
-            "its sigmas are too small."
+            "its sigmas are too small.",
+            "distant_start",
         )
 
 
-def _of_shift(problem: Problem, parameters: Parameters, estimate: Estimate, fit: ChiSquare) -> Iterator[str]:
+def _of_shift(problem: Problem, parameters: Parameters, estimate: Estimate, fit: ChiSquare) -> Iterator[Advice]:
     if estimate.status == "diverged":
         return
     shift = (estimate.x - problem.sensor.initial)[parameters.free] / parameters.scale
@@ -163,29 +180,37 @@ def _of_shift(problem: Problem, parameters: Parameters, estimate: Estimate, fit:
     if not far:
         return
     if np.abs(shift).max() > ANOTHER_SENSOR and fit.mean > FITS:
-        yield (
+        yield Advice(
             f"This telemetry is probably not from this sensor (change in typical sigmas: {far}): diagnose it, or choose the right "
-            "sensor."
+            "sensor.",
+            "wrong_sensor",
         )
     else:
-        yield f"Large change from the start, in typical sigmas: {far}; check the sensor file's start and typical_sigma."
+        yield Advice(
+            f"Large change from the start, in typical sigmas: {far}; check the sensor file's start and typical_sigma.",
+            "large_change",
+        )
 
 
-def _of_data(problem: Problem) -> Iterator[str]:
+def _of_data(problem: Problem) -> Iterator[Advice]:
     if problem.arcs.n_frames < 20:
-        yield f"Only {problem.arcs.n_frames} frames were used: the result depends strongly on these few fields."
+        yield Advice(
+            f"Only {problem.arcs.n_frames} frames were used: the result depends strongly on these few fields.",
+            "few_frames",
+        )
 
 
-def _of_gain_form(problem: Problem, settings: CalibrationSettings) -> Iterator[str]:
+def _of_gain_form(problem: Problem, settings: CalibrationSettings) -> Iterator[Advice]:
     """Say where the printed inverse of all pairs gave way to a smaller one."""
     if settings.method != "angular" or settings.gain_form != "gain":
         return
     parts = problem.arcs.over_blocks(_pairs_in_block)
     most, many = max(part[0] for part in parts), sum(part[1] for part in parts)
     if many:
-        yield (
+        yield Advice(
             f"{many} of {problem.arcs.n_exposures} exposures have more than {MOST_PAIRS:,} pairs (up to {most:,}): "
-            "their gain was taken over two numbers a star, which gives the same but takes less time than the printed inverse."
+            "their gain was taken over two numbers a star, which gives the same but takes less time than the printed inverse.",
+            "gain_form",
         )
 
 

@@ -13,6 +13,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from boresight.calibration import result
+from boresight.calibration.advice_kinds import Advice, of_kind
 from boresight.calibration.assumptions import list_assumptions
 from boresight.calibration.calibration import (
     Assumption,
@@ -279,18 +280,19 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and eight choices of the c
     if hardly_matches(found):
         found = replace(found, advice=_explained(telemetry, sensor, catalogue, settings, context, found.advice))
         clock.lap("diagnose")
-    found = with_advice(replace(found, stars_off_detector=_describe_off(off)), *off.sentences())
+    found = with_advice(
+        replace(found, stars_off_detector=_describe_off(off)), *of_kind("off_detector", off.sentences())
+    )
     if validation is not None and ended is not None and ended.estimate.status != "diverged":
         judged, off = open_validation_set(validation, sensor, JUDGED_STARS)
         judged = used.apply(judged)
         chosen = choose_match_mode(judged, settings)
         found = validate(found, judged, sensor, catalogue, ended.estimate, parameters, chosen, cache_folder)
-        found = with_advice(found, *off.sentences(" in the validation set"))
+        found = with_advice(found, *of_kind("off_detector", off.sentences(" in the validation set")))
         if is_large(validation):
             frames = len(np.unique(judged.frame))
-            found = with_advice(
-                found, f"The validation set is large: {frames:,} of its frames, evenly spread, were used."
-            )
+            said = f"The validation set is large: {frames:,} of its frames, evenly spread, were used."
+            found = with_advice(found, Advice(said, "judged_on"))
         clock.lap("validate")
     return found if ended is None else replace(found, timing_s={**clock.laps, "method": ended.method_s})
 
@@ -305,7 +307,7 @@ class _Begun:
     passes: TelemetryInput
     taken: TakenPrior | None = None
     variation: PassVariation | None = None
-    advice: Sequence[str] = ()
+    advice: Sequence[Advice] = ()
     judged: Sequence[InputPass] = ()
 
     def with_passes_judged(self, ended: CyclesEnd | None) -> _Begun:
@@ -349,7 +351,7 @@ def _begin(
     there = replace(sensor, initial=taken.prior.x)
     parameters = replace(parameters, prior=taken.prior)
     drifting = _with_drift(new, there, catalogue, parameters, settings, context)
-    return _Begun(new, there, drifting, new, taken, advice=left_out)
+    return _Begun(new, there, drifting, new, taken, advice=of_kind("prior", left_out))
 
 
 def _with_drift(
@@ -393,7 +395,9 @@ def _fit_passes(
     open_sigmas = settings.initial_sigma_scale if settings.sequential else OPEN_SIGMAS
     origin = PriorUse(name="the other passes", covariance="noise", inflation=1.0)
     remedy = "let more parameters vary, and look at each pass by itself"
-    taken = TakenPrior(fitted.prior_of_last(parameters, open_sigmas), origin, (variation.sentence,), remedy)
+    taken = TakenPrior(
+        fitted.prior_of_last(parameters, open_sigmas), origin, (Advice(variation.sentence, "variation"),), remedy
+    )
     last = telemetry.in_order[-1].telemetry
     return _Begun(last, sensor, replace(parameters, prior=taken.prior), telemetry, taken, variation, judged=judged)
 
@@ -588,8 +592,11 @@ def _say_what_was_judged(found: Calibration, judged: Problem) -> Calibration:
     part = JudgedOn(frames=judged.arcs.n_frames, stars=judged.arcs.n_stars, of_frames=found.frames)
     return with_advice(
         replace(found, judged_on=part),
-        f"Flight scores, shadow, alignment and trust are judged on {judged.arcs.n_frames:,} of {found.frames:,} frames, "
-        "in stretches evenly spread over the set; estimate, sigmas, chi-square, RMS and coverage use all frames.",
+        Advice(
+            f"Flight scores, shadow, alignment and trust are judged on {judged.arcs.n_frames:,} of {found.frames:,} frames, "
+            "in stretches evenly spread over the set; estimate, sigmas, chi-square, RMS and coverage use all frames.",
+            "judged_on",
+        ),
     )
 
 

@@ -17,6 +17,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
+from boresight.calibration.advice_kinds import codes_of, with_codes
 from boresight.disks import writing
 from boresight.errors import RefusedInputError
 
@@ -1252,7 +1253,8 @@ class Calibration:
     `parameters`, `sigma`, `initial`, `typical_sigma`: SI by name; a sigma is None where it was not estimated or is not determined.
     `sigma` is of noise alone, `sigma_with_misfit` is that widened by what the model does not hold: decide by the second.
     `delta_over_sigma`: estimate less start over sigma. `rms_arc_rad`: unweighted, on common pairs. `pairs`: arcs, two a star less
-    three an exposure. `frames_done`: of a filter on its way. `timing_s`: by stage.
+    three an exposure. `frames_done`: of a filter on its way. `timing_s`: by stage. `advice_codes`: the kind of each sentence of
+    `advice`, for its section in the guide; "" where an earlier version wrote none.
     """
 
     schema: Literal["boresight.calibration/1"] = SCHEMA
@@ -1285,6 +1287,7 @@ class Calibration:
     nis: InnovationTest | None = None
     observability: Observability | None = None
     advice: list[str] = field(default_factory=list)
+    advice_codes: list[str] = field(default_factory=list)
     rms_arc_rad: Change = field(default_factory=Change)
     robust: Robust | None = None
     removed: list[RemovedStar] = field(default_factory=list)
@@ -1316,6 +1319,12 @@ class Calibration:
     process_noise: ProcessNoise | None = None
     smoothed: Smoothed | None = None
 
+    def __post_init__(self) -> None:
+        """Put what was read of the advice beside its codes."""
+        said = with_codes(self.advice, self.advice_codes)
+        object.__setattr__(self, "advice", said)
+        object.__setattr__(self, "advice_codes", codes_of(said))
+
     @property
     def reliable_covariance(self) -> Covariance:
         """The covariance to decide by: with misfit where that is known, else of noise alone."""
@@ -1333,7 +1342,7 @@ class Calibration:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the calibration JSON as plain lists, numbers and None."""
-        document: dict[str, Any] = to_plain(self)
+        document: dict[str, Any] = to_plain(self) | {"advice": list(map(str, self.advice))}
         for name in (
             "stars_off_detector",
             "frames_done",

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray, IntArray
+from boresight.calibration.advice_kinds import Advice
 from boresight.calibration.calibration import Robust, Status, Values
 from boresight.calibration.history_recorder import RecordedHistory
 from boresight.calibration.minima import NOT_SEARCHED, LowerMinimum, Searched, look_for_minima
@@ -218,7 +219,7 @@ class Estimate:
     steps: tuple[batch.Step, ...] = ()
     history: RecordedHistory | None = None
     robust: Robustness | None = None
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[Advice, ...] = ()
     searched: Searched = NOT_SEARCHED
 
     @property
@@ -396,7 +397,9 @@ def _of_cosine(problem: Problem, parameters: Parameters, estimate: Estimate) -> 
     judged = compared(problem.whitened(estimate.x), estimate.x, parameters.free, parameters.scale)
     if judged is None:
         return estimate
-    return replace(estimate, A=judged.A, P=covariance(judged.A), chi2=judged.chi2, remarks=(judged.remark,))
+    return replace(
+        estimate, A=judged.A, P=covariance(judged.A), chi2=judged.chi2, remarks=(Advice(judged.remark, "cosine"),)
+    )
 
 
 def _report_batch(steps: tuple[batch.Step, ...], listen: ReportEstimate) -> None:

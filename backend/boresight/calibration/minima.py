@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from boresight.arrays import FloatArray, IntArray
+from boresight.calibration.advice_kinds import Advice
 from boresight.calibration.calibration import Minima, Minimum, ProfileInterval, Values
 from boresight.calibration.problem import Problem, whiten_at
 from boresight.estimation import minima
@@ -256,9 +257,9 @@ def _of_intervals(described: Minima) -> list[str]:
     return [sentence]
 
 
-def minima_advice(found: Minima | None) -> list[str]:
+def minima_advice(found: Minima | None) -> list[Advice]:
     """What a person should know: that another minimum was taken up, or that one is close."""
     if found is None:
         return []
     close = len(found.found) > 1 and found.found[1].chi2_above_best <= CLOSE
-    return [found.sentence] if found.taken_from or close else []
+    return [Advice(found.sentence, "minima")] if found.taken_from or close else []

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from boresight.calibration.advice_kinds import Advice, with_codes
 from boresight.calibration.calibration import ModelMisfit, ResidualSpline, Values, parse_part
 from boresight.errors import RefusedInputError
 
@@ -32,6 +33,7 @@ class ParameterSetDocument:
     variant: str | None = None
     status: str | None = None
     advice: list[str] | None = None
+    advice_codes: list[str] | None = None
     frames: int | None = None
     stars: int | None = None
     rms_arc_rad: dict[str, Any] | None = None
@@ -40,6 +42,11 @@ class ParameterSetDocument:
     inputs: dict[str, Any] | None = None
     residual_spline: ResidualSpline | None = None
     truth: Values[float] | None = None
+
+    @property
+    def coded_advice(self) -> list[Advice]:
+        """The advice, each sentence with its kind."""
+        return with_codes(self.advice or [], self.advice_codes or [])
 
     @property
     def reliable_sigma(self) -> Values[float | None]:

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from boresight import __version__
 from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.advice import advice, too_few
+from boresight.calibration.advice_kinds import Advice
 from boresight.calibration.calibration import (
     Calibration,
     Change,
@@ -337,7 +338,7 @@ def _judged(
     """Add chi-square, innovations, observability and advice; none of them while the estimate is on its way."""
     dof = arcs.n_arcs - _fitted_directions(parameters, estimate)
     if estimate.status == "running" or not np.isfinite(estimate.A).all() or dof <= 0:
-        return replace(estimated, nis=_innovations_so_far(estimate), advice=_unjudged(estimate, dof))
+        return replace(estimated, nis=_innovations_so_far(estimate), advice=[*_unjudged(estimate, dof)])
     fit = chi_square(estimate.chi2, dof)
     nis = _innovations(estimate) or fit
     names = [problem.camera.parameter_names[p] for p in parameters.free]
@@ -353,7 +354,7 @@ def _judged(
         chi2=ChiSquareTest(value=estimate.chi2, **_bounds(fit)),
         nis=InnovationTest(mean=nis.mean, **_bounds(nis)),
         observability=replace(observability_view(observed), chi2_rise=rise),
-        advice=advice(problem, parameters, settings, estimate, fit, nis, known, rise),
+        advice=[*advice(problem, parameters, settings, estimate, fit, nis, known, rise)],
     )
 
 
@@ -377,16 +378,15 @@ def observability_view(observed: Observed) -> Observability:
     )
 
 
-def _unjudged(estimate: Estimate, dof: int) -> list[str]:
+def _unjudged(estimate: Estimate, dof: int) -> list[Advice]:
     """Advice where statistics cannot be had."""
     if estimate.status == "running":
         return []
     if dof <= 0:
-        return [
-            "There are not more arcs than free parameters, so nothing can be checked: add frames or free fewer parameters."
-        ]
+        none = "There are not more arcs than free parameters, so nothing can be checked: add frames or free fewer parameters."
+        return [Advice(none, "too_few_arcs")]
     diverged = "The fit diverged: do not use these numbers; free fewer parameters, or start closer to the truth."
-    return [*estimate.remarks, diverged]
+    return [*estimate.remarks, Advice(diverged, "diverged")]
 
 
 def _bounds(test: ChiSquare) -> dict[str, Any]:
@@ -418,7 +418,7 @@ def nothing_estimated(
         parameters=_values(names, problem.sensor.initial),
         sigma=unknown,
         delta_over_sigma=unknown,
-        advice=too_few(problem, settings.minimum_stars),
+        advice=[*too_few(problem, settings.minimum_stars)],
     )
 
 

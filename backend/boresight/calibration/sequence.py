@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from boresight.arrays import IntArray
+from boresight.calibration.advice_kinds import of_kind
 from boresight.calibration.estimate import Asked, Estimate, Parameters, ReportEstimate, claim
 from boresight.calibration.history_recorder import RecordedHistory
 from boresight.calibration.options import CalibrationSettings
@@ -135,7 +136,10 @@ def finished(problem: Problem, parameters: Parameters, history: RecordedHistory)
         status = "rank_deficient"
     else:
         status = "converged"
-    remarks = (*_of_blindness(problem, parameters, history), *_of_one_update(problem, history))
+    remarks = (
+        *of_kind("filter_states", _of_blindness(problem, parameters, history)),
+        *of_kind("one_update", _of_one_update(problem, history)),
+    )
     return Estimate(
         x, ended.A, history.last.P, ended.chi2, status, history.linearisations_sum, history=history, remarks=remarks
     )  # fmt: skip

@@ -15,7 +15,14 @@ from boresight.calibration.calibration import Calibration, Observability, Radial
 from boresight.estimation.statistics.observability import NAMED
 from boresight.verdicts.history import History, read_history, settled_step, sigma_of_rms, summarise_tail
 from boresight.verdicts.numbers import count, number, quantity, signed, urad
-from boresight.verdicts.verdict import LEVELS, count_weak, make_verdict, make_verdict_marks, trust_marks
+from boresight.verdicts.verdict import (
+    LEVELS,
+    count_weak,
+    make_advice,
+    make_verdict,
+    make_verdict_marks,
+    trust_marks,
+)
 
 
 @dataclass(frozen=True)
@@ -51,7 +58,7 @@ def make_headline(result: Calibration) -> Headline:
     judged = make_verdict(result)
     doubts = [mark for mark in (*make_verdict_marks(result), *trust_marks(result)) if mark.reason]
     ordered = sorted(doubts, key=lambda mark: -LEVELS.index(mark.level))
-    reasons = [mark.reason for mark in ordered] if judged.level != "normal" else []
+    reasons = [make_advice(mark, result) for mark in ordered] if judged.level != "normal" else []
     rms, unseen = result.rms_arc_rad, result.validation.rms_arc_rad if result.validation else None
     told = []
     if rms.initial is not None and rms.final is not None:

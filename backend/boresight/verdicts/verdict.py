@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from boresight.calibration.advice_kinds import Advice
 from boresight.calibration.calibration import (
     Calibration,
     ChiSquareTest,
@@ -80,6 +81,11 @@ class RunVerdict:
     level: str
     word: str
     reasons: tuple[str, ...]
+
+
+def make_advice(mark: VerdictMark, result: Calibration) -> Advice:
+    """Return the reason of a mark, which is advice of the kind that the mark is named by; of the fit, by how it ended."""
+    return Advice(mark.reason, result.status if mark.name == "fit" else mark.name)
 
 
 def _unknown(name: str, question: str, detail: str) -> VerdictMark:

@@ -11,6 +11,7 @@ import socket
 import subprocess
 import time
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +23,12 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from boresight.console.administration import fleet_metrics
 from boresight.console.administration.fleet_metrics import GAUGES, FleetMetrics, ServerParts, read_store
+from boresight.console.backups.tables import Backup, BackupSchedule
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.status import DriftVerdict
 from boresight.errors import UnavailableError
 from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import open_reading, open_writing
 from tests.console.conftest import SENSOR
 from tests.served import House
@@ -89,6 +92,30 @@ def test_a_shift_against_a_ground_calibration_has_no_p_and_a_drift_has_its_small
         assert read_store(session)["drift_p_value"] == {("S-2",): 1e-9}
 
 
+def test_the_newest_good_backup_and_its_restore_test_have_their_times(engine):
+    times = {
+        "due_utc": "2026-11-01T02:00:00Z",
+        "started_utc": "2026-11-01T02:00:00Z",
+        "tested_utc": "2026-11-01T03:00:00Z",
+    }
+    kept = {"at_minute": 120, "every_hours": 24, "keep_daily": 7, "keep_weekly": 4, "keep_monthly": 12}
+    with open_writing(engine) as session:
+        found = read_store(session)
+        assert found["backup_scheduled"] == {(): 0.0}
+        assert found["backup_newest_timestamp_seconds"] == found["backup_tested_timestamp_seconds"] == {}
+        schedule = BackupSchedule(destination="/backups", created_utc="2026-10-31T00:00:00Z", **kept)
+        session.add(schedule)
+        session.flush()
+        session.add(Backup(schedule_id=schedule.id, state="SUCCEEDED", attempt=1, name="first", **times))
+        session.add(Backup(schedule_id=schedule.id, state="FAILED", attempt=1, name="later", **times))
+        audit.append(session, COMMAND_LINE, "scheduled", f"backup-schedules/{schedule.id}")
+        session.flush()
+        found = read_store(session)
+    assert found["backup_scheduled"] == {(): 1.0}
+    assert found["backup_newest_timestamp_seconds"] == {(): datetime(2026, 11, 1, 2, tzinfo=UTC).timestamp()}
+    assert found["backup_tested_timestamp_seconds"] == {(): datetime(2026, 11, 1, 3, tzinfo=UTC).timestamp()}
+
+
 def test_a_scrape_within_seconds_reads_the_store_once_and_one_of_a_store_that_is_away_says_so(engine, monkeypatch):
     read = []
 
@@ -141,7 +168,7 @@ def test_an_expression_names_metrics_labels_and_values_that_exist(families, name
 
 
 def test_each_alert_has_a_sentence_a_severity_and_a_page_that_exists():
-    assert len({rule["alert"] for rule in RULES}) == len(RULES) == 14
+    assert len({rule["alert"] for rule in RULES}) == len(RULES) == 16
     for rule in RULES:
         assert rule["labels"]["severity"] in {"critical", "warning", "info"}
         assert rule["annotations"]["summary"].endswith(".")

@@ -20,6 +20,7 @@ from boresight.figures.tables import parameter_rows
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import open_writing, utc_after, utc_now
+from boresight.platform.web import static_files
 from boresight.verdicts.answers import make_four_views, make_headline
 from boresight.verdicts.verdict import PART_JUDGES, PartVerdict, judge_parts, make_verdict_marks
 from tests.figures.examined import matching, shadow, trust
@@ -287,6 +288,18 @@ def test_the_line_of_the_verdict_has_the_worst_warning_and_how_many_more_there_a
     assert warnings[0] in line
     assert f"{len(warnings) - 1} more" in line
     assert all(warning in rest for warning in warnings)
+
+
+def test_each_sentence_of_advice_leads_to_its_section_of_the_guide(site, results, monkeypatch, tmp_path):
+    kept = static_files.folder
+    monkeypatch.setattr(static_files, "folder", lambda name: tmp_path if name == "documentation" else kept(name))
+    (tmp_path / "index.html").touch()
+    said = {"advice": ["One.", "Two.", "Of before."], "advice_codes": ["few_frames", "cause_flaw", ""]}
+    run_id = site.add_run(state="SUCCEEDED", result={**results["batch"], **said})
+    page = site.visitor("victor").get(f"/runs/{run_id}")
+    for sentence, anchor in (("One.", "advice-few-frames"), ("Two.", "advice-cause-flaw")):
+        assert f'<span>{sentence} <a href="/docs/how-to/respond-to-advice.html#{anchor}">What to do</a>' in page
+    assert "<span>Of before.</span>" in page
 
 
 def test_the_next_step_of_a_run_is_to_make_a_set_then_to_open_it(site):

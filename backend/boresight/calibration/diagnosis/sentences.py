@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from boresight.calibration.advice_kinds import Advice
 from boresight.calibration.diagnosis.result import CAUSES, Diagnosis
 from boresight.calibration.diagnosis.trials import Hypothesis, Trial
 from boresight.cameras import CAMERA_MODELS
@@ -145,10 +146,11 @@ _CLAUSES = {
 }
 
 
-def advise(found: Diagnosis) -> list[str]:
+def advise(found: Diagnosis) -> list[Advice]:
     """What a calibration or a report says of a diagnosis: nothing where the files fit."""
     if found.fits:
         return []
     if "unknown" in found.names:
-        return [found.sentence]
-    return [f"{found.sentence} `boresight diagnose` and the page of a telemetry set write corrected files."]
+        return [Advice(found.sentence, "diagnosis")]
+    said = f"{found.sentence} `boresight diagnose` and the page of a telemetry set write corrected files."
+    return [Advice(said, "diagnosis")]

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray
+from boresight.calibration.advice_kinds import Advice, of_kind
 from boresight.calibration.calibration import (
     Calibration,
     Evaluation,
@@ -207,7 +208,7 @@ def evaluate_result(
         *([] if matching is None else names_advice(matching.given, matching.kept)),
         *trust_advice(judged.trust, calibration.coverage),
         *misfit_advice(judged.misfit),
-        *([] if calibration.robust is None else [calibration.robust.sentence]),
+        *([] if calibration.robust is None else [Advice(calibration.robust.sentence, "robust")]),
     )
 
 
@@ -219,7 +220,7 @@ def _refused_names(telemetry: Telemetry, matched: Matched, matching: Matching | 
     return {"removed": list_refused_names(telemetry, matched.matches), "removed_of": of}
 
 
-def with_advice(calibration: Calibration, *sentences: str) -> Calibration:
+def with_advice(calibration: Calibration, *sentences: Advice) -> Calibration:
     """Add sentences to the advice."""
     return replace(calibration, advice=[*calibration.advice, *sentences])
 
@@ -241,7 +242,10 @@ def validate(
     if last.problem.arcs.n_exposures == 0:
         return with_advice(
             calibration,
-            f"The validation set has no exposure with {settings.minimum_stars} usable stars: nothing was validated.",
+            Advice(
+                f"The validation set has no exposure with {settings.minimum_stars} usable stars: nothing was validated.",
+                "validation_rms",
+            ),
         )
     scores, shadow = _flown(validation, first, last, estimate.x, settings)
     judged = replace(calibration, validation=scores, shadow=replace(calibration.shadow, validation=shadow))
@@ -260,7 +264,7 @@ def _flown(
     return scores, shadow_view(telemetry, initial, final)
 
 
-def _of_validation(scores: Evaluation) -> list[str]:
+def _of_validation(scores: Evaluation) -> list[Advice]:
     rms, availability = scores.rms_arc_rad, scores.availability
     sentences = []
     if rms.final is not None and rms.initial is not None and rms.final >= rms.initial:
@@ -277,4 +281,4 @@ def _of_validation(scores: Evaluation) -> list[str]:
             f"On the validation set fewer frames would give an attitude than before ({availability.final:.1%} against "
             f"{availability.initial:.1%}): check the frames that would be lost."
         )
-    return sentences
+    return of_kind("validation_rms", sentences)

@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from boresight.arrays import FloatArray
+from boresight.calibration.advice_kinds import Advice, of_kind
 from boresight.calibration.calibration import Calibration, PriorAgreement, PriorUse, Values
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.joint.passes import JointTelemetry, NamedTelemetry, join_sets
@@ -85,7 +86,7 @@ class TakenPrior:
 
     prior: Prior
     origin: PriorUse
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[Advice, ...] = ()
     remedy: str = "compare with a run without --prior, or allow a drift by --prior-drift-sigma"
 
     def describe(
@@ -109,7 +110,7 @@ class TakenPrior:
         )
         return replace(found, sentence=_sentence(found))
 
-    def advice(self, use: PriorUse) -> list[str]:
+    def advice(self, use: PriorUse) -> list[Advice]:
         """What a person should know: of the prior's standing, and where the data contradict it."""
         if use.agreement is None or use.agreement.p_value >= DISAGREE:
             return list(self.remarks)
@@ -117,7 +118,7 @@ class TakenPrior:
         disagree = (
             f"These data contradict {use.name} ({size}): the camera changed, or one of the two is wrong; {self.remedy}."
         )
-        return [disagree, *self.remarks]
+        return [Advice(disagree, "prior_contradicted"), *self.remarks]
 
 
 def _agreement(prior: Prior, A: FloatArray, z: FloatArray) -> PriorAgreement | None:
@@ -174,7 +175,7 @@ def take_prior(
         age_days=age,
         drift_sigma=settings.prior_drift_sigma,
     )
-    return TakenPrior(Prior(x, aged), origin, tuple(_remarks(source)))
+    return TakenPrior(Prior(x, aged), origin, tuple(of_kind("prior", _remarks(source))))
 
 
 def _check_same_camera(source: PriorSource, sensor: Sensor) -> None:

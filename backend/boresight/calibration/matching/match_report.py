@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.arrays import BoolArray, IntArray
+from boresight.calibration.advice_kinds import Advice
 from boresight.calibration.calibration import (
     Cycle,
     Evaluation,
@@ -224,7 +225,7 @@ def match_report(
     }
 
 
-def names_advice(given: int, kept: int) -> list[str]:
+def names_advice(given: int, kept: int) -> list[Advice]:
     """What to think of a set of which most given names do not agree with the sensor."""
     if given < FEWEST_NAMES or 2 * kept >= given:
         return []
@@ -232,7 +233,7 @@ def names_advice(given: int, kept: int) -> list[str]:
         f"Only {kept:,} of {given:,} given identities agree with this sensor: the sensor file, its parity or its parameters are "
         "probably wrong for this telemetry; do not trust the attitudes and matches that were found."
     )
-    return [sentence]
+    return [Advice(sentence, "identities")]
 
 
 def _counted(why: list[str], rows: BoolArray) -> dict[str, int]:

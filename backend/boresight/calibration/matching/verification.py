@@ -48,6 +48,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from boresight.arrays import BoolArray, FloatArray, IntArray
+from boresight.calibration.advice_kinds import Advice
 from boresight.calibration.calibration import RemovedStar
 from boresight.calibration.evaluation.pixel_residuals import FreeCovariance, pixel_residuals
 from boresight.calibration.matching.rematch import square_root
@@ -300,7 +301,7 @@ def list_removed(pieces: Pieces, refused: Refusals) -> Iterator[RemovedStar]:
 MANY_REMOVED = 0.02
 
 
-def advise(proposed: int, removed: int, listed: Sequence[RemovedStar]) -> list[str]:
+def advise(proposed: int, removed: int, listed: Sequence[RemovedStar]) -> list[Advice]:
     """Say how many proposed stars were removed, why most likely, and what to do."""
     if not removed:
         return []
@@ -323,4 +324,4 @@ def advise(proposed: int, removed: int, listed: Sequence[RemovedStar]) -> list[s
         f"{removed:,} of {proposed:,} proposed stars {did}, most likely because of wrong identities in the file or false images; "
         f"{which}; {remedy}."
     )
-    return [sentence]
+    return [Advice(sentence, "removed")]

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from boresight.arrays import BoolArray
+from boresight.calibration.advice_kinds import CAUSE, Advice
 from boresight.calibration.calibration import Cause, Coverage, Trust
 from boresight.calibration.trust.residuals import OTHER_PARITY
 
@@ -24,32 +25,32 @@ OF_STARS = ("places", "identities")
 OF_THE_LENS = ("tangential", "radial", "affine", "lens")
 
 
-def cause_advice(trust: Trust, causes: Sequence[Cause]) -> list[str]:
+def cause_advice(trust: Trust, causes: Sequence[Cause]) -> list[Advice]:
     """Say what explains the tests that noticed something; it comes before all other advice."""
     return [*_of_geometry(trust), *_of_causes(trust, causes)]
 
 
-def trust_advice(trust: Trust, coverage: Coverage | None = None) -> list[str]:
+def trust_advice(trust: Trust, coverage: Coverage | None = None) -> list[Advice]:
     """Collect what else in the trust calls for something; `coverage`: where on the detector the stars were."""
     return [*_of_coverage(trust, coverage), *_of_the_estimate(trust), *_of_spare_parameters(trust)]
 
 
-def _of_geometry(trust: Trust) -> Iterator[str]:
+def _of_geometry(trust: Trust) -> Iterator[Advice]:
     """A mirrored detector is graver than anything else."""
     sentence = trust.unavailable.get("residuals", "")
     if sentence in OTHER_PARITY.values():
-        yield sentence
+        yield Advice(sentence, "parity")
 
 
-def _of_causes(trust: Trust, causes: Sequence[Cause]) -> Iterator[str]:
+def _of_causes(trust: Trust, causes: Sequence[Cause]) -> Iterator[Advice]:
     """What explains the tests that noticed something, the likeliest first."""
     for place, cause in enumerate(causes):
         opening = "Besides: " if place else _opening(cause.likelihood)
-        yield f"{opening}{cause.sentence} {cause.remedy}"
+        yield Advice(f"{opening}{cause.sentence} {cause.remedy}", f"{CAUSE}{cause.name}")
         if cause.name in OF_THE_LENS and trust.residual_spline is not None and trust.residual_spline.structure:
-            yield trust.residual_spline.sentence
+            yield Advice(trust.residual_spline.sentence, "residual_spline")
         if cause.name in OF_STARS and trust.suspects and trust.stars_sentence is not None:
-            yield trust.stars_sentence
+            yield Advice(trust.stars_sentence, "stars")
 
 
 def _opening(likelihood: float) -> str:
@@ -59,7 +60,7 @@ def _opening(likelihood: float) -> str:
     return f"Most likely cause ({likelihood:.0%}): " if likelihood < CERTAIN else ""
 
 
-def _of_coverage(trust: Trust, coverage: Coverage | None) -> Iterator[str]:
+def _of_coverage(trust: Trust, coverage: Coverage | None) -> Iterator[Advice]:
     """Say how much of the detector held no star, and how far off arcs may be there if the camera model holds."""
     if coverage is None:
         return
@@ -70,9 +71,10 @@ def _of_coverage(trust: Trust, coverage: Coverage | None) -> Iterator[str]:
     )
     if parts.mean() >= COVERED:
         return
-    yield (
+    yield Advice(
         f"Stars cover {int(parts.sum())} of {parts.size} parts of the detector; elsewhere the camera is extrapolated"
-        f"{_predicted(trust, coverage, parts)}: add frames with stars in the other parts, or use only the part that is covered."
+        f"{_predicted(trust, coverage, parts)}: add frames with stars in the other parts, or use only the part that is covered.",
+        "coverage",
     )
 
 
@@ -96,14 +98,14 @@ def _predicted(trust: Trust, coverage: Coverage, parts: BoolArray) -> str:
     )
 
 
-def _of_the_estimate(trust: Trust) -> Iterator[str]:
+def _of_the_estimate(trust: Trust) -> Iterator[Advice]:
     """Sigmas below the bound."""
     efficiency = trust.efficiency
     if efficiency is not None and efficiency.overall_ratio < TOO_SMALL:
-        yield efficiency.sentence
+        yield Advice(efficiency.sentence, "efficiency")
 
 
-def _of_spare_parameters(trust: Trust) -> Iterator[str]:
+def _of_spare_parameters(trust: Trust) -> Iterator[Advice]:
     """Parameters the data do not ask for; one alone may have started near its truth by luck."""
     if sum(not entry.needed for entry in trust.drop_one or ()) >= SEVERAL and trust.drop_one_sentence is not None:
-        yield trust.drop_one_sentence
+        yield Advice(trust.drop_one_sentence, "drop_one")

@@ -51,6 +51,7 @@ import numpy as np
 from numpy.polynomial.legendre import legval
 
 from boresight.arrays import FloatArray
+from boresight.calibration.advice_kinds import Advice
 from boresight.calibration.calibration import Covariance, ModelMisfit, TrustTest, Values
 from boresight.calibration.estimate import covariance
 from boresight.calibration.trust.departures import find_quantities, half_diagonal
@@ -282,10 +283,10 @@ def describe_misfit(fitted: FittedSet, found: Widening) -> tuple[Values[float | 
     )
 
 
-def misfit_advice(found: ModelMisfit | None) -> list[str]:
+def misfit_advice(found: ModelMisfit | None) -> list[Advice]:
     """What a person should know of a widening that changes decisions."""
     factors = [] if found is None else [one for one in found.factor.values() if one is not None]
-    return [found.sentence] if found is not None and max(factors, default=1.0) >= WIDE else []
+    return [Advice(found.sentence, "misfit")] if found is not None and max(factors, default=1.0) >= WIDE else []
 
 
 def _sentence(fitted: FittedSet, found: Widening, factor: FloatArray) -> str:

@@ -19,6 +19,8 @@ from prometheus_client.registry import Collector
 import boresight
 from boresight.console.administration import queries as rows
 from boresight.console.alarms.tables import ALARM_KINDS, ALARM_LEVELS
+from boresight.console.backups import queries as backup_rows
+from boresight.console.backups.service import find_schedule
 from boresight.console.fleet import queries as fleet_rows
 from boresight.console.fleet.status import STATUS_WORDS, get_drift_verdicts, list_sensor_statuses
 from boresight.console.messages.tables import Message
@@ -73,6 +75,15 @@ GAUGES = {
         Gauge("workers_connected", "1 while this server is connected to its scheduler, else 0."),
         Gauge("worker_threads", "Threads of the workers that this server knows."),
         Gauge("worker_tasks", "Tasks that this server gave to workers and that have not ended."),
+        Gauge("backup_scheduled", "1 while a schedule for backups is in force, else 0."),
+        Gauge(
+            "backup_newest_timestamp_seconds",
+            "Unix time as of which the newest good backup holds the store; absent without any.",
+        ),
+        Gauge(
+            "backup_tested_timestamp_seconds",
+            "Unix time at which that one was last restored to verify it; absent without.",
+        ),
         Gauge("webhook_deliveries", "Messages to webhooks that wait, or were given up.", ("state",)),
         Gauge("messages", "Messages to people that wait, or were given up.", ("state",)),
         Gauge("audit_intact", "0 once the verification found that the audit log is not as it was written, else 1."),
@@ -141,6 +152,7 @@ def read_store(session: Session) -> dict[str, Values]:
     statuses = [one.status for one in list_sensor_statuses(session)]
     waiting, since_utc = rows.read_open_approvals(session)
     alarms = rows.count_open_alarms(session)
+    backup = backup_rows.find_newest(session, "SUCCEEDED")
     every = ((kind, level, state) for kind in ALARM_KINDS for level in ALARM_LEVELS for state in ALARM_STATES)
     return {
         "sensors": {(word,): float(statuses.count(word)) for word in STATUS_WORDS},
@@ -154,6 +166,9 @@ def read_store(session: Session) -> dict[str, Values]:
         "ingest_decisions_waiting": {(): float(rows.count_asked_decisions(session))},
         "alarms": {labels: float(alarms.get(labels, 0)) for labels in every},
         "queue_oldest_timestamp_seconds": _at([((), rows.read_queue(session))]),
+        "backup_scheduled": {(): float(find_schedule(session) is not None)},
+        "backup_newest_timestamp_seconds": _at([((), backup and backup.started_utc)]),
+        "backup_tested_timestamp_seconds": _at([((), backup and backup.tested_utc)]),
         "webhook_deliveries": _by_state(rows.count_undelivered(session, WebhookDelivery)),
         "messages": _by_state(rows.count_undelivered(session, Message)),
     }

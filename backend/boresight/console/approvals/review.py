@@ -115,7 +115,7 @@ def _list_warnings(session: Session, approval: Approval, row: ParameterSet) -> l
     typical = session.get_one(Sensor, row.sensor_id).document["typical_sigma"]
     found = parse_parameter_set(row.document)
     old = {} if incumbent is None else parse_parameter_set(incumbent.document).parameters
-    said = {f"advice-{i}": sentence for i, sentence in enumerate(found.advice or [], 1)}
+    said: dict[str, str] = {f"advice-{i}": sentence for i, sentence in enumerate(found.coded_advice, 1)}
     said |= warn_of_shifts(found, old, typical)
     said |= warn_of_turn(found)
     if row.run_id is None:

@@ -300,6 +300,7 @@ def _page(
         uplinks=lists.list_newest(session, Uplink, set=set_id),
         conversions=list_conversions(session, row),
         panel=make_gates_panel(session, actor, row),
+        advice=parse_parameter_set(row.document).coded_advice,
         needed=get_needed(request, session, actor),
         policy=policy,
         baseline=baseline,

@@ -55,8 +55,8 @@ SCHEMA = "boresight.parameter-set/1"
 USABLE_STATUSES = ("converged", "max_iterations")
 MEANING = ("camera_model", "parameters", "sigma", "covariance")  # members of a result that belong to the estimate
 EVIDENCE = (
-    "method", "variant", "free", "status", "advice", "frames", "stars", "rms_arc_rad", "chi2_per_dof", "alignment", "inputs",
-    "sigma_with_misfit", "misfit",
+    "method", "variant", "free", "status", "advice", "advice_codes", "frames", "stars", "rms_arc_rad", "chi2_per_dof", "alignment",
+    "inputs", "sigma_with_misfit", "misfit",
 )  # fmt: skip
 
 
@@ -78,6 +78,7 @@ def create_ground_calibration(
         "method": None,
         "status": "ground calibration",
         "advice": ["Declared, not measured: the typical spread between sensors of this kind is used as the sigma."],
+        "advice_codes": ["ground_calibration"],
         "run_id": None,
         "result_sha256": None,
         "inputs": None,

@@ -1,0 +1,92 @@
+"""Every kind of advice by its code: what it is about. The guide `docs/how-to/respond-to-advice.md` has a section for each.
+
+A sentence says what a person should know of these data; its code says to code and pages which kind of sentence it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Self
+
+#: A sentence on a cause has the code `CAUSE` with the cause's name.
+CAUSE = "cause_"
+ADVICE_KINDS = {
+    "chi_square": "residuals that are larger or smaller than the noise says",
+    "cosine": "what the cosine error costs",
+    "coverage": "parts of the detector without stars",
+    "curved": "a covariance that does not hold along the weakest direction",
+    "diagnosis": "why a set hardly matches",
+    "distant_start": "one linearisation from a distant start",
+    "diverged": "a fit that diverged",
+    "drop_one": "parameters that the data do not ask for",
+    "efficiency": "sigmas below the bound",
+    "few_frames": "a set of few frames",
+    "filter_states": "a filter that tries impossible states",
+    "gain_form": "a gain taken over fewer numbers",
+    "ground_calibration": "parameters that were declared",
+    "identities": "given identities that do not agree with the sensor",
+    "judged_on": "a part of a large set that was judged",
+    "large_change": "a large change from the start",
+    "max_iterations": "a fit that had not settled",
+    "minima": "another minimum",
+    "misfit": "sigmas that misfit widens",
+    "nis": "a filter that is over-confident",
+    "nis_over_time": "innovations that change over the set",
+    "off_detector": "stars off the detector",
+    "one_update": "a filter that used all frames at once",
+    "overclaim": "a filter that claims too much information",
+    "parity": "a mirrored detector",
+    "prior": "the standing of a prior",
+    "prior_contradicted": "data that contradict a prior",
+    "rank_deficient": "parameters that these data do not determine",
+    "removed": "identities that were removed",
+    "residual_against": "a residual that depends on something",
+    "residual_spline": "a smooth pattern that the camera model leaves",
+    "robust": "what a robust loss changed",
+    "running": "a run on its way",
+    "stars": "stars that are suspect",
+    "tests": "tests that noticed something",
+    "too_few_arcs": "no more arcs than parameters",
+    "too_few_stars": "a set from which nothing could be estimated",
+    "two_halves": "halves of the set that differ",
+    "validation_rms": "a validation set on which nothing improved",
+    "variation": "parameters that vary between passes",
+    "weakest_direction": "a weakly determined direction",
+    "whiteness": "innovations that follow a pattern",
+    "wrong_sensor": "telemetry that is probably of another sensor",
+}
+
+
+class Advice(str):
+    """A sentence that knows of which kind it is; no code where a result of an earlier version says none."""
+
+    __slots__ = ("code",)
+    code: str
+
+    def __new__(cls, sentence: str, code: str = "") -> Self:
+        """Make one of a kind that there is."""
+        if code and code not in ADVICE_KINDS and not code.startswith(CAUSE):
+            raise ValueError(f"Expected a code of ADVICE_KINDS. Received: {code!r}.")
+        made = super().__new__(cls, sentence)
+        made.code = code
+        return made
+
+
+def of_kind(code: str, sentences: Iterable[str]) -> list[Advice]:
+    """Give sentences their kind."""
+    return [Advice(one, code) for one in sentences]
+
+
+def with_codes(sentences: Iterable[str], codes: list[str]) -> list[Advice]:
+    """Put sentences that were read beside their codes; one of a kind that this version does not know has none."""
+    said = list(sentences)
+    listed = codes if len(codes) == len(said) else [""] * len(said)
+    return [
+        one if isinstance(one, Advice) else Advice(one, code if code in ADVICE_KINDS or code.startswith(CAUSE) else "")
+        for one, code in zip(said, listed, strict=True)
+    ]
+
+
+def codes_of(sentences: Iterable[str]) -> list[str]:
+    """Return the code of each sentence."""
+    return [one.code if isinstance(one, Advice) else "" for one in sentences]

@@ -1,0 +1,51 @@
+"""The built documentation at a phone's width and a desk's: nothing leads sideways, and axe finds nothing that keeps people out."""
+
+import functools
+import http.server
+import threading
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import sync_playwright
+
+from tests.browser.window import SCREENSHOTS, Window, launch_chromium
+from tests.test_documentation_site import build
+
+pytestmark = pytest.mark.browser
+PAGES = (
+    "index", "tutorials/index", "how-to/index", "how-to/respond-to-advice", "how-to/respond-to-a-gate", "explanation/arcs",
+    "explanation/observability", "reference/commands", "reference/settings", "reference/rest", "reference/versions",
+    "reference/tests-and-causes", "figures", "glossary",
+)  # fmt: skip
+SIDEWAYS_PX = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
+
+
+class Quiet(http.server.SimpleHTTPRequestHandler):
+    def log_message(self, *_: object) -> None:
+        """Say nothing."""
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory):
+    site: Path = build(tmp_path_factory.mktemp("documentation"), "-D", "execute_notebooks=0")
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Quiet, directory=str(site)))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield f"http://127.0.0.1:{server.server_port}"
+    server.shutdown()
+
+
+@pytest.mark.parametrize("width", [390, 1440])
+def test_a_page_of_the_documentation_fits_and_keeps_nobody_out(address, width):
+    with sync_playwright() as playwright:
+        browser = launch_chromium(playwright)
+        context = browser.new_context(viewport={"width": width, "height": 900}, reduced_motion="reduce")
+        window = Window(context)
+        found = {}
+        for name in PAGES:
+            answer = window.page.goto(f"{address}/{name}.html")
+            assert answer.status == 200, name
+            window.page.screenshot(path=SCREENSHOTS / f"documentation-{name.replace('/', '-')}-{width}.png")
+            found[name] = (window.page.evaluate(SIDEWAYS_PX), window.barriers())
+        browser.close()
+    assert found == dict.fromkeys(PAGES, (0, []))
+    assert window.complaints == []
