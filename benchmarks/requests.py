@@ -6,8 +6,8 @@ calibrated by itself; then the policy walks over them by its usual rules, as its
 A request is false where nothing happened that it tells: a jump where the step is neither at that pass nor at the one before it; a
 drift where what lasts, without what the temperature does, changed by less than `WRONG` of the reference's sigmas since then; and
 before there are enough passes for a forecast, where the whole change is below `WRONG` sigmas of the two. How many are to be
-expected follows from the policy alone: its false-alarm rate times the passes. A mission in which nothing changes is held to that, as
-the number that a Poisson distribution of this mean exceeds once in a hundred times.
+expected follows from the policy alone: its false-alarm rate times the passes. A mission in which nothing changes is held to that,
+as the number that a Poisson distribution of this mean exceeds once in a hundred times.
 """
 
 from __future__ import annotations
