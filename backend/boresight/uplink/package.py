@@ -139,7 +139,7 @@ def _files(
         "c_sd.json": alignment_json(subject, before),
         **approved_alignment(subject),
         "verification_sheet.html": verification_sheet(
-            subject, before, definition, tables.facts, tables.rounding, said=said
+            subject, before, definition if tables.facts else None, tables.facts, tables.rounding, said=said
         ),
         **camera_files(sensor, parameters, subject["name"]),
         **correction_files(subject),
