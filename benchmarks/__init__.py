@@ -88,9 +88,8 @@ PARTS: dict[str, Part] = {
     ),
     "joint": Part("joint:measure", "passes calibrated together, beside as many single runs, and over one worker and two"),
     "recovery": Part("recovery:measure", "f(T) and drift that are put into sets of passes and found again: bias and coverage"),
-    "mission": Part(
-        "mission:measure", "three years of sensors that change: the newest pass beside all passes, and what is asked of people"
-    ),
+    "mission": Part("mission:measure", "three years of sensors that change: the newest pass beside all passes"),
+    "requests": Part("requests:measure", "what a policy asks of people over three years, and how much of it is false"),
     "fresh": Part("growth:measure_fresh", "what a fresh process pays before its first calibration, beside a warm one"),
     "growth": Part("growth:measure", "time and memory from a thousand frames to a million"),
     "spread": Part("spread:measure", "one batch over one worker, two, and two of which one is killed"),

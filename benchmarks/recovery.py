@@ -77,7 +77,7 @@ def _flown(change: FloatArray, days: FloatArray, warm: FloatArray) -> Mission:
     scenario = calibration_scenario(1)
     x = np.tile(scenario.truth, (len(change), 1))
     x[:, 0] += scenario.sensor.typical_sigma[0] * change
-    return Mission(scenario, days, warm, x, ("f_m", 0.0))
+    return Mission(scenario, days, warm, x, x, ("f_m", 0.0))
 
 
 def _problem(

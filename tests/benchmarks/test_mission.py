@@ -3,7 +3,7 @@
 import numpy as np
 
 import boresight as bs
-from benchmarks import mission
+from benchmarks import mission, requests
 from boresight.settings import read_settings
 from boresight.sky.catalogue import load_catalogue
 
@@ -39,6 +39,14 @@ def test_a_small_mission_tells_both_ways_the_steps_and_what_was_asked():
     assert [one["passes"] for one in found["windows"]] == [12, 24]
     assert all(one["joint_px"] > 0.0 for one in found["windows"])
     assert len(found["joint_sigma"]) == len(found["parameters"]) == 8
-    assert found["policy"]["nothing changes"]["states"].get("ASKED", 0) <= 1
-    assert sum(found["policy"]["mission"]["states"].values()) == 23 * len(found["steps"])
     assert {one["kept"] for one in found["limits"].values()} <= {True, False}
+
+
+def test_small_missions_tell_what_a_policy_would_have_asked_and_what_was_to_be_expected():
+    found = requests.measure(lambda *_: None, sensors=(1,), passes=24, years=0.3, frames=12)
+    still = found["policy"]["nothing changes"]
+    assert still["states"].get("ASKED", 0) <= 1
+    assert still["requests_a_year"] == still["false_a_year"]
+    assert still["expected_a_year"] == 0.001 * 23 / 0.3
+    assert sum(found["policy"]["mission"]["states"].values()) == 23
+    assert found["limits"]["requests a sensor and year where nothing changes"]["limit"] == 1 / 0.3

@@ -22,7 +22,6 @@ from boresight.estimation.statistics.drift import (
     Epoch,
     baseline_test,
     fit_line,
-    forecast,
     mahalanobis,
     power,
     slope_test,
@@ -336,30 +335,6 @@ def test_the_line_is_that_of_the_stacked_normal_equations(seed: int, m: int) -> 
     assert (np.abs(line.slope_per_d - naive) < 1e-5 * sigma).all()
 
 
-@given(st.integers(0, 2**32 - 1), st.integers(4, 9))
-def test_the_forecast_is_the_level_of_the_regression_about_its_time(seed: int, m: int) -> None:
-    rng = np.random.default_rng(seed)
-    epochs, t_d, T = _mission(rng, m), float(rng.uniform(-50, 600)), float(rng.uniform(-10, 40))
-    found = forecast(epochs, t_d, T)
-    if found is None or fit_line(epochs).thermal_per_c is None:
-        return
-    rows = [
-        [1.0, (one.t_d - t_d) / 100, one.temperature_c - T] for one in epochs
-    ]  # at the origin nothing but the level is left
-    X = np.concatenate([np.kron(row, np.diag(SPREADS)) for row in rows])
-    weight = np.zeros((m * K, m * K))
-    for i, one in enumerate(epochs):
-        weight[i * K : (i + 1) * K, i * K : (i + 1) * K] = np.linalg.inv(one.covariance)
-    y = np.concatenate([one.value - epochs[0].value for one in epochs])
-    C = np.linalg.inv(X.T @ weight @ X)
-    b = C @ X.T @ weight @ y
-    residual = y - X @ b
-    widened = C[:K, :K] * np.outer(SPREADS, SPREADS) * max(1.0, residual @ weight @ residual / (m * K - 3 * K))
-    sigma = np.sqrt(np.diag(found.covariance))
-    assert (np.abs(found.value - epochs[0].value - SPREADS * b[:K]) < 1e-4 * sigma).all()
-    np.testing.assert_allclose(found.covariance / np.outer(sigma, sigma), widened / np.outer(sigma, sigma), atol=1e-4)
-
-
 def test_what_cannot_be_tested_is_none_and_no_alarm() -> None:
     rng = np.random.default_rng(1)
     good = _mission(rng, 4)
@@ -371,9 +346,6 @@ def test_what_cannot_be_tested_is_none_and_no_alarm() -> None:
     assert fit_line([Epoch(one.t_d, one.value, flat) for one in good]) is None
     assert baseline_test(Epoch(0, np.ones(K), flat), Epoch(0, np.ones(K), flat)) is None
     assert power(np.ones(K), flat) is None
-    assert forecast([], 1.0) is None
-    assert forecast(good[:2], 1.0) is None
-    assert forecast([Epoch(1.0, one.value, one.covariance) for one in good], 9.0) is None
     locked = [Epoch(one.t_d, one.value, one.covariance, one.t_d / 10) for one in _mission(rng, 6)]
     assert fit_line(locked).thermal_per_c is None  # temperature that goes with time is not told from it
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from boresight.console.alarms.tables import Alarm
+from boresight.console.alignments.tables import AlignmentRequest
 from boresight.console.approvals.tables import Approval, Thread
 from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
@@ -19,7 +20,17 @@ from boresight.platform.audit import log as audit
 from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import Session
 
-Versioned = Alarm | Approval | ChangeProposal | IngestDecision | IngestPolicy | ParameterSet | Sensor | Thread
+Versioned = (
+    Alarm
+    | AlignmentRequest
+    | Approval
+    | ChangeProposal
+    | IngestDecision
+    | IngestPolicy
+    | ParameterSet
+    | Sensor
+    | Thread
+)
 
 
 @dataclass(frozen=True)
@@ -38,6 +49,7 @@ def name_subject(row: Versioned) -> str:
         return f"approvals/{row.approval_id}/threads/{row.id}"
     nouns: dict[type, str] = {
         Alarm: "alarms",
+        AlignmentRequest: "alignment-requests",
         Approval: "approvals",
         ChangeProposal: "change-proposals",
         IngestDecision: "ingest-decisions",
@@ -61,7 +73,7 @@ def make_label(row: Versioned) -> str:
         return f"Policy {row.number}"
     if isinstance(row, Thread):
         return f"Thread {row.id}"
-    return f"Request {row.id}" if isinstance(row, Approval) else row.name
+    return f"Request {row.id}" if isinstance(row, AlignmentRequest | Approval) else row.name
 
 
 def require_seen(session: Session, row: Versioned, seen_version: int | None) -> None:
@@ -115,7 +127,7 @@ def describe_baseline(session: Session, sensor_id: int) -> str:
 def move(
     session: Session,
     actor: Actor,
-    row: Approval | ChangeProposal | IngestDecision | IngestPolicy | ParameterSet | Thread,
+    row: AlignmentRequest | Approval | ChangeProposal | IngestDecision | IngestPolicy | ParameterSet | Thread,
     state: str,
     action: str,
     *,

@@ -38,8 +38,20 @@ from boresight.uplink import verify_package
 from boresight.uplink.archive import archive, canonical_bytes, json_bytes, sums
 from boresight.uplink.camera_files import camera_files, why_not
 from boresight.uplink.correction_table import correction_files, describe_correction
-from boresight.uplink.parameter_files import alignment_json, changes, parameters_csv, parameters_json
-from boresight.uplink.table_definition import TableDefinition, parse_definition, quantisation_effect, quantised
+from boresight.uplink.parameter_files import (
+    alignment_json,
+    approved_alignment,
+    changes,
+    parameters_csv,
+    parameters_json,
+)
+from boresight.uplink.table_definition import (
+    TableDefinition,
+    alignment_numbers,
+    parse_definition,
+    quantisation_effect,
+    quantised,
+)
 from boresight.uplink.table_files import held_by, table_facts, table_files
 from boresight.uplink.verify_package import SIGNATURE, SUMS
 
@@ -61,7 +73,7 @@ def make_files(inputs: Inputs, *, signed: bool) -> dict[str, bytes]:
     subject, backout = inputs["subject"], inputs["backout"]
     alone = backout["sha256"] == subject["sha256"]
     sets = {"": subject, "backout/": backout, "on_board/": inputs["active"]}
-    tables = {folder: _tables(definition, sensor, one) for folder, one in sets.items() if one is not None}
+    tables = {folder: _tables(definition, sensor, one, folder) for folder, one in sets.items() if one is not None}
     files: dict[str, bytes] = {}
     for place, made in tables.items():
         before = None if alone else backout if place == "" else subject
@@ -90,12 +102,20 @@ class _Tables:
     rounding: Mapping[str, Any] | None = None
 
 
-def _tables(definition: TableDefinition | None, sensor: Sensor, subject: Mapping[str, Any]) -> _Tables:
+def _tables(definition: TableDefinition | None, sensor: Sensor, subject: Mapping[str, Any], place: str) -> _Tables:
     if definition is None:
         return _Tables({})
-    parameters, name = subject["document"]["parameters"], subject["name"]
+    parameters, name, alignment = subject["document"]["parameters"], subject["name"], subject.get("alignment")
+    if definition.is_aligned and alignment is None:
+        said = f"The table {definition.table_id} holds an alignment, and none that was made with {name} is approved"
+        if place == "":
+            raise RefusedInputError(
+                f"{said}: align its run, submit the alignment and have it approved, or set a definition without alignment fields."
+            )
+        return _Tables({"table_missing.txt": f"{said}: keep the image that is on board before loading.\n".encode()})
+    numbers = None if alignment is None else alignment_numbers(alignment["quaternion"])
     try:
-        files = table_files(definition, parameters, name)
+        files = table_files(definition, parameters, name, numbers)
         rounding = _quantisation(definition, sensor, parameters)
     except RefusedInputError as refusal:
         raise RefusedInputError(f"{name} does not fit into the table {definition.table_id}: {refusal}") from refusal
@@ -117,8 +137,9 @@ def _files(
         "parameters.json": parameters_json(sensor, subject, held),
         "parameters.csv": parameters_csv(subject, before, held),
         "c_sd.json": alignment_json(subject, before),
+        **approved_alignment(subject),
         "verification_sheet.html": verification_sheet(
-            subject, before, definition, tables.facts, tables.rounding, said=said
+            subject, before, definition if tables.facts else None, tables.facts, tables.rounding, said=said
         ),
         **camera_files(sensor, parameters, subject["name"]),
         **correction_files(subject),

@@ -158,3 +158,16 @@ def alignment_json(subject: Set, before: Set | None) -> bytes:
             "C_SD_new = C_SD_old c_sd_update; C_SD turns vectors of the detector triad into the sensor's frame"
         )
     return json_bytes(answer)
+
+
+def approved_alignment(subject: Set) -> dict[str, bytes]:
+    """Write the approved alignment that was made with the set, with its signature; nothing where there is none."""
+    found = subject.get("alignment")
+    if found is None:
+        return {}
+    use = (
+        f"q turns what {found['from']} reports with {subject['name']} into what {found['to']} reports with the parameters of run "
+        f"{found['run_b']}: load it with these two and with no others."
+    )
+    answer = {"schema": "boresight.approved-alignment/1", "parameter_set": subject["name"], **found, "use": use}
+    return {"approved_alignment.json": json_bytes(answer)}

@@ -306,6 +306,10 @@ def alignment_numbers(quaternion: Sequence[float]) -> dict[str, float]:
     return dict(zip(ALIGNMENT_NAMES, [*map(float, quaternion), *map(float, matrix.ravel())], strict=True))
 
 
+#: The alignment of what is not turned, where a table is laid out to look at its parameters.
+NO_TURN = alignment_numbers((0.0, 0.0, 0.0, 1.0))
+
+
 def encode(
     definition: TableDefinition, parameters: Mapping[str, float], alignment: Mapping[str, float] | None = None
 ) -> bytes:
@@ -362,7 +366,7 @@ def _decoded(definition: TableDefinition, content: bytes, field: Field) -> Decod
 
 def quantised(definition: TableDefinition, parameters: Mapping[str, float]) -> dict[str, float]:
     """Return the parameters as the table holds them, in the order given."""
-    held = decode(definition, encode(definition, parameters, alignment_numbers((0.0, 0.0, 0.0, 1.0)))).values
+    held = decode(definition, encode(definition, parameters, NO_TURN)).values
     return {name: held[name] for name in parameters if name in held}
 
 

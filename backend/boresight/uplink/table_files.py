@@ -23,14 +23,27 @@ from boresight.uplink import cfe
 from boresight.uplink.archive import csv_bytes
 from boresight.uplink.fields import Field
 from boresight.uplink.parameter_service import ATOMICITY, application_data, type_code, value_bytes
-from boresight.uplink.table_definition import DecodedField, TableDefinition, crc_told, decode, encode, table_crc
+from boresight.uplink.table_definition import (
+    NO_TURN,
+    DecodedField,
+    TableDefinition,
+    crc_told,
+    decode,
+    encode,
+    table_crc,
+)
 
 PUS_COLUMNS = ("order", "parameter_id", "name", "parameter", "type", "ptc", "pfc", "raw_hex", "value", "note")
 
 
-def table_files(definition: TableDefinition, parameters: Mapping[str, float], title: str) -> dict[str, bytes]:
-    """Return the files of a table by name."""
-    image = encode(definition, parameters)
+def table_files(
+    definition: TableDefinition,
+    parameters: Mapping[str, float],
+    title: str,
+    alignment: Mapping[str, float] | None = None,
+) -> dict[str, bytes]:
+    """Return the files of a table by name; `alignment`: as `encode` takes it."""
+    image = encode(definition, parameters, alignment)
     files = {
         "table.bin": image,
         "table.hex.txt": ("\n".join(_hex_lines(image)) + "\n").encode(),
@@ -45,8 +58,8 @@ def table_files(definition: TableDefinition, parameters: Mapping[str, float], ti
 
 
 def held_by(definition: TableDefinition, parameters: Mapping[str, float]) -> dict[str, DecodedField]:
-    """Return each parameter as the table holds it."""
-    fields = decode(definition, encode(definition, parameters)).fields
+    """Return each parameter as the table holds it, whatever alignment it holds."""
+    fields = decode(definition, encode(definition, parameters, NO_TURN)).fields
     return {one.field.parameter: one for one in fields if one.field.parameter is not None}
 
 

@@ -15,7 +15,7 @@ from boresight.simulation import scenes
 from boresight.sky.catalogue import load_catalogue
 from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.sensors import sensor_document
-from tests.served import House
+from tests.served import PASSWORD, House
 
 Made = tuple[str, dict[str, Any]]
 TURN = np.radians([20.0, 60.0, -30.0])
@@ -94,6 +94,34 @@ def _good(house: House) -> Made:
     return "victor", {"alignment_id": aligned(house)["id"]}
 
 
+def submitted(house: House) -> dict[str, Any]:
+    """A request for an alignment that is open."""
+    made = trackers(house.app.state.settings.data_folder)
+    row = ended(house, ask(house, *(run_of(house, one) for one in made)).json()["id"])
+    body = {"reason": "Both trackers were calibrated anew."}
+    answer = house.person("ada").post(f"/api/v1/alignments/{row['id']}:submit", json=body)
+    assert answer.status_code == 201, answer.text
+    return dict(answer.json())
+
+
+def _signing(name: str) -> Any:
+    def make(house: House) -> Made:
+        row = submitted(house)
+        body = {"meaning": "I approve it.", "password": PASSWORD, "comment": "No."}
+        if name == "withdraw":
+            body = {"reason": "Another run is better."}
+        headers = {"If-Match": f'"v{row["version"]}"'}
+        return "ada" if name == "withdraw" else "alan", {"request_id": row["id"], "json": body, "headers": headers}
+
+    return make
+
+
+def _to_submit(house: House) -> Made:
+    made = trackers(house.app.state.settings.data_folder)
+    row = ended(house, ask(house, *(run_of(house, one) for one in made)).json()["id"])
+    return "ada", {"alignment_id": row["id"], "json": {"reason": "Both trackers were calibrated anew."}}
+
+
 GOOD = {
     "list_alignments": lambda _: ("victor", {}),
     "request_alignment": lambda house: (
@@ -104,4 +132,10 @@ GOOD = {
     "get_alignment_result": _good,
     "get_alignment_figure": _good,
     "get_alignment_data": _good,
+    "submit_alignment": _to_submit,
+    "list_alignment_requests": _good,
+    "get_alignment_request": lambda house: ("victor", {"request_id": submitted(house)["id"]}),
+    "approve_alignment": _signing("approve"),
+    "refuse_alignment": _signing("refuse"),
+    "withdraw_alignment": _signing("withdraw"),
 }

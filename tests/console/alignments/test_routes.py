@@ -8,14 +8,15 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from boresight.calibration.alignment.result import parse_alignment
-from boresight.console.alignments import computation, service
+from boresight.console.alignments import computation, queries, service
 from boresight.console.alignments.tables import Alignment
 from boresight.console.runs.tables import Run
 from boresight.errors import CancelledError, RefusedInputError
 from boresight.platform.actors import SYSTEM
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import open_reading, open_writing
-from tests.console.alignments.pairs import TURN, aligned, ask, ended, read, run_of, trackers
+from tests.console.alignments.pairs import TURN, aligned, ask, ended, read, run_of, submitted, trackers
+from tests.served import PASSWORD
 
 
 @pytest.fixture(scope="module")
@@ -171,3 +172,46 @@ def test_one_that_ends_every_server_fails(still, pair):
         audit.append(session, SYSTEM, "began", f"alignments/{number}")
     assert _claim(still) is None
     assert read(still, number)["state"] == "FAILED"
+
+
+def _sign(house, row, who, verb="approve", **more):
+    body = {"meaning": "I approve this alignment.", "password": PASSWORD, **more}
+    place = f"/api/v1/alignment-requests/{row['id']}:{verb}"
+    return house.person(who).post(place, json=body, headers={"If-Match": f'"v{row["version"]}"'})
+
+
+def test_an_alignment_goes_on_board_by_one_who_submits_and_another_who_signs(house):
+    row = submitted(house)
+    assert (row["state"], row["signed_by"]) == ("OPEN", None)
+    again = house.person("ada").post(f"/api/v1/alignments/{row['alignment_id']}:submit", json={"reason": "Again."})
+    assert again.status_code == 409
+    assert _sign(house, row, "ada").status_code == 403
+    assert _sign(house, row, "victor").status_code == 403
+    assert _sign(house, row, "alan", password="wrong").status_code in {401, 403}
+    assert _sign(house, {**row, "version": 9}, "alan").status_code == 412
+    assert _sign(house, row, "alan", "refuse").status_code == 422
+    signed = _sign(house, row, "alan").json()
+    assert (signed["state"], signed["version"], signed["result_sha256"]) == ("APPROVED", 2, row["result_sha256"])
+    assert _sign(house, signed, "alan").status_code == 409
+    listed = house.person("victor").get(f"/api/v1/alignments/{row['alignment_id']}/requests").json()["items"]
+    assert [one["id"] for one in listed] == [row["id"]]
+    with open_reading(house.app.state.engine) as session:
+        kept = session.get_one(Alignment, row["alignment_id"])
+        alignment, request = queries.find_approved(session, kept.run_a_id)
+        assert (alignment.id, request.id) == (row["alignment_id"], row["id"])
+        assert queries.find_approved(session, kept.run_b_id) is None
+        said = [one.action for one in audit.list_records(session) if one.object == f"alignment-requests/{row['id']}"]
+        assert sorted(said) == ["approved", "submitted"]
+        assert audit.verify(session).ok
+
+
+def test_one_that_a_gate_blocks_is_not_submitted_and_an_open_one_is_taken_back(house):
+    row = aligned(house)
+    blocking = house.person("victor").get(f"/api/v1/alignments/{row['id']}/result").json()["gate_report"]["blocking"]
+    asked = house.person("ada").post(f"/api/v1/alignments/{row['id']}:submit", json={"reason": "Because."})
+    assert (asked.status_code, bool(blocking)) == (409, True)
+    request = submitted(house)
+    place = f"/api/v1/alignment-requests/{request['id']}:withdraw"
+    seen = {"If-Match": f'"v{request["version"]}"'}
+    assert house.person("alan").post(place, json={"reason": "Mine?"}, headers=seen).status_code == 403
+    assert house.person("ada").post(place, json={"reason": "A later one."}, headers=seen).json()["state"] == "WITHDRAWN"

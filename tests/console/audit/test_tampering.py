@@ -19,7 +19,7 @@ from boresight.console.access import api_keys, users
 from boresight.console.access.tables import ExternalIdentity, RecoveryCode, SecondFactor
 from boresight.console.alarms import rules
 from boresight.console.alarms.rules import check_chain
-from boresight.console.alignments.tables import Alignment
+from boresight.console.alignments.tables import Alignment, AlignmentRequest
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals import threads
 from boresight.console.approvals.tables import Approval, GateProfile, GateReport, Waiver
@@ -109,6 +109,7 @@ def _fill_the_rest(session: Session) -> None:
         IngestDecision,
         JointSet,
         Alignment,
+        AlignmentRequest,
         MessageAddress,
         ExternalIdentity,
         RecoveryCode,
@@ -130,8 +131,8 @@ def _fill_the_rest(session: Session) -> None:
                 row.ended_because = "reset"
             if isinstance(row, SecondFactor):
                 row.kind = "totp"
-            if isinstance(row, Backup):
-                row.state = "SUCCEEDED"
+            if isinstance(row, AlignmentRequest | Backup):
+                row.state = "APPROVED" if isinstance(row, AlignmentRequest) else "SUCCEEDED"
             session.add(row)
             session.flush()
     audit.append(session, COMMAND_LINE, "filled", "tables")

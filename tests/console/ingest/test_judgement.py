@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from boresight.console.fleet.trend import Trend, TrendPoint, make_epoch
-from boresight.console.ingest.judgement import Reference, judge, judge_newest
+from boresight.console.ingest.judgement import Follower, Reference, judge, judge_newest, reference_of
 from boresight.console.ingest.rehearsal import rehearse
 from boresight.console.ingest.rules import RULES, PolicyRules, parse_rules
 from boresight.errors import RefusedInputError
@@ -56,38 +56,59 @@ def reference(value=TRUTH):
 RULE = PolicyRules()
 
 
+def judged(points, base, rules=RULE):
+    """What a policy finds in each of some sets since a reference."""
+    follower, since, found = Follower(rules), [], []
+    for one in points:
+        own = follower.follow(one)
+        found.append(judge(one, own, since, base, rules))
+        since = since if own is None else [*since, own]
+    return found
+
+
 def test_sets_of_a_camera_that_did_not_change_are_asked_about_as_often_as_the_policy_says():
     rng, rules, trials = np.random.default_rng(5), PolicyRules(false_alarm_rate=0.02), 4000
     base = [reference(drawn(rng, TRUTH)) for _ in range(trials)]
-    asked = [judge(point(1, drawn(rng, TRUTH)), [], one, rules).state == "ASKED" for one in base]
+    asked = [judged([point(1, drawn(rng, TRUTH))], one, rules)[0].state == "ASKED" for one in base]
     assert abs(np.mean(asked) - 0.02) < 4 * np.sqrt(0.02 * 0.98 / trials)
 
 
-def test_a_drift_is_where_the_line_forecasts_it_and_a_jump_is_not():
+def test_a_drift_is_forecast_and_asked_once_the_baseline_is_left_and_a_jump_is_not():
     rng = np.random.default_rng(6)
-    drift = [point(k, drawn(rng, TRUTH + k * 2 * SIGMA)) for k in range(1, 12)]
-    found = judge(drift[-1], drift[:-1], reference(), RULE)
-    assert (found.state, found.is_forecast) == ("ASKED", True)
-    assert [one.code for one in found.reasons] == ["OUTSIDE", "LARGEST", "DRIFT", "IN ROW"]
-    still = [point(k, drawn(rng, TRUTH)) for k in range(1, 11)]
-    found = judge(point(11, TRUTH + 20 * SIGMA), still, reference(), RULE)
+    found = judged([point(k, drawn(rng, TRUTH + k * SIGMA)) for k in range(1, 25)], reference())
+    assert (found[-1].state, found[-1].is_forecast) == ("ASKED", True)
+    assert [one.code for one in found[-1].reasons] == ["OUTSIDE", "LARGEST", "DRIFT", "IN ROW"]
+    still = [point(k, drawn(rng, TRUTH)) for k in range(1, 21)]
+    *before, found = judged([*still, point(21, TRUTH + 20 * SIGMA)], reference())
+    assert {one.state for one in before} == {"WITHIN FORECAST"}
     assert (found.state, found.is_forecast, found.in_row) == ("ASKED", False, 1)
     assert "JUMP" in [one.code for one in found.reasons]
     assert found.largest[1] > 10
 
 
+def test_what_comes_and_goes_with_the_temperature_is_forecast_and_no_drift():
+    rng = np.random.default_rng(9)
+    warm = 10.0 * np.sin(np.arange(60) / 5.0)
+    season = [point(k, drawn(rng, TRUTH + T * SIGMA), temperature_c=15.0 + T) for k, T in enumerate(warm)]
+    base = reference_of(season[0])
+    found = judged(season[20:], base, RULE)
+    assert (
+        sum(one.state == "ASKED" for one in found) <= 8
+    )  # until there is a forecast, each is held against the baseline
+    assert {one.state for one in found[8:]} == {"WITHIN FORECAST"}
+
+
 def test_people_are_asked_once_so_many_sets_in_a_row_left_the_baseline():
     rules = PolicyRules(confirmations=3)
     moved = [point(k, TRUTH + 20 * SIGMA) for k in range(1, 5)]
-    found = [judge(one, moved[:k], reference(), rules) for k, one in enumerate(moved)]
-    assert [(one.state, one.in_row) for one in found] == [
+    assert [(one.state, one.in_row) for one in judged(moved, reference(), rules)] == [
         ("UNCONFIRMED", 1),
         ("UNCONFIRMED", 2),
         ("ASKED", 3),
         ("ASKED", 4),
     ]
-    back = [*moved[:2], point(3, TRUTH)]
-    assert judge(point(4, TRUTH + 20 * SIGMA), back, reference(), rules).in_row == 1
+    back = [*moved[:2], point(3, TRUTH), point(4, TRUTH + 20 * SIGMA)]
+    assert judged(back, reference(), rules)[-1].in_row == 1
 
 
 @pytest.mark.parametrize(
@@ -97,11 +118,11 @@ def test_people_are_asked_once_so_many_sets_in_a_row_left_the_baseline():
         ({"timed": False}, "NO TIME"),
         ({"stars": 10}, "FEW STARS"),
         ({"names": ("f_m", "k1"), "parameters": {"f_m": 1.0, "k1": 0.0}}, "OTHER PARAMETERS"),
-        ({"covariance": np.ones((2, 2))}, "HOLDS"),  # with the baseline's own it is positive definite
+        ({"covariance": np.ones((2, 2))}, "NO COVARIANCE"),
     ],
 )
 def test_what_cannot_be_compared_says_why(changed, code):
-    assert judge(point(1, TRUTH, **changed), [], reference(), RULE).reasons[0].code == code
+    assert judged([point(1, TRUTH, **changed)], reference())[0].reasons[0].code == code
 
 
 def _trend(points, baseline_of=None):
@@ -123,15 +144,18 @@ def test_data_that_are_not_newer_than_the_baselines_own_are_not_judged():
     assert judge_newest(trend, 99, RULE).reasons[0].code == "NO RESULT"
 
 
-def test_the_dry_run_takes_each_set_that_would_be_asked_as_the_next_reference():
+def test_the_dry_run_asks_twice_about_a_step_and_once_about_an_outlier():
     rng = np.random.default_rng(8)
     step = [point(k, drawn(rng, TRUTH + (30 * SIGMA if k >= 20 else 0))) for k in range(40)]
     found = rehearse(_trend(step, baseline_of=1), RULE)
-    assert (found["sets"], found["asked"], found["held"], found["not_judged"]) == (39, 1, 38, 0)
-    (asked,) = [line for line in found["lines"] if line["state"] == "ASKED"]
-    assert (asked["run_id"], asked["against"]) == (21, "run 1")
-    assert found["lines"][-1]["against"] == "run 21"
+    assert (found["sets"], found["asked"], found["held"], found["not_judged"]) == (39, 2, 37, 0)
+    asked = [(line["run_id"], line["against"]) for line in found["lines"] if line["state"] == "ASKED"]
+    assert asked == [(21, "run 1"), (22, "run 1")]  # a jump; the next set confirms it, and is promoted
+    assert found["lines"][-1]["against"] == "run 22"
     assert found["false_requests_per_year"] == pytest.approx(0.001 * 365.25, rel=1e-6)
+    step[20:] = [point(k, drawn(rng, TRUTH + (30 * SIGMA if k == 20 else 0))) for k in range(20, 40)]
+    found = rehearse(_trend(step, baseline_of=1), RULE)
+    assert [line["run_id"] for line in found["lines"] if line["state"] == "ASKED"] == [21]
 
 
 def test_the_dry_run_counts_what_would_have_paused_the_policy():

@@ -226,6 +226,7 @@ def alignment_page(request: Request, session: Reading, blobs: Blobs, alignment_i
         a=names[row.sensor_a_id],
         b=names[row.sensor_b_id],
         history=service.list_history(session, row),
+        requests=queries.list_requests(session, row.id),
         chart=chart,
         axes=AXES,
         names=read_names(session),

@@ -7,7 +7,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from boresight.console.alignments.tables import Alignment
+from boresight.console.alignments.tables import Alignment, AlignmentRequest
 from boresight.console.runs.tables import CALIBRATIONS, Run
 from boresight.platform.db.sessions import Session
 
@@ -53,3 +53,29 @@ def list_usable_runs(session: Session, limit: int) -> Sequence[Run]:
     """Return the newest calibrations that succeeded, newest first."""
     query = sa.select(Run).where(Run.state == "SUCCEEDED", CALIBRATIONS)
     return session.scalars(query.order_by(Run.id.desc()).limit(limit)).all()
+
+
+def list_requests(session: Session, alignment_id: int) -> Sequence[AlignmentRequest]:
+    """Return the requests for an alignment, newest first."""
+    query = sa.select(AlignmentRequest).where(AlignmentRequest.alignment_id == alignment_id)
+    return session.scalars(query.order_by(AlignmentRequest.id.desc())).all()
+
+
+def find_request_in_force(session: Session, alignment_id: int) -> AlignmentRequest | None:
+    """Return the request for an alignment that is open or approved."""
+    row = AlignmentRequest
+    query = sa.select(row).where(row.alignment_id == alignment_id, row.state.in_(("OPEN", "APPROVED")))
+    return session.scalar(query)
+
+
+def find_approved(session: Session, run_id: int) -> tuple[Alignment, AlignmentRequest] | None:
+    """Return the alignment from the sensor of a run, made with that run, that was approved last."""
+    query = (
+        sa.select(Alignment, AlignmentRequest)
+        .join(AlignmentRequest, AlignmentRequest.alignment_id == Alignment.id)
+        .where(Alignment.run_a_id == run_id, AlignmentRequest.state == "APPROVED")
+        .order_by(AlignmentRequest.closed_utc.desc(), AlignmentRequest.id.desc())
+        .limit(1)
+    )
+    found = session.execute(query).first()
+    return None if found is None else (found[0], found[1])

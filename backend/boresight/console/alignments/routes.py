@@ -5,13 +5,25 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 from fastapi import Query
-from pydantic import Field
+from pydantic import Field, SecretStr
 from starlette.responses import Response
 
 from boresight.calibration.alignment.align import AlignmentOptions
-from boresight.console.access.dependencies import Blobs, Reading, Who, Writing
-from boresight.console.alignments import schemas, service
-from boresight.console.alignments.tables import Alignment
+from boresight.console.access.dependencies import (
+    Blobs,
+    Reading,
+    SeenVersion,
+    ServerPolicy,
+    Who,
+    Writing,
+    factor_field,
+    own_password,
+    password_field,
+)
+from boresight.console.access.passwords import PasswordProof
+from boresight.console.alignments import approval, queries, schemas, service
+from boresight.console.alignments.tables import Alignment, AlignmentRequest
+from boresight.console.approvals.service import Decision
 from boresight.console.list_queries import list_newest
 from boresight.console.operation import json_response, operations
 from boresight.console.runs.schemas import PlotlyFigure
@@ -64,8 +76,8 @@ def request_alignment(given: NewAlignment, actor: Who, session: Writing) -> Alig
     """Queue the alignment of two sensors from a run of each, with their results and their telemetry.
 
     The server computes it in the background; `Location` is where to follow it. Refused are runs of one sensor, runs that did not
-    succeed, and telemetry without common hours. It is evidence: nobody approves it, and no uplink package contains it. The result
-    is what `boresight table encode --alignment` takes.
+    succeed, and telemetry without common hours. The result is what `boresight table encode --alignment` takes; once it is submitted
+    and approved, the uplink packages of A's set contain it.
     """
     options: Document = {} if given.options is None else given.options.model_dump(exclude_unset=True)
     return service.request_alignment(session, actor, given.run_a_id, given.run_b_id, options)
@@ -95,3 +107,80 @@ def get_alignment_data(alignment_id: Id, session: Reading, blobs: Blobs) -> Resp
     """Read the numbers behind the figure as CSV."""
     found, _ = service.read_result(session, blobs, alignment_id)
     return csv_response(chart.table(found), f"alignment-{alignment_id}.csv")
+
+
+class Reasoned(Shape):
+    """Why."""
+
+    reason: str = Field(examples=["The trackers were calibrated anew."])
+
+
+class Signing(Shape):
+    """A signature: what it means, and the password again."""
+
+    meaning: str = Field(examples=["I reviewed the evidence and approve this alignment for upload."])
+    password: SecretStr = password_field("The signer's own password again.")
+    factor: SecretStr = factor_field()
+    comment: str = Field("", description="Required to refuse.")
+
+
+Proven = Annotated[PasswordProof, own_password(Signing)]
+
+
+@router.post("/{alignment_id}:submit", summary="Submit it", status_code=201, response_model=schemas.AlignmentRequest)
+def submit_alignment(alignment_id: Id, given: Reasoned, actor: Who, blobs: Blobs, session: Writing) -> AlignmentRequest:
+    """Ask in person that it go on board with the parameters of both runs; 409 where one of its gates blocks it."""
+    return approval.submit(session, actor, blobs, alignment_id, given.reason)
+
+
+@router.get("/{alignment_id}/requests", summary="List its requests", response_model=Page[schemas.AlignmentRequest])
+def list_alignment_requests(alignment_id: Id, session: Reading) -> Listing[AlignmentRequest]:
+    """List the requests for an alignment, newest first."""
+    return Listing(queries.list_requests(session, session.get_known(Alignment, alignment_id).id))
+
+
+request_router = operations("/alignment-requests", tags=["alignments"])
+
+
+@request_router.get("/{request_id}", summary="Read a request", response_model=schemas.AlignmentRequest)
+def get_alignment_request(request_id: Id, session: Reading) -> AlignmentRequest:
+    """Read a request for an alignment; the ETag is needed to sign."""
+    return session.get_known(AlignmentRequest, request_id)
+
+
+@request_router.post("/{request_id}:approve", summary="Approve an alignment", response_model=schemas.AlignmentRequest)
+def approve_alignment(
+    request_id: Id,
+    signed: Signing,
+    actor: Who,
+    seen: SeenVersion,
+    proof: Proven,
+    policy: ServerPolicy,
+    session: Writing,
+) -> AlignmentRequest:
+    """Approve as a second person, who did not submit it, ask for it or launch its runs; not an administrator, not by API key."""
+    decided = Decision("APPROVE", signed.meaning, signed.comment)
+    return approval.sign(session, actor, request_id, decided, proof, seen, policy=policy)
+
+
+@request_router.post("/{request_id}:refuse", summary="Refuse an alignment", response_model=schemas.AlignmentRequest)
+def refuse_alignment(
+    request_id: Id,
+    signed: Signing,
+    actor: Who,
+    seen: SeenVersion,
+    proof: Proven,
+    policy: ServerPolicy,
+    session: Writing,
+) -> AlignmentRequest:
+    """Refuse with a comment, as a second person."""
+    decided = Decision("REFUSE", signed.meaning, signed.comment)
+    return approval.sign(session, actor, request_id, decided, proof, seen, policy=policy)
+
+
+@request_router.post("/{request_id}:withdraw", summary="Withdraw it", response_model=schemas.AlignmentRequest)
+def withdraw_alignment(
+    request_id: Id, given: Reasoned, actor: Who, seen: SeenVersion, session: Writing
+) -> AlignmentRequest:
+    """Take an open request back, as the one who submitted it."""
+    return approval.withdraw(session, actor, request_id, given.reason, seen)

@@ -56,3 +56,24 @@ class SensorAlignment(Row):
     result_sha256: str | None
     verdict: Literal["PASS", "MARGINAL", "NO-DATA", "FAIL"] | None = Field(description="The worst answer of its gates.")
     summary: AlignmentSummary | None
+
+
+class AlignmentRequest(Row):
+    """A request that an alignment goes on board, with its signature."""
+
+    versioned_by = ("version",)
+    location = "/alignment-requests/{row.id}"
+
+    id: int
+    alignment_id: int
+    result_sha256: str = Field(description="The result that was shown and is signed for.")
+    state: Literal["OPEN", "APPROVED", "REJECTED", "WITHDRAWN"]
+    version: int = Field(description='Counts transitions; the ETag is `"v<version>"`.')
+    reason: str
+    submitted_utc: str
+    submitted_by: int
+    closed_utc: str | None
+    signed_by: int | None
+    printed_name: str | None = Field(description="Of the signer.")
+    meaning: str | None
+    comment: str | None

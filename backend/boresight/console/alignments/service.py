@@ -5,7 +5,7 @@
                   `------------------'   its server stopped; after `MOST_ATTEMPTS` attempts FAILED
 
 Every write is fenced by the attempt: an end that comes after the lease has lapsed and another server took over writes nothing.
-An alignment is evidence only: nobody approves it, and no uplink package contains it.
+What goes on board is asked for and signed in `approval`.
 """
 
 from __future__ import annotations

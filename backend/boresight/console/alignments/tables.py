@@ -11,11 +11,12 @@ from sqlalchemy.orm import Mapped, mapped_column
 
 from boresight.calibration.calibration import parse_part
 from boresight.errors import RefusedInputError
-from boresight.platform.db.declared import STRICT, Base, Sealing, allow_only
+from boresight.platform.db.declared import STRICT, Base, Sealing, allow_only, only_one
 from boresight.platform.db.documents import JsonText
 
 ALIGNMENT_STATES = ("QUEUED", "RUNNING", "SUCCEEDED", "FAILED")
 ENDED_STATES = ("SUCCEEDED", "FAILED")
+REQUEST_STATES = ("OPEN", "APPROVED", "REJECTED", "WITHDRAWN")
 
 
 class Alignment(Base):
@@ -54,6 +55,31 @@ class Alignment(Base):
     result_sha256: Mapped[str | None] = mapped_column(sa.ForeignKey("blobs.sha256"))
     verdict: Mapped[str | None] = mapped_column(sa.Text)  # of its gates
     summary: Mapped[dict[str, Any] | None] = mapped_column(JsonText)  # the figures a list shows
+
+
+class AlignmentRequest(Base):
+    """A request that an alignment goes on board with the parameters of its runs; binds the result that was shown."""
+
+    __tablename__ = "alignment_requests"
+    noun = "request for an alignment"
+    __table_args__ = (
+        allow_only("state", REQUEST_STATES),
+        only_one("uq_alignment_requests_one_in_force", "alignment_id", "state IN ('OPEN', 'APPROVED')"),
+        STRICT,
+    )
+    id: Mapped[int] = mapped_column(primary_key=True)
+    alignment_id: Mapped[int] = mapped_column(sa.ForeignKey("alignments.id"), index=True)
+    result_sha256: Mapped[str] = mapped_column(sa.Text)
+    state: Mapped[str] = mapped_column(sa.Text)
+    version: Mapped[int] = mapped_column(default=1)  # counts transitions; the ETag
+    reason: Mapped[str] = mapped_column(sa.Text)
+    submitted_utc: Mapped[str] = mapped_column(sa.Text)
+    submitted_by: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
+    closed_utc: Mapped[str | None] = mapped_column(sa.Text)
+    signed_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
+    printed_name: Mapped[str | None] = mapped_column(sa.Text)
+    meaning: Mapped[str | None] = mapped_column(sa.Text)
+    comment: Mapped[str | None] = mapped_column(sa.Text)
 
 
 @dataclass(frozen=True, kw_only=True)

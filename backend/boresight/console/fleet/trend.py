@@ -397,7 +397,8 @@ def make_baseline_epoch(baseline: ParameterSet, own: TrendPoint | None, names: S
         listed, matrix = list(own.names), own.covariance
     order = [listed.index(name) for name in names]
     value = np.array([baseline.document["parameters"][name] for name in names], dtype=np.float64)
-    return Epoch(0.0, value, matrix[np.ix_(order, order)])
+    warmth = np.nan if own is None or own.temperature_c is None else own.temperature_c
+    return Epoch(0.0, value, matrix[np.ix_(order, order)], warmth)
 
 
 def _with_sentence(found: DriftResult, baseline: ParameterSet) -> DriftResult:

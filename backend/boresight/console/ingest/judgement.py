@@ -1,19 +1,27 @@
-"""Is a new set within the forecast? One calibration against the baseline, and against the line through those before it.
+"""Is a new set within the forecast? One calibration against what all before it forecast, and what they say against the baseline.
 
 Let theta be the new estimate with covariance P, theta_b the baseline's with B, and alpha the policy's false-alarm rate.
 
-- *It holds* where D^2 = (theta - theta_b)^T (P + B)^-1 (theta - theta_b) stays below the chi-square limit of alpha
-  (`estimation.statistics.drift`): nothing is asked. P is of the set's own stars alone: a prior would tie the two together.
-- *It left the baseline* otherwise; people are asked once so many sets in a row did. That the line through the sets before it,
-  at the time and temperature of the new one, forecasts it tells a drift from a jump, by the same test.
+- *It jumps* where it is outside of what the calibrations before it forecast of its time and temperature
+  (`estimation.pass_forecast`). The errors of the passes are in no other of these tests, so alpha times the number of sets is the
+  number of false jumps that is to be expected. P is of the set's own stars alone: a prior would tie it to the forecast.
+- *It drifts* where all calibrations, this one among them, say that the camera at the baseline's temperature is no longer the
+  baseline: D^2 = (x - theta_b)^T (C + B)^-1 (x - theta_b) above the limit of alpha, x with covariance C what all say of it. Where
+  the baseline is of one of these calibrations D is smaller than that, so it asks later and not more often. What comes and goes with
+  the temperature is in the forecast, and no reason to load another set.
+- *It holds* otherwise: nothing is asked. People are asked once so many sets in a row did not hold.
 - *It is not judged* where it cannot be compared, and says why.
 
-A dry run walks over the calibrations of the past by the same function, with each one that would have been asked as the next
-reference, as though people had promoted it.
+As long as there are too few calibrations for a forecast, the baseline is the forecast: D^2 is that of theta, with P + B. All these
+tests share the baseline's error, so their false alarms come in bursts, as many on average.
+
+A dry run walks over the calibrations of the past by the same functions. A set that would have been asked as a drift is the next
+reference, as though people had promoted it; of a jump the advice is to wait for the next set, and that is taken.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -21,6 +29,7 @@ import numpy as np
 
 from boresight.console.fleet.trend import Trend, TrendPoint, make_baseline_epoch, make_epoch
 from boresight.console.ingest.rules import PolicyRules
+from boresight.estimation.pass_forecast import FEWEST, FollowedPass, PassForecaster
 from boresight.estimation.statistics import drift as tests
 from boresight.estimation.statistics.drift import ChiSquareTest, Epoch
 from boresight.verdicts.numbers import fixed, number, quantity
@@ -50,8 +59,9 @@ class Reason:
 class PolicyFinding:
     """What a policy finds in one calibration.
 
-    `state`: as of a decision. `holds`, `forecast`: against the baseline and the line. `largest`: the parameter that moved most,
-    and by how many of its sigmas. `in_row`: sets outside the baseline in a row, this one with them.
+    `state`: as of a decision. `holds`: what is known of the camera against the baseline. `forecast`: the set against its forecast;
+    None where there is none. `largest`: the parameter that moved most, and by how many of its sigmas. `in_row`: sets in a row that
+    did not hold, this one with them.
     """
 
     state: str
@@ -69,7 +79,7 @@ class PolicyFinding:
 
     @property
     def is_forecast(self) -> bool:
-        """Whether the line through the sets before it forecasts it."""
+        """Whether the sets before it forecast it."""
         return self.forecast is not None and not self.forecast.rejects
 
 
@@ -89,8 +99,35 @@ def reference_of(point: TrendPoint) -> Reference:
     return Reference(f"run {point.run_id}", point.names, make_epoch(point, point.names), None, point.run_id)
 
 
+@dataclass(frozen=True)
+class Followed:
+    """A calibration of the past as the model of the mission takes it."""
+
+    point: TrendPoint
+    found: FollowedPass
+
+
+class Follower:
+    """Takes the calibrations of a sensor in by time; those of other parameters are another series."""
+
+    def __init__(self, rules: PolicyRules) -> None:
+        self._series: defaultdict[frozenset[str], PassForecaster] = defaultdict(
+            lambda: PassForecaster(rules.false_alarm_rate)
+        )
+
+    def follow(self, point: TrendPoint) -> Followed | None:
+        """Take a calibration in; None where it does not count, or has no covariance."""
+        if point.left_out or not point.timed or not point.names:
+            return None
+        try:
+            found = self._series[frozenset(point.names)].follow(make_epoch(point, sorted(point.names)))
+        except np.linalg.LinAlgError:
+            return None
+        return Followed(point, found)
+
+
 def judge_newest(trend: Trend, run_id: int, rules: PolicyRules) -> PolicyFinding:
-    """Judge the calibration of a run against the baseline, and the line through those before it."""
+    """Judge the calibration of a run against what those before it forecast, and the baseline."""
     point, reference = trend.of_run(run_id), make_reference(trend)
     if reference is None:
         return _not_judged("NO BASELINE", "There is no baseline to compare with; register the sensor again.")
@@ -103,38 +140,68 @@ def judge_newest(trend: Trend, run_id: int, rules: PolicyRules) -> PolicyFinding
         return _not_judged(
             "OLDER", f"The data are not newer than those of {reference.name}; nothing is to be decided on them."
         )
-    before = [
-        one for one in trend.independent if one.at_utc < point.at_utc and (own is None or one.at_utc > own.at_utc)
-    ]
-    return judge(point, before, reference, rules)
-
-
-def judge(point: TrendPoint, before: Sequence[TrendPoint], reference: Reference, rules: PolicyRules) -> PolicyFinding:
-    """Judge one calibration; `before`: those since the reference, by time."""
     if (refusal := _refuse(point, reference, rules)) is not None:
         return refusal
-    names = point.names
-    order = [reference.names.index(name) for name in names]
-    base = Epoch(0.0, reference.epoch.value[order], reference.epoch.covariance[np.ix_(order, order)])
-    epoch = make_epoch(point, names)
-    holds = tests.baseline_test(epoch, base, rules.false_alarm_rate)
-    if holds is None:
+    follower = Follower(rules)
+    earlier = [one for one in trend.independent if one.at_utc < point.at_utc]
+    followed = [found for one in earlier if (found := follower.follow(one)) is not None]
+    since = [one for one in followed if own is None or one.point.at_utc > own.at_utc]
+    return judge(point, follower.follow(point), since, reference, rules)
+
+
+def agree(trend: Trend, run_id: int | None, other_id: int | None, rules: PolicyRules) -> bool:
+    """Whether the calibrations of two runs are of the same camera, for a change that was answered before there is a forecast."""
+    one, other = trend.of_run(run_id), trend.of_run(other_id)
+    if one is None or other is None or set(one.names) != set(other.names):
+        return False
+    test = tests.baseline_test(make_epoch(one, one.names), make_epoch(other, one.names), rules.false_alarm_rate)
+    return test is not None and not test.rejects
+
+
+def judge(
+    point: TrendPoint, own: Followed | None, since: Sequence[Followed], reference: Reference, rules: PolicyRules
+) -> PolicyFinding:
+    """Judge one calibration as the model took it; `since`: those since the reference, by time."""
+    if (refusal := _refuse(point, reference, rules)) is not None:
+        return refusal
+    holds = None if own is None else _hold(own, reference, rules)
+    if own is None or holds is None:
         return _not_judged(
             "NO COVARIANCE", f"The covariance of run {point.run_id} or of {reference.name} is not positive definite."
         )
-    of_line = [one for one in before if one.timed and set(one.names) == set(names)]
-    line = tests.forecast([make_epoch(one, names) for one in of_line], epoch.t_d, epoch.temperature_c)
-    forecast = None if line is None else tests.baseline_test(epoch, line, rules.false_alarm_rate)
-    worth = (epoch.value - base.value) / np.sqrt(np.diag(epoch.covariance + base.covariance))
+    test, names = own.found.test, sorted(point.names)
+    of_jump = test is not None and test.rejects
+    beside = own.found.forecast if of_jump and own.found.forecast is not None else _base(reference, names)
+    epoch = make_epoch(point, names) if of_jump or test is None else own.found.state_at(_temperature(reference))
+    worth = (epoch.value - beside.value) / np.sqrt(np.diag(epoch.covariance + beside.covariance))
     most = int(np.argmax(np.abs(worth)))
-    found = PolicyFinding("WITHIN FORECAST", (), reference, holds, forecast, (names[most], float(worth[most])))
-    if not holds.rejects:
-        return replace(found, reasons=(Reason("HOLDS", _said(point, reference, holds, "agrees with")),))
-    in_row = 1 + _outside_in_row(before, base, names, rules)
+    found = PolicyFinding("WITHIN FORECAST", (), reference, holds, test, (names[most], float(worth[most])))
+    if not (of_jump or holds.rejects):
+        return replace(found, reasons=(Reason("HOLDS", _said(point, reference, found)),))
+    in_row = 1 + _outside_in_row(since, reference, rules)
     state = "ASKED" if in_row >= rules.confirmations else "UNCONFIRMED"
-    return replace(
-        found, state=state, in_row=in_row, reasons=tuple(_reasons(point, replace(found, in_row=in_row), rules))
-    )
+    found = replace(found, state=state, in_row=in_row)
+    return replace(found, reasons=tuple(_reasons(point, found, rules)))
+
+
+def _base(reference: Reference, names: Sequence[str]) -> Epoch:
+    """Return the reference's estimate of these parameters, in their order."""
+    order = [reference.names.index(name) for name in names]
+    return Epoch(0.0, reference.epoch.value[order], reference.epoch.covariance[np.ix_(order, order)])
+
+
+def _temperature(reference: Reference) -> float:
+    """Return the temperature that a reference was taken at; NaN where it is not known."""
+    return reference.epoch.temperature_c
+
+
+def _hold(one: Followed, reference: Reference, rules: PolicyRules) -> ChiSquareTest | None:
+    """Hold what is known with a calibration, at the reference's temperature, against the reference."""
+    names = sorted(one.point.names)
+    if not set(names) <= set(reference.names):
+        return None
+    state = one.found.state_at(_temperature(reference))
+    return tests.baseline_test(state, _base(reference, names), rules.false_alarm_rate)
 
 
 def _refuse(point: TrendPoint, reference: Reference, rules: PolicyRules) -> PolicyFinding | None:
@@ -160,22 +227,35 @@ def _not_judged(code: str, sentence: str) -> PolicyFinding:
     return PolicyFinding("NOT JUDGED", (Reason(code, sentence),))
 
 
-def _outside_in_row(before: Sequence[TrendPoint], base: Epoch, names: tuple[str, ...], rules: PolicyRules) -> int:
-    """Count how many of the sets before, from the last one on, were outside the baseline too."""
+def _outside_in_row(since: Sequence[Followed], reference: Reference, rules: PolicyRules) -> int:
+    """Count how many of the sets before, from the last one on, did not hold either."""
     found = 0
-    for one in reversed(before):
-        if set(one.names) != set(names):
-            continue
-        test = tests.baseline_test(make_epoch(one, names), base, rules.false_alarm_rate)
-        if test is None or not test.rejects:
+    for one in reversed(since):
+        test = _hold(one, reference, rules)
+        if not one.found.is_outside and (test is None or not test.rejects):
             break
         found += 1
     return found
 
 
-def _said(point: TrendPoint, reference: Reference, test: ChiSquareTest, verb: str) -> str:
-    limit = f"χ² {number(test.statistic, 3)} of {test.dof}, limit {number(test.limit, 3)}"
-    return f"Run {point.run_id} {verb} {reference.name} ({limit})."
+def _said(point: TrendPoint, reference: Reference, found: PolicyFinding) -> str:
+    """Say whether a set holds, by the test that decides."""
+    forecast, holds = found.forecast, found.holds
+    if forecast is None:
+        verb = "does not agree with" if holds is not None and holds.rejects else "agrees with"
+        return f"Run {point.run_id} {verb} {reference.name} ({_numbers(holds)})."
+    if forecast.rejects:
+        return f"Run {point.run_id} is outside of what the sets before forecast ({_numbers(forecast)})."
+    if holds is not None and holds.rejects:
+        return f"All sets together do not agree with {reference.name} any longer ({_numbers(holds)})."
+    return (
+        f"Run {point.run_id} is where the sets before forecast it ({_numbers(forecast)}), and {reference.name} holds "
+        f"({_numbers(holds)})."
+    )
+
+
+def _numbers(test: ChiSquareTest | None) -> str:
+    return "" if test is None else f"χ² {number(test.statistic, 3)} of {test.dof}, limit {number(test.limit, 3)}"
 
 
 def _reasons(point: TrendPoint, found: PolicyFinding, rules: PolicyRules) -> list[Reason]:
@@ -183,22 +263,24 @@ def _reasons(point: TrendPoint, found: PolicyFinding, rules: PolicyRules) -> lis
     reference, holds, largest = found.reference, found.holds, found.largest
     if reference is None or holds is None or largest is None:
         return []
-    said = [Reason("OUTSIDE", _said(point, reference, holds, "does not agree with"))]
+    said = [Reason("OUTSIDE", _said(point, reference, found))]
     said.append(Reason("LARGEST", f"{quantity(largest[0]).symbol} changed most, {fixed(largest[1], 1)} σ."))
     if not reference.measured:
         said.append(Reason("GROUND", f"{reference.name} is a ground calibration, declared and not measured."))
     if found.forecast is None:
         said.append(
-            Reason("NO LINE", "There are fewer than three sets since then, so a drift cannot be told from a jump.")
+            Reason(
+                "NO FORECAST",
+                f"There are fewer than {FEWEST} sets to forecast one, so a drift cannot be told from a jump.",
+            )
         )
     elif found.is_forecast:
-        said.append(Reason("DRIFT", "It is where the line through the sets before forecasts it: a drift, not a jump."))
+        said.append(Reason("DRIFT", "It is where the sets before forecast it: a drift, not a jump."))
     else:
-        numbers = (
-            f"χ² {number(found.forecast.statistic, 3)} of {found.forecast.dof}, limit {number(found.forecast.limit, 3)}"
-        )
         said.append(
-            Reason("JUMP", f"The line through the sets before does not forecast it ({numbers}): a jump, or wrong data.")
+            Reason(
+                "JUMP", "A jump, or wrong data: the next set tells which; where it agrees with this one, it was a jump."
+            )
         )
     of = f"of {rules.confirmations} that the policy asks for" if found.in_row < rules.confirmations else "in a row"
     said.append(Reason("IN ROW", f"{found.in_row} set{'s' if found.in_row != 1 else ''} {of} outside it."))

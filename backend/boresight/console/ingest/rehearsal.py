@@ -12,7 +12,15 @@ from datetime import datetime
 from typing import Any
 
 from boresight.console.fleet.trend import Trend, TrendPoint
-from boresight.console.ingest.judgement import PolicyFinding, Reference, judge, make_reference, reference_of
+from boresight.console.ingest.judgement import (
+    Followed,
+    Follower,
+    PolicyFinding,
+    Reference,
+    judge,
+    make_reference,
+    reference_of,
+)
 from boresight.console.ingest.rules import PolicyRules
 
 YEAR_D = 365.25
@@ -44,17 +52,20 @@ STATES = {"held": "WITHIN FORECAST", "unconfirmed": "UNCONFIRMED", "asked": "ASK
 
 
 def walk_over(points: Sequence[TrendPoint], trend: Trend, rules: PolicyRules) -> list[tuple[TrendPoint, PolicyFinding]]:
-    """Judge one calibration after the other, with each that would have been asked as promoted."""
-    reference, since = _first_reference(points, trend), 0
+    """Judge one calibration after the other, with each that would have been asked as promoted, but for jumps."""
+    reference, since, follower = _first_reference(points, trend), list[Followed](), Follower(rules)
     walked: list[tuple[TrendPoint, PolicyFinding]] = []
-    for place, point in enumerate(points):
+    for point in points:
+        own = follower.follow(point)
         if reference is None or point.run_id == reference.run_id:
-            reference, since = reference or reference_of(point), place + 1
+            reference, since = reference or reference_of(point), []
             continue
-        found = judge(point, points[since:place], reference, rules)
+        found = judge(point, own, since, reference, rules)
         walked.append((point, found))
-        if found.state == "ASKED":
-            reference, since = reference_of(point), place + 1
+        if found.state == "ASKED" and (found.forecast is None or not found.forecast.rejects):
+            reference, since = reference_of(point), []
+        elif own is not None:
+            since.append(own)
     return walked
 
 

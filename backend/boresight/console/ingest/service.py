@@ -26,11 +26,11 @@ from boresight.console.approvals import queries as approval_rows
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.gates import GateAssessment
 from boresight.console.fleet.tables import Sensor
-from boresight.console.fleet.trend import read_trend
+from boresight.console.fleet.trend import Trend, read_trend
 from boresight.console.fleet.trend_document import Advice, advise
 from boresight.console.ingest import policies
 from boresight.console.ingest import queries as rows
-from boresight.console.ingest.judgement import PolicyFinding, Reason, judge_newest
+from boresight.console.ingest.judgement import PolicyFinding, Reason, agree, judge_newest
 from boresight.console.ingest.rules import PolicyRules
 from boresight.console.ingest.tables import ANSWERS, IngestDecision, IngestPolicy
 from boresight.console.parameter_sets import queries as set_rows
@@ -262,7 +262,7 @@ def examine(session: Session, decision_id: int) -> Found:
     trend = read_trend(session, row.sensor_id)
     found = judge_newest(trend, run.id, rules)
     if found.state == "ASKED":
-        found = _as_answered(session, row, found) or found
+        found = _as_answered(session, row, found, trend, rules) or found
     if found.state != "ASKED":
         return Found(row.id, found)
     return Found(row.id, found, _list_alternatives(found, run), advise(trend))
@@ -274,7 +274,9 @@ def _of_failure(run: Run) -> PolicyFinding:
     )
 
 
-def _as_answered(session: Session, row: IngestDecision, found: PolicyFinding) -> PolicyFinding | None:
+def _as_answered(
+    session: Session, row: IngestDecision, found: PolicyFinding, trend: Trend, rules: PolicyRules
+) -> PolicyFinding | None:
     """Return why nothing is asked again although a set is outside the baseline: it waits for signatures, or was answered."""
     waiting = approval_rows.read_newest_open(session, [row.sensor_id]).get(row.sensor_id)
     if waiting is not None:
@@ -286,7 +288,9 @@ def _as_answered(session: Session, row: IngestDecision, found: PolicyFinding) ->
         and found.reference is not None
         and quiet.evidence.get("reference_id") == found.reference.parameter_set_id
     )
-    if quiet is None or not same_baseline or not (found.is_forecast or found.forecast is None):
+    if quiet is None or not same_baseline:
+        return None
+    if not (found.is_forecast if found.forecast is not None else agree(trend, row.run_id, quiet.run_id, rules)):
         return None
     return _quiet(
         found,

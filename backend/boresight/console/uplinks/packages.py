@@ -14,6 +14,8 @@ from boresight import __version__
 from boresight.calibration.calibration import to_plain
 from boresight.console import list_queries as lists
 from boresight.console.access.tables import User
+from boresight.console.alignments import queries as alignment_rows
+from boresight.console.alignments.tables import parse_summary
 from boresight.console.approvals import queries as approval_rows
 from boresight.console.approvals import staleness
 from boresight.console.approvals.gates import read_with_waivers
@@ -53,6 +55,39 @@ def describe_set(session: Session, row: ParameterSet) -> dict[str, Any]:
         "run": _describe_run(session, row),
         "gates": _describe_gates(session, row),
         "approval": _describe_approval(session, row),
+        **_describe_alignment(session, row),
+    }
+
+
+def _describe_alignment(session: Session, row: ParameterSet) -> dict[str, Any]:
+    """Return the approved alignment that leads from this very calibration, with its signature; nothing where there is none."""
+    found = None if row.run_id is None else alignment_rows.find_approved(session, row.run_id)
+    if found is None:
+        return {}
+    alignment, request = found
+    summary = parse_summary(alignment.summary or {})
+    return {
+        "alignment": {
+            "id": alignment.id,
+            "result_sha256": alignment.result_sha256,
+            "from": session.get_one(Sensor, alignment.sensor_a_id).name,
+            "to": session.get_one(Sensor, alignment.sensor_b_id).name,
+            "run_a": alignment.run_a_id,
+            "run_b": alignment.run_b_id,
+            "verdict": alignment.verdict,
+            "reference_utc": summary.reference_utc,
+            "quaternion": summary.load_quaternion,
+            "sigma_arcsec": summary.load_sigma_arcsec,
+            "request": {
+                "id": request.id,
+                "reason": request.reason,
+                "submitted_by": _name_person(session, request.submitted_by),
+                "submitted_utc": request.submitted_utc,
+                "signed_by": request.printed_name,
+                "signed_utc": request.closed_utc,
+                "meaning": request.meaning,
+            },
+        }
     }
 
 

@@ -50,11 +50,6 @@ def parse_for(session: Session, sensor_id: int, document: Mapping[str, Any]) -> 
     """Read a definition that is not stored, as `set_definition` would."""
     sensor = session.get_known(Sensor, sensor_id)
     definition = table_definition.parse_definition(document, parse_sensor(sensor.document))
-    if definition.is_aligned:
-        raise RefusedInputError(
-            "Packages hold camera parameters and no alignment: leave the fields with `alignment` out here, and write such a table "
-            "with `boresight table encode --alignment`."
-        )
     if len(canonical(document)) > LARGEST_DOCUMENT:
         raise RefusedInputError(f"The table definition has more than {LARGEST_DOCUMENT:,} characters: shorten it.")
     return definition
@@ -82,7 +77,7 @@ def lay_out(session: Session, sensor_id: int, document: Mapping[str, Any]) -> La
     values = dict(zip(camera.parameter_names, sensor.initial.tolist(), strict=True))
     if baseline is not None:
         values = baseline.document["parameters"]
-    image = table_definition.encode(definition, values)
+    image = table_definition.encode(definition, values, table_definition.NO_TURN)
     held = table_definition.quantised(definition, values)
     return Layout(
         definition=definition,

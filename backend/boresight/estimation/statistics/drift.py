@@ -24,9 +24,6 @@ more than they say: then C is multiplied by that ratio (Birge 1932), which can o
 Both are asked at once, so each gets its share of the false-alarm rate alpha: with two tests alpha / 2 (Bonferroni), and the
 chance that either rejects although nothing changed is alpha at most.
 
-**What does the line forecast?** At the time t and the temperature T its value is a + s (t - t_mean) + c (T - T_mean), linear in
-the unknowns, with the covariance G C G^T of G = [1, t - t_mean, T - T_mean]; without T the temperature has no part in it.
-
 How much a test can see is its power: when d has the true mean delta, D^2 is noncentral chi-square with the noncentrality
 delta^T (P_n + P_b)^-1 delta.
 """
@@ -169,25 +166,6 @@ def fit_line(epochs: Sequence[Epoch]) -> RegressionLine | None:
         return None
     whitened = _whitened(epochs, columns, scale)
     return None if whitened is None else _solved(*whitened, units, scale)
-
-
-def forecast(epochs: Sequence[Epoch], t_d: float, temperature_c: float = float("nan")) -> Epoch | None:
-    """Return what the line through the estimates gives at a time, and a temperature; None where there is no line."""
-    scale = np.median([np.sqrt(np.diag(epoch.covariance)) for epoch in epochs], axis=0) if epochs else np.zeros(0)
-    columns, units = _columns(epochs) if len(epochs) >= FEWEST_FOR_A_LINE else (None, np.zeros(0))
-    if columns is None or not (np.isfinite(scale).all() and (scale > 0).all()):
-        return None
-    if len(units) > 2 and not np.isfinite(temperature_c):
-        columns, units = columns[:, :2], units[:2]
-    whitened = _whitened(epochs, columns, scale)
-    solved = None if whitened is None else _least_squares(*whitened)
-    if solved is None:
-        return None
-    means = [0.0, *(float(np.mean([getattr(one, name) for one in epochs])) for name in ("t_d", "temperature_c"))]
-    place = (np.array([1.0, t_d, temperature_c]) - means)[: len(units)] / units
-    G = np.kron(place, np.eye(len(scale)))
-    value = epochs[0].value + scale * (G @ solved.b)
-    return Epoch(t_d, value, G @ solved.C @ G.T * np.outer(scale, scale), temperature_c)
 
 
 def _columns(epochs: Sequence[Epoch]) -> tuple[FloatArray | None, FloatArray]:
