@@ -167,8 +167,8 @@ def read_store(session: Session) -> dict[str, Values]:
         "alarms": {labels: float(alarms.get(labels, 0)) for labels in every},
         "queue_oldest_timestamp_seconds": _at([((), rows.read_queue(session))]),
         "backup_scheduled": {(): float(find_schedule(session) is not None)},
-        "backup_newest_timestamp_seconds": _at([((), None if backup is None else backup.started_utc)]),
-        "backup_tested_timestamp_seconds": _at([((), None if backup is None else backup.tested_utc)]),
+        "backup_newest_timestamp_seconds": _at([((), backup.started_utc if backup else None)]),
+        "backup_tested_timestamp_seconds": _at([((), backup.tested_utc if backup else None)]),
         "webhook_deliveries": _by_state(rows.count_undelivered(session, WebhookDelivery)),
         "messages": _by_state(rows.count_undelivered(session, Message)),
     }

@@ -28,6 +28,7 @@ from boresight.console.fleet import queries as rows
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
 from boresight.console.telemetry.tables import TelemetrySet, find_quality
+from boresight.estimation.pass_forecast import PassForecaster
 from boresight.estimation.statistics import drift as tests
 from boresight.estimation.statistics.drift import FALSE_ALARM_RATE, Epoch, RegressionLine
 from boresight.platform.db.sessions import Session, utc_text
@@ -271,6 +272,7 @@ def _periods(promoted: Sequence[tuple[str, ParameterSet]]) -> Iterator[BaselineP
 
 
 DAY_S = 86400.0
+MOST_FOLLOWED = 60  # calibrations that forecast the newest
 GROUND_SHIFTED = "The ground calibration is no longer valid: promote a calibration made on orbit."
 EPOCH = "2000-01-01T12:00:00+00:00"  # days are counted from J2000, an arbitrary origin
 
@@ -349,11 +351,15 @@ def judge_drift(trend: Trend, alpha: float = FALSE_ALARM_RATE) -> DriftResult:
 
 
 def _is_jump(newest: Epoch, before: Sequence[TrendPoint], names: Sequence[str], share: float) -> bool:
-    """Whether the line through the calibrations before does not forecast the newest; False where there is no line."""
-    epochs = [make_epoch(point, names) for point in before if point.timed and set(point.names) == set(names)]
-    line = tests.forecast(epochs, newest.t_d, newest.temperature_c)
-    test = None if line is None else tests.baseline_test(newest, line, share)
-    return test is not None and test.rejects
+    """Whether the calibrations before do not forecast the newest; False where they are too few to."""
+    forecaster = PassForecaster(share)
+    try:
+        for point in before[-MOST_FOLLOWED:]:
+            if point.timed and set(point.names) == set(names):
+                forecaster.follow(make_epoch(point, names))
+        return forecaster.follow(newest).is_outside
+    except np.linalg.LinAlgError:
+        return False
 
 
 def _verdict(held: tests.ChiSquareTest, slope: tests.ChiSquareTest | None, baseline: ParameterSet) -> str:
