@@ -151,7 +151,7 @@ def test_the_advice_follows_drift_and_data(session, days, slope, answer):
 def test_a_single_calibration_that_stands_apart_asks_for_another_one(session):
     rng = np.random.default_rng(1)
     _baselined(session, rng)
-    _mission(session, rng, [30, 60, 90, 120])
+    _mission(session, rng, [*range(15, 150, 15)])
     add_run(session, add_set(session, 1, 150), rng, 20 * FIRST)
     found = drift.judge_drift(read_trend(session, 1))
     assert (found.verdict, found.is_jump) == ("DRIFT", True)
