@@ -163,7 +163,9 @@ def check(telemetry: Path, sensor_file: Path, profile: str | None, json_file: st
         ).to_dict()
     write_json(quality, json_file)
     if json_file != "-":
-        click.echo(aligned(list(_rows(quality)), left=(0, 1)))
+        click.echo(
+            aligned(list(_rows({key: value for key, value in quality.items() if key != "diagnosis"})), left=(0, 1))
+        )
         for finding in quality["findings"]:
             click.echo(f"\n{finding['severity']}: {finding['sentence']}")
 
