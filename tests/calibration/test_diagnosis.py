@@ -1,6 +1,7 @@
 """A diagnosis names what is wrong, mends nothing that it has not matched with, and says so where it does not know."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +22,8 @@ from boresight.errors import RefusedInputError
 from boresight.simulation.scenes import simulate
 from boresight.sky.apparent import apparent_directions
 from boresight.sky.identification import Recognised
-from boresight.telemetry.mapping import TelemetryMapping, parse_mapping
+from boresight.telemetry.imports.profile import Axis, Detector, Layout, Profile, Quaternion, Time
+from boresight.telemetry.mapping import TelemetryMapping, parse_mapping, profile_members
 from boresight.telemetry.quality.report import quality_report
 from boresight.telemetry.schema import find_exposures
 from boresight.telemetry.sensors import parse_sensor, sensor_document
@@ -58,6 +60,18 @@ def test_a_mistake_is_named_and_its_mend_matches_the_true_stars(sets, catalogue,
     assert is_right(found, causes), found.sentence
     assert not mends_wrongly(found, one, causes, catalogue, catalogue_folder)
     assert parse_diagnosis(json.loads(json.dumps(found.to_dict(), allow_nan=False))) == found
+
+
+def test_a_mapping_is_told_in_members_that_a_profile_has():
+    mapping = TelemetryMapping(
+        swapped_axes=True, centred=True, unit_px=4.0, flipped_rows=True, quaternion_order="wxyz", time_shift_s=-18.0
+    )
+    parts = {"row": Axis, "col": Axis, "detector": Detector, "quaternion": Quaternion, "time": Time, "layout": Layout}
+    told = re.findall(r"([a-z]+)\.([a-z_]+)", profile_members(mapping.document()))
+    assert len(told) >= 7
+    for part, member in told:
+        assert part in Profile.__dataclass_fields__
+        assert member in parts[part].__dataclass_fields__
 
 
 def _reading(one, centred, unit_m):
