@@ -101,6 +101,14 @@ def test_how_centroids_are_counted_is_named_and_mended(sets, catalogue, catalogu
     np.testing.assert_allclose(mended.row_px, one.telemetry.row_px, atol=1e-6)
 
 
+def test_the_real_field_from_its_middle_is_not_taken_for_a_match(sets, catalogue, catalogue_folder, real_sky):
+    assert real_sky
+    one = sets["real field"]
+    found = diagnose(_reading(one, True, None), one.sensor, catalogue, cache_folder=catalogue_folder)
+    assert found.names == ("centred_origin",)
+    assert found.tried[0].stars < 0.5 * max(tried.stars for tried in found.tried)
+
+
 def test_centroids_off_the_detector_are_never_said_to_match(sets, catalogue, catalogue_folder):
     one = sets[ORBIT]
     off = replace(
