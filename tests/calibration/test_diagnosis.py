@@ -1,6 +1,7 @@
 """A diagnosis names what is wrong, mends nothing that it has not matched with, and says so where it does not know."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -15,14 +16,17 @@ from boresight.calibration.diagnosis.explain import add_to_report
 from boresight.calibration.diagnosis.result import parse_diagnosis
 from boresight.calibration.diagnosis.trials import Hypothesis
 from boresight.calibration.options import CalibrationSettings
+from boresight.cameras import CAMERA_MODELS
+from boresight.cameras.model import Role
 from boresight.errors import RefusedInputError
 from boresight.simulation.scenes import simulate
 from boresight.sky.apparent import apparent_directions
 from boresight.sky.identification import Recognised
-from boresight.telemetry.mapping import TelemetryMapping, parse_mapping
+from boresight.telemetry.imports.profile import Axis, Detector, Layout, Profile, Quaternion, Time
+from boresight.telemetry.mapping import TelemetryMapping, parse_mapping, profile_members
 from boresight.telemetry.quality.report import quality_report
 from boresight.telemetry.schema import find_exposures
-from boresight.telemetry.sensors import sensor_document
+from boresight.telemetry.sensors import parse_sensor, sensor_document
 from tests.effort import few_of
 
 SIMULATED = [one for one in INPUTS if one[0] in {ORBIT, KNOWN}]
@@ -56,6 +60,86 @@ def test_a_mistake_is_named_and_its_mend_matches_the_true_stars(sets, catalogue,
     assert is_right(found, causes), found.sentence
     assert not mends_wrongly(found, one, causes, catalogue, catalogue_folder)
     assert parse_diagnosis(json.loads(json.dumps(found.to_dict(), allow_nan=False))) == found
+
+
+def test_a_mapping_is_told_in_members_that_a_profile_has():
+    mapping = TelemetryMapping(
+        swapped_axes=True, centred=True, unit_px=4.0, flipped_rows=True, quaternion_order="wxyz", time_shift_s=-18.0
+    )
+    parts = {"row": Axis, "col": Axis, "detector": Detector, "quaternion": Quaternion, "time": Time, "layout": Layout}
+    told = re.findall(r"([a-z]+)\.([a-z_]+)", profile_members(mapping.document()))
+    assert len(told) >= 7
+    for part, member in told:
+        assert part in Profile.__dataclass_fields__
+        assert member in parts[part].__dataclass_fields__
+
+
+def _reading(one, centred, unit_m):
+    """Centroids as a file has them that counts in this unit, or from the middle of the detector."""
+    sensor = one.sensor
+    middle = [(size - 1) / 2 if centred else 0.0 for size in (sensor.rows, sensor.columns)]
+    scale = 1.0 if unit_m is None else sensor.pixel_pitch_m / unit_m
+    stars = one.telemetry
+    return replace(stars, row_px=(stars.row_px - middle[0]) * scale, col_px=(stars.col_px - middle[1]) * scale)
+
+
+@pytest.mark.parametrize(
+    ("centred", "unit_m", "causes"),
+    [
+        (True, None, {"centred_origin"}),
+        (False, 1e-3, {"length_unit"}),
+        (True, 1e-6, {"centred_origin", "length_unit"}),
+    ],
+)
+def test_how_centroids_are_counted_is_named_and_mended(sets, catalogue, catalogue_folder, centred, unit_m, causes):
+    one = sets[ORBIT]
+    read = _reading(one, centred, unit_m)
+    found = diagnose(read, one.sensor, catalogue, cache_folder=catalogue_folder)
+    assert set(found.names) == causes
+    assert found.exposures_solved > 0.8 * found.exposures
+    mended = parse_mapping(found.mapping).apply(read, one.sensor)
+    np.testing.assert_allclose(mended.row_px, one.telemetry.row_px, atol=1e-6)
+
+
+def test_the_real_field_from_its_middle_is_not_taken_for_a_match(sets, catalogue, catalogue_folder, real_sky):
+    assert real_sky
+    one = sets["real field"]
+    found = diagnose(_reading(one, True, None), one.sensor, catalogue, cache_folder=catalogue_folder)
+    assert found.names == ("centred_origin",)
+    assert found.tried[0].stars < 0.5 * max(tried.stars for tried in found.tried)
+
+
+def test_centroids_off_the_detector_are_never_said_to_match(sets, catalogue, catalogue_folder):
+    one = sets[ORBIT]
+    off = replace(
+        one.telemetry,
+        row_px=one.telemetry.row_px + 0.3 * one.sensor.rows, col_px=one.telemetry.col_px + 0.3 * one.sensor.columns,
+    )  # fmt: skip
+    found = diagnose(off, one.sensor, catalogue, cache_folder=catalogue_folder)
+    assert found.names == ("unknown",)
+    assert found.off_detector > 0.2
+
+
+@pytest.mark.parametrize("ratio", [0.5, 2.0])
+def test_a_focal_length_of_half_or_double_is_found(sets, catalogue, catalogue_folder, ratio):
+    one = sets[ORBIT]
+    x = one.sensor.initial.copy()
+    place = CAMERA_MODELS[one.sensor.camera_model].place(Role.FOCAL)
+    x[place] *= ratio
+    found = diagnose(one.telemetry, replace(one.sensor, initial=x), catalogue, cache_folder=catalogue_folder)
+    assert found.names == ("focal_length",)
+    mended = parse_sensor(found.sensor_document)
+    assert mended.initial[place] == pytest.approx(one.focal_m, rel=0.01)
+
+
+def test_images_without_a_time_are_told_the_option_that_gives_it(sets, catalogue, catalogue_folder):
+    one = sets[ORBIT]
+    width = np.full(len(one.telemetry), 1.0)
+    timeless = replace(one.telemetry, time_utc=None, star_id=None, ra_rad=None, dec_rad=None, psf_sigma_px=width)
+    found = diagnose(timeless, one.sensor, catalogue, cache_folder=catalogue_folder)
+    assert found.names == ("no_time",)
+    assert "--times" in found.sentence
+    assert "add time_utc" not in found.sentence
 
 
 @pytest.mark.full
@@ -155,6 +239,7 @@ def test_chi2_of_a_moved_principal_point_is_the_minimum_over_all_parameters(sets
         TelemetryMapping(swapped_axes=True, flipped_rows=True),
         TelemetryMapping(flipped_columns=True, quaternion_order="wxyz"),
         TelemetryMapping(quaternion_sense="detector_to_icrs", time_shift_s=-18.0),
+        TelemetryMapping(centred=True, unit_px=4.0, flipped_rows=True),
     ],
     ids=str,
 )
@@ -164,10 +249,11 @@ def test_a_mapping_reads_back_what_a_file_of_its_kind_holds(sets, mapping):
     col = sensor.columns - 1 - right.col_px if mapping.flipped_columns else right.col_px
     first, second = (col, row) if mapping.swapped_axes else (row, col)
     q = right.quaternion * ([-1, -1, -1, 1] if mapping.quaternion_sense == "detector_to_icrs" else 1)
+    middle = [(size - 1) / 2 if mapping.centred else 0.0 for size in (sensor.rows, sensor.columns)]
     file = replace(
         right,
-        row_px=first + mapping.origin_px,
-        col_px=second + mapping.origin_px,
+        row_px=(first - middle[0] + mapping.origin_px) / mapping.unit_px,
+        col_px=(second - middle[1] + mapping.origin_px) / mapping.unit_px,
         quaternion=np.roll(q, 1, axis=1) if mapping.quaternion_order == "wxyz" else q,
         time_utc=right.time_utc - np.timedelta64(round(mapping.time_shift_s), "s"),
     )

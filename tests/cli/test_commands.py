@@ -59,8 +59,28 @@ def test_check_prints_the_findings_and_writes_the_report(boresight, simulated, t
     done = accepted(
         boresight("check", simulated / "calibration.csv", "--sensor", simulated / "sensor.json", "--json", path)
     )
-    assert "matched" in done.stdout
-    assert json.loads(path.read_text())["frames"] == 40
+    report = json.loads(path.read_text())
+    assert report["frames"] == 40
+    facts = [
+        line for line in done.stdout.splitlines() if line and not line.startswith(("NORMAL", "CAUTION", "SERIOUS"))
+    ]
+    assert len(facts) <= 16
+    assert any(line.split() == ["matched", f"{report['matched']:,}"] for line in facts)
+    assert all(finding["sentence"] in done.stdout for finding in report["findings"])
+    assert "diagnosis." not in done.stdout
+
+
+def test_a_file_without_a_profile_is_looked_at_and_gets_one(boresight, tmp_path):
+    own = tmp_path / "own.csv"
+    own.write_text("Row,Col,Time,mag\n10.5,20.25,2026-01-01T00:00:00Z,4.5\n11.5,30.25,2026-01-01T00:00:01Z,4.6\n")
+    alone = boresight("import", own)
+    assert alone.exit_code == 1
+    assert "--print-profile" in alone.stderr
+    drafted = boresight("import", own, "--print-profile", "--json", tmp_path / "mine.json")
+    assert "row.origin" in drafted.stderr
+    done = boresight("import", own, "--profile", tmp_path / "mine.json", "--out", tmp_path / "t.csv")
+    assert done.exit_code == 0, done.stderr
+    assert (tmp_path / "t.csv").read_text().count("\n") == 3
 
 
 def test_report_writes_one_file_from_a_calibration_json(boresight, calibration, tmp_path):

@@ -211,7 +211,7 @@ def test_the_satellites_velocity_is_that_of_the_row(catalogue):
 
 @pytest.mark.parametrize("times", [None, np.full(4, np.datetime64("NaT", "us"))], ids=["no column", "no cell"])
 def test_catalogue_directions_without_any_time_or_any_star_are_refused(catalogue, times):
-    with pytest.raises(RefusedInputError, match=r"2 matched stars .* add a time_utc column"):
+    with pytest.raises(RefusedInputError, match=r"2 matched stars .* add a time_utc column .* --times"):
         star_directions(IDS, None, None, times, None, catalogue)
     with pytest.raises(RefusedInputError, match="give a star_id column"):
         star_directions(None, None, None, TIME, None, catalogue)

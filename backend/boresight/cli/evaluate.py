@@ -163,9 +163,24 @@ def check(telemetry: Path, sensor_file: Path, profile: str | None, json_file: st
         ).to_dict()
     write_json(quality, json_file)
     if json_file != "-":
-        click.echo(aligned(list(_rows(quality)), left=(0, 1)))
         for finding in quality["findings"]:
-            click.echo(f"\n{finding['severity']}: {finding['sentence']}")
+            click.echo(f"{finding['severity']}: {finding['sentence']}\n")
+        click.echo(aligned(list(_rows({key: quality[key] for key in FACTS if key in quality})), left=(0, 1)))
+
+
+#: What `check` prints of a quality report beside its findings; `--json` has all of it.
+FACTS = (
+    "verdict",
+    "frames",
+    "exposures",
+    "stars",
+    "matched",
+    "usable",
+    "usable_frames",
+    "off_detector",
+    "magnitudes",
+    "time",
+)
 
 
 def _rows(document: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:

@@ -25,8 +25,9 @@ from boresight.library import functions as library
 from boresight.library.text import aligned
 
 if TYPE_CHECKING:
-    from boresight.library.inputs import TelemetrySource
+    from boresight.library.inputs import ProfileSource, TelemetrySource
     from boresight.telemetry.imports.mapping import Imported
+    from boresight.telemetry.imports.profile import Profile
 
 SUFFIXES = (".csv", ".jsonl", ".ndjson", ".parquet")
 
@@ -95,15 +96,25 @@ def import_telemetry(
 ) -> None:
     """Convert FILE, which another program wrote, to telemetry by a mapping profile.
 
-    FILE is CSV, JSON Lines, Parquet, FITS, a VOTable, a text table or JSON; several files are one set, in this order. With --json
+    FILE is CSV, JSON Lines, Parquet, FITS, a VOTable, a text table or JSON; several files are one set, in this order. Without
+    --profile the built-in profile that fits is named; --preview then reads by it, or by one drafted from the columns' names, and
+    --print-profile prints that with what is still to be told. With --json
     the record of the import is written: hashes of files and profile, what each column means, notes; with --preview also the rows.
     """
     if list_profiles:
         click.echo(aligned(list(_profile_rows()), left=(0, 1)))
         return
+    named: ProfileSource | None = profile
     if profile is None:
-        raise click.UsageError("Missing option '--profile': --list-profiles shows them.")
-    if print_profile:
+        if not files:
+            raise click.UsageError(
+                "Missing option '--profile': --list-profiles shows them; a FILE without one is looked at."
+            )
+        named = _propose(files[0], told_only=not (print_profile or preview))
+        if print_profile:
+            write_json(named.to_dict(), json_file or STANDARD_OUTPUT)
+            return
+    elif print_profile:
         from boresight.library.inputs import read_any_profile
 
         write_json(read_any_profile(profile).to_dict(), json_file or STANDARD_OUTPUT)
@@ -116,7 +127,7 @@ def import_telemetry(
     _check_out(None if preview else out, json_file, inputs)
     made = library.import_telemetry(
         files,
-        profile,
+        named or "",
         sensor=given["sensor_file"],
         orbit=given["orbit"],
         attitude=given["attitude"],
@@ -128,6 +139,21 @@ def import_telemetry(
     write_json(made.to_preview() if preview else made.record(), json_file)
     if json_file != STANDARD_OUTPUT:
         tell("\n".join(_preview_lines(made) if preview else _lines(made)), out or "")
+
+
+def _propose(path: Path, *, told_only: bool) -> Profile:
+    """Return the profile that reads a file, and tell what is still to be told of it; refuses where nothing more was asked."""
+    from boresight.telemetry.imports.recognition import draft_profile, recognise_for_import
+
+    found = recognise_for_import(path, path.name)
+    draft = draft_profile(found)
+    if told_only:
+        raise RefusedInputError(f"Without --profile nothing is imported: {found.name}, {found.say()}.")
+    if found.profile is not None:
+        click.echo(f"boresight: the built-in profile {draft.profile.name} fits: {found.command}", err=True)
+    for sentence in draft.still:
+        click.echo(f"boresight: still to be told: {sentence}", err=True)
+    return draft.profile
 
 
 def _check_out(out: Path | None, json_file: str | None, inputs: tuple[Path, ...]) -> None:

@@ -29,6 +29,7 @@ from boresight.arrays import FloatArray
 from boresight.errors import RefusedInputError
 from boresight.images.limits import LIMITS, SUFFIXES, ImageLimits
 from boresight.telemetry.declarations import ImageFormat, parse_image_format
+from boresight.telemetry.imports.recognition import leading_to_import
 from boresight.telemetry.read.checks import Faults
 from boresight.telemetry.sensors import Sensor
 
@@ -111,7 +112,8 @@ def read_image(
     name = name or path.name
     content = _read_bytes(path, name, limits)
     read = _READERS[_find_form(content, name)]
-    image = read(content, name, sensor, raw or sensor.image, limits)
+    with leading_to_import(path, name):
+        image = read(content, name, sensor, raw or sensor.image, limits)
     _check_size(image, sensor)
     return _timed(image, times)
 
@@ -125,7 +127,8 @@ def read_size(path: Path, name: str, limits: ImageLimits = LIMITS) -> tuple[int,
     form = _find_form(content, name)
     if form == "raw":
         return None
-    rows, columns = (_read_fits if form == "FITS" else _read_picture)(content, name, None, None, limits).dn.shape
+    with leading_to_import(path, name):
+        rows, columns = (_read_fits if form == "FITS" else _read_picture)(content, name, None, None, limits).dn.shape
     return rows, columns
 
 

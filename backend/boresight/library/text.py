@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -307,11 +307,12 @@ def summarise_diagnosis(found: Diagnosis) -> Summary:
     rows += [(one.what, f"{one.exposures_solved:,} of {found.exposures:,}", f"{one.stars:,}") for one in found.tried]
     sentences = ["The time limit ended the search before all was tried."] if found.cut_short else []
     if (mapping := found.mapping) is not None:
-        from boresight.telemetry.mapping import TelemetryMapping
+        from boresight.telemetry.mapping import profile_members
 
-        as_is = asdict(TelemetryMapping())
-        changed = [f"{name} {value}" for name, value in mapping.items() if value != as_is[name]]
-        sentences.append(f"Read the telemetry with {', '.join(changed)}.")
+        sentences.append(
+            "Write the telemetry as it is to be read by --out-telemetry FILE, or say it in a mapping profile: "
+            f"{profile_members(mapping)}."
+        )
     return Summary(f"{found.sensor}: {found.sentence}", rows, (0,), sentences)
 
 

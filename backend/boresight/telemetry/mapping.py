@@ -6,7 +6,11 @@ coordinate of the centre of the file's first pixel, R rows and N columns, its ce
 
     (a, b) := (a - o, b - o);   (b, a) where axes are swapped;   R - 1 - row and N - 1 - column where they are flipped
 
-in this order. A mapping is what a diagnosis proposes and what an import takes over.
+in this order. A file may also give lengths, px pixels a unit, and count from the middle of the detector:
+
+    (a, b) := (px a - o, px b - o);   (b, a) where axes are swapped;   row + (R - 1) / 2, col + (N - 1) / 2 where centred;   flips
+
+A mapping is what a diagnosis proposes and what an import takes over.
 """
 
 from __future__ import annotations
@@ -43,6 +47,10 @@ class TelemetryMapping:
         Where the scalar of its quaternions stands, and which way they turn.
     time_shift_s
         Seconds to add to its times.
+    centred
+        Whether it counts from the middle of the detector.
+    unit_px
+        Pixels in its unit of length: 1, or a millimetre's over the pixel pitch.
     """
 
     origin_px: float = 0.0
@@ -52,6 +60,8 @@ class TelemetryMapping:
     quaternion_order: QuaternionOrder = "xyzw"
     quaternion_sense: QuaternionSense = "icrs_to_detector"
     time_shift_s: float = 0.0
+    centred: bool = False
+    unit_px: float = 1.0
 
     @property
     def changes(self) -> bool:
@@ -60,8 +70,10 @@ class TelemetryMapping:
 
     def apply(self, telemetry: Telemetry, sensor: Sensor) -> Telemetry:
         """Return telemetry in the telemetry format; `sensor` says how many rows and columns there are."""
-        first, second = telemetry.row_px - self.origin_px, telemetry.col_px - self.origin_px
+        first, second = (values * self.unit_px - self.origin_px for values in (telemetry.row_px, telemetry.col_px))
         row, col = (second, first) if self.swapped_axes else (first, second)
+        if self.centred:
+            row, col = row + (sensor.rows - 1) / 2, col + (sensor.columns - 1) / 2
         return replace(
             telemetry,
             row_px=sensor.rows - 1 - row if self.flipped_rows else row,
@@ -82,6 +94,29 @@ class TelemetryMapping:
     def document(self) -> dict[str, Any]:
         """Return it for a JSON document."""
         return asdict(self)
+
+
+def profile_members(document: Mapping[str, Any]) -> str:
+    """Say what a mapping is in the members of a mapping profile."""
+    told, found = list[str](), parse_mapping(document)
+    if found.swapped_axes:
+        told.append("the columns of row and col exchanged")
+    if found.centred:
+        told.append('row.origin and col.origin "centre"')
+    elif found.origin_px:
+        told.append(f"row.origin and col.origin {found.origin_px:g}")
+    if found.unit_px != 1.0:
+        told.append("row.unit and col.unit a length, with detector.pixel_pitch_m")
+    told += [
+        f"{axis}.reversed" for axis, turned in (("row", found.flipped_rows), ("col", found.flipped_columns)) if turned
+    ]
+    if found.quaternion_order != "xyzw":
+        told.append(f"quaternion.order {found.quaternion_order}")
+    if found.quaternion_sense != "icrs_to_detector":
+        told.append(f"quaternion.sense {found.quaternion_sense}")
+    if found.time_shift_s:
+        told.append(f"time.offset_s {found.time_shift_s:+g}")
+    return "; ".join(told)
 
 
 def parse_mapping(document: Mapping[str, Any]) -> TelemetryMapping:

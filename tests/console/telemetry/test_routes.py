@@ -205,6 +205,7 @@ def test_a_refused_file_shows_row_and_column_and_keeps_the_choices(site, table, 
     [
         (b"", "void.csv", {}, "void.csv is empty"),
         (b"a,b\n1,2\n", "columns.csv", {}, "columns.csv: column frame: the column is missing"),
+        (b"TIME,STAR1_ROW,STAR1_COL\n2026-01-01T00:00:00Z,1,2\n", "wide.csv", {}, "import wide.csv --profile openc3 "),
         (b"PAR1", "cut.parquet", {}, "cut.parquet"),
         (b"x", "pass.csv", {"sensor_id": ""}, "Choose the sensor"),
         (b"x", "", {}, "No file was chosen"),

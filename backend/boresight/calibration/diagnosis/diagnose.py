@@ -34,7 +34,7 @@ import numpy as np
 
 from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.diagnosis.evidence import fit_camera, fit_directions
-from boresight.calibration.diagnosis.result import Diagnosis, FoundCause, Tried
+from boresight.calibration.diagnosis.result import MOST_OFF, Diagnosis, FoundCause, Tried
 from boresight.calibration.diagnosis.sentences import describe, say
 from boresight.calibration.diagnosis.trials import Bench, Hypothesis, Trial
 from boresight.calibration.options import CalibrationSettings
@@ -72,6 +72,10 @@ ENOUGH_STARS = 7
 BETTER = 0.85
 #: Of detections so much more may lie off the detector than under the candidate that has fewest there.
 FEW_OFF = 0.02
+#: Share of each side of the detector that centroids span.
+FILLED = 0.5
+#: Focal lengths over the file's that are tried where nothing is recognised, as of binned pixels, and on so many exposures.
+FACTORS, MOST_FOR_FACTORS = (2.0, 0.5), 6
 #: Candidates within this share of the most stars are told apart by other things.
 ALIKE = 0.97
 SAME_RATIO = 0.02
@@ -255,14 +259,22 @@ class _Search:
         """Search, from what stops the matching to what bends its result."""
         start = self._directions()
         before = self._try(start)
-        best, alternatives = self._image(start, before)
-        if not self._stands(best):
+        start, reading = self._reading(start, before)
+        best, alternatives = self._image(start, reading)
+        misread = not best.hypothesis.mapping.changes and self._off_detector(best) > MOST_OFF
+        if not self._stands(best) or misread:
             return self._unknown(before, start)
         best = self._focal_length(best)
         for look in (self._magnitude_limit, self._quaternions, self._epoch, self._origin):
             if not self.bench.late:
                 best = look(best)
-        hard = set(best.hypothesis.names) & {*MIRRORS, "focal_length", "magnitude_limit"}
+        hard = set(best.hypothesis.names) & {
+            *MIRRORS,
+            "centred_origin",
+            "length_unit",
+            "focal_length",
+            "magnitude_limit",
+        }
         if hard and not self._stands(best):
             return self._unknown(before, start)
         return self._diagnosis(before, best, alternatives)
@@ -285,13 +297,40 @@ class _Search:
 
     # What stops the matching.
 
+    def _reading(self, start: Hypothesis, before: Trial) -> tuple[Hypothesis, Trial]:
+        """Find whether centroids are lengths, or counted from the detector's middle: where else they fill it and lie on it."""
+        if self._fills(start) and self._off_detector(before) <= FEW_OFF:
+            return start, before
+        pitch = self.bench.sensor.pixel_pitch_m
+        for unit_m in (pitch, 1e-3, 1e-6, 1.0):
+            for centred in (False, True):
+                mapping = TelemetryMapping(centred=centred, unit_px=unit_m / pitch)
+                names = (*(["centred_origin"] if centred else []), *(["length_unit"] if unit_m != pitch else []))
+                hypothesis = both(start, Hypothesis(names, mapping=mapping))
+                if names and self._fills(hypothesis):
+                    found = self._try(hypothesis)
+                    return hypothesis, found
+        return start, before
+
+    def _fills(self, hypothesis: Hypothesis) -> bool:
+        """Whether centroids lie on the detector, as it is or with rows and columns exchanged, and span most of both its sides."""
+        for read in (hypothesis, both(hypothesis, SWAPPED)):
+            telemetry, sensor = self.bench.read(read)
+            spans = (
+                np.ptp(telemetry.row_px) > FILLED * sensor.rows and np.ptp(telemetry.col_px) > FILLED * sensor.columns
+            )
+            if spans and np.mean(~on_detector(telemetry, sensor)) <= FEW_OFF:
+                return True
+        return False
+
     def _image(self, start: Hypothesis, before: Trial) -> tuple[Trial, list[str]]:
         """Find which way round the image is, and its focal length; with the names of mirrors that do as well."""
         trials = [before]
         for candidate in self._candidates(start):
             if self.bench.late:
                 break
-            trials.append(self._try(candidate))
+            if candidate != before.hypothesis:
+                trials.append(self._try(candidate))
         limited = self.bench.sensor.magnitude_limit is not None
         if limited and max(one.solved for one in trials) < SHARE * self._solvable:
             trials += [self._try(replace(one.hypothesis, limit=np.nan)) for one in trials if not self.bench.late]
@@ -302,6 +341,9 @@ class _Search:
         plain = find_consensus(self.bench.recognise(start))
         swapped = find_consensus(self.bench.recognise(both(start, SWAPPED)))
         if plain is None and swapped is None:
+            if (scaled := self._by_factor(start)) is not None:
+                yield from self._with_focal_lengths(*scaled)
+                return
             yield from (both(start, one) for one in MIRRORS.values())
             if self.bench.sample.quaternion is not None:
                 yield from (both(start, one) for one in CONVENTIONS)
@@ -313,6 +355,18 @@ class _Search:
             others = [one for one in MIRRORS.values() if one is not SWAPPED] if swapped.mirrored else [Hypothesis()]
             kinds = [both(both(start, SWAPPED), one) for one in others]
             yield from self._with_focal_lengths(kinds, swapped.focal_ratio)
+
+    def _by_factor(self, start: Hypothesis) -> tuple[list[Hypothesis], float] | None:
+        """Return ways round of the image and the true focal length over the file's, where it is about half or double."""
+        self.bench.looks_up_deg = self.bench.field_deg  # the table that is loaded: another takes seconds to make
+        for factor in FACTORS:
+            scaled = both(start, Hypothesis(focal_ratio=factor))
+            found = find_consensus(self.bench.recognise(scaled, MOST_FOR_FACTORS))
+            if found is not None:
+                kinds = list(MIRRORS.values()) if found.mirrored else [Hypothesis()]
+                return [both(start, one) for one in kinds], factor * found.focal_ratio
+        self.bench.looks_up_deg = None
+        return None
 
     def _with_focal_lengths(self, kinds: list[Hypothesis], ratio: float) -> Iterator[Hypothesis]:
         """Return hypotheses that keep the file's focal length, where that may do, and with the one recognised."""
@@ -584,6 +638,7 @@ class _Search:
             exposures_solved=best.solved if mended else before.solved,
             log10_chance=best.log10_chance if mended else None,
             cut_short=self.bench.cut_short,
+            off_detector=self._off_detector(before),
             sensor_document=sensor_document(best.hypothesis.mend(self.bench.sensor)) if mended else None,
             mapping=mapping.document() if mended and mapping.changes else None,
         )

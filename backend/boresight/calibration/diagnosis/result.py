@@ -18,6 +18,8 @@ CAUSES: Final = {
     "flipped_rows": "rows are counted from the other edge",
     "flipped_columns": "columns are counted from the other edge",
     "half_pixel": "pixels are counted from another origin",
+    "centred_origin": "pixels are counted from the middle of the detector",
+    "length_unit": "centroids are lengths, not pixels",
     "focal_length": "the focal length is wrong",
     "j2000_directions": "star directions are of another kind than declared",
     "quaternion_order": "quaternions are written in another order or sense",
@@ -26,6 +28,9 @@ CAUSES: Final = {
     "magnitude_limit": "the magnitude limit is wrong",
     "unknown": "nothing that was tried explains it",
 }
+
+#: Share of the centroids that may lie off the detector where sensor file and telemetry are said to match.
+MOST_OFF: Final = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +62,8 @@ class Diagnosis:
     `of_exposures`: in the whole set, of which `exposures` were looked at, and `exposures_solved_before` match as the files stand.
     `sensor_document`: the mended sensor file, as it was where nothing of it is to be mended; None where the cause is unknown.
     `mapping`: how the telemetry is to be read (`TelemetryMapping`), None where as it stands. `cut_short`: whether the time limit
-    ended the search. `log10_chance`: of the matches being coincidence, None where nothing was mended.
+    ended the search. `off_detector`: share of the centroids that lie off the detector as the files stand. `log10_chance`: of the
+    matches being coincidence, None where nothing was mended.
     """
 
     sensor: str
@@ -70,6 +76,7 @@ class Diagnosis:
     exposures_solved: int = 0
     log10_chance: float | None = None
     cut_short: bool = False
+    off_detector: float = 0.0
     sensor_document: dict[str, Any] | None = None
     mapping: dict[str, Any] | None = None
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from boresight.calibration.advice_kinds import Advice
-from boresight.calibration.diagnosis.result import CAUSES, Diagnosis
+from boresight.calibration.diagnosis.result import CAUSES, MOST_OFF, Diagnosis
 from boresight.calibration.diagnosis.trials import Hypothesis, Trial
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import Role
@@ -23,6 +23,8 @@ def describe(hypothesis: Hypothesis) -> str:
         "rows from the other edge" if mapping.flipped_rows else "",
         "columns from the other edge" if mapping.flipped_columns else "",
         f"origin {mapping.origin_px:g} px" if mapping.origin_px else "",
+        "from the middle of the detector" if mapping.centred else "",
+        f"lengths of {mapping.unit_px:.4g} px" if mapping.unit_px != 1 else "",
         f"focal length {100 * (hypothesis.focal_ratio - 1):+.2f} %" if hypothesis.focal_ratio != 1 else "",
         _limit(hypothesis.limit),
         f"directions as {hypothesis.directions}" if hypothesis.directions else "",
@@ -72,14 +74,20 @@ def _say_unknown(found: Diagnosis, looked: str) -> str:
     known = [CAUSES[name] for name in found.names if name != "unknown"]
     told = f"{'; '.join(known)}. ".capitalize() if known else ""
     short = " (the time limit ended the search)" if found.cut_short else ""
+    if found.off_detector > MOST_OFF and not {"centred_origin", "length_unit"} & set(found.names):
+        return (
+            f"{told}{100 * found.off_detector:.0f} % of the centroids lie off the detector of {found.sensor}, and nothing that was "
+            f"tried puts them on it ({found.exposures_solved_before:,} of {looked} match as they are){short}: correct the "
+            "detector's rows and columns, or say in a mapping profile how the file counts pixels."
+        )
     told += (
         f"Nothing that was tried makes enough of {looked} match ({found.exposures_solved_before:,} do as they are), not parity, "
-        f"exchanged or flipped axes, focal lengths from -40 to +67 %, or the magnitude limit{short}; pixels counted from half a "
-        "pixel or from 1 would not prevent stars from matching"
+        f"exchanged or flipped axes, focal lengths from -40 to +67 %, half and double, or the magnitude limit{short}; pixels "
+        "counted from half a pixel or from 1 would not prevent stars from matching"
     )
     return (
         f"{told}: check that the centroids are stars (at least 4 an exposure, in pixels), and that sensor and telemetry share a "
-        "camera."
+        "camera, or let the stars propose a sensor file without a focal length: `boresight sensor new --telemetry FILE`."
     )
 
 
@@ -94,8 +102,21 @@ def _parity_clause(best: Trial, _: Sensor) -> str:
 
 
 def _origin_clause(best: Trial, _: Sensor) -> str:
-    origin = best.hypothesis.mapping.origin_px
+    mapping = best.hypothesis.mapping
+    origin = mapping.origin_px
+    if mapping.centred:
+        return f"the middle that pixels are counted from is {origin:g} px off the detector's"
     return f"pixels are counted from another origin: the centre of the first one is {origin:g}, not 0"
+
+
+def _centre_clause(_: Trial, __: Sensor) -> str:
+    return f"{CAUSES['centred_origin']}: in a mapping profile, origin centre"
+
+
+def _unit_clause(best: Trial, sensor: Sensor) -> str:
+    metres = best.hypothesis.mapping.unit_px * sensor.pixel_pitch_m
+    unit = {-3: "millimetres", -6: "micrometres", 0: "metres"}[round(np.log10(metres))]
+    return f"centroids are {unit}, not pixels: 1 of them is {best.hypothesis.mapping.unit_px:.4g} px"
 
 
 def _limit_clause(best: Trial, sensor: Sensor) -> str:
@@ -113,7 +134,9 @@ def _quaternion_clause(best: Trial, _: Sensor) -> str:
     return f"the quaternions are written {' '.join(mapping.quaternion_order)}, {turned}"
 
 
-def _time_clause(_: Trial, __: Sensor) -> str:
+def _time_clause(best: Trial, _: Sensor) -> str:
+    if best.telemetry.psf_sigma_px is not None:  # extracted from images
+        return "the images have no time, which directions of catalogue stars need: give --times FILE, CSV with image and time_utc"
     return "the telemetry has no time, which directions of catalogue stars need: add time_utc (ISO 8601, UTC)"
 
 
@@ -137,6 +160,8 @@ def _focal_clause(best: Trial, sensor: Sensor) -> str:
 _CLAUSES = {
     "parity": _parity_clause,
     "half_pixel": _origin_clause,
+    "centred_origin": _centre_clause,
+    "length_unit": _unit_clause,
     "focal_length": _focal_clause,
     "j2000_directions": _directions_clause,
     "quaternion_order": _quaternion_clause,

@@ -159,10 +159,10 @@ class Bench:
         except RefusedInputError:  # what is declared cannot be put right: the trial does without
             return telemetry, sensor
 
-    def recognise(self, hypothesis: Hypothesis) -> list[Recognised | None]:
-        """Recognise each exposure of the sample, its parity and focal length untrusted."""
+    def recognise(self, hypothesis: Hypothesis, most: int | None = None) -> list[Recognised | None]:
+        """Recognise each exposure of the sample, or the first so many, its parity and focal length untrusted."""
         telemetry, sensor = self.read(hypothesis)
-        return self._recognised(telemetry, sensor)
+        return self._recognised(telemetry, sensor, most)
 
     def prepare(self) -> None:
         """Load the table of patterns for this sensor, where its field of view has one and stars enough to look up."""
@@ -189,7 +189,7 @@ class Bench:
         field_deg = field_of_view_deg(camera, sensor.initial, sensor.rows, sensor.columns, pitch)
         return field_deg if FIELDS_DEG[0] <= field_deg <= FIELDS_DEG[1] else None
 
-    def _recognised(self, telemetry: Telemetry, sensor: Sensor) -> list[Recognised | None]:
+    def _recognised(self, telemetry: Telemetry, sensor: Sensor, most: int | None = None) -> list[Recognised | None]:
         found: list[Recognised | None] = [None] * len(self.exposures)
         if (field_deg := self._field_deg(sensor)) is None:
             return found
@@ -197,7 +197,7 @@ class Bench:
         camera, pitch = CAMERA_MODELS[sensor.camera_model], sensor.pixel_pitch_m
         s_d = camera.directions(sensor.initial, telemetry.row_px, telemetry.col_px, pitch)
         for k, (first, count) in enumerate(zip(self.exposures.start, self.exposures.count, strict=True)):
-            if self.late:
+            if self.late or k == most:
                 break
             rows = np.arange(first, first + count)
             rows = rows[np.isfinite(s_d[rows, 0])]

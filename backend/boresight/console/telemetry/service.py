@@ -39,9 +39,8 @@ from boresight.platform.db.sessions import Session, utc_now
 from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.web.text_validation import normal_name
 from boresight.sky.catalogue import Catalogue
-from boresight.telemetry.imports.mapping import Imported, SourceFile, import_files
+from boresight.telemetry.imports.mapping import Imported, SourceFile, import_by_likeliest, import_files
 from boresight.telemetry.imports.profile import Profile
-from boresight.telemetry.imports.recognition import recognise
 from boresight.telemetry.mapping import parse_mapping
 from boresight.telemetry.quality.detector import OffDetectorError
 from boresight.telemetry.quality.findings import Finding
@@ -204,7 +203,7 @@ def _import(
     source = SourceFile(path, _source_name(images, name))
     beside: dict[str, Any] = {"sensor": sensor, "orbit": orbit, "time": wanted.time, "limits": limits}
     if wanted.profile is None:
-        imported = recognise(source, wanted.offers, **beside)[0]
+        imported = import_by_likeliest(source, wanted.offers, **beside)[0]
     else:
         imported = import_files([source], wanted.profile, **beside)
     with (folder / IMPORTED).open("wb") as stream:

@@ -16,6 +16,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -42,6 +43,8 @@ from boresight.telemetry.sensors import Sensor
 SCHEMA: Final = "boresight.import/1"
 METADATA: Final = b"boresight.import"
 PREVIEW_ROWS, MOST_FILES = 10, 10_000
+#: A larger file is not read once for every profile.
+MOST_BYTES_RECOGNISED: Final = 16_000_000
 _METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 _RADIANS = {"deg": np.pi / 180, "rad": 1.0, "hour": np.pi / 12}
 _LIGHT_M_S = 299_792_458.0
@@ -882,3 +885,39 @@ def _apparent(
         velocity = velocity + np.nan_to_num(velocity_m_s) / _LIGHT_M_S
     seen = aberrated(unit_vectors(ra, dec), velocity)
     return np.arctan2(seen[:, 1], seen[:, 0]) % (2 * np.pi), np.arcsin(np.clip(seen[:, 2], -1, 1))
+
+
+def import_by_likeliest(
+    file: SourceFile,
+    profiles: Sequence[Profile],
+    *,
+    sensor: Sensor | None = None,
+    orbit: SourceFile | None = None,
+    time: str | None = None,
+    limits: Limits = LIMITS,
+) -> list[Imported]:
+    """Import a file by every profile that reads it, the likeliest first.
+
+    A profile that names more of a file's columns says more of what they mean; of two that name as many, the one that finds more of
+    what telemetry has is better, then the one that is offered first.
+
+    Raises
+    ------
+    RefusedInputError
+        When no profile reads it, or it is too large to be tried by each.
+    """
+    if file.path.stat().st_size > MOST_BYTES_RECOGNISED:
+        raise RefusedInputError(
+            f"{file.name} has more than {MOST_BYTES_RECOGNISED / 1e6:.0f} MB, too many to try every mapping profile on: choose its "
+            "profile yourself."
+        )
+    found = []
+    for profile in profiles:
+        with suppress(RefusedInputError):
+            found.append(import_files([file], profile, sensor=sensor, orbit=orbit, time=time, limits=limits))
+    if not found:
+        raise RefusedInputError(
+            f"No mapping profile reads {file.name}: save one that names its columns, or upload it without a preview if it has "
+            "Boresight's own columns or is an image."
+        )
+    return sorted(found, key=lambda one: (len(one.unused), -len(one.meanings)))

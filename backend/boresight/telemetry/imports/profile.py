@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 SCHEMA: Final = "boresight.import-profile/1"
 Format = Literal["auto", "csv", "jsonl", "parquet", "text", "ragged", "ecsv", "sextractor", "fits", "votable", "json"]
 Separator = Literal[",", ";", "tab", "space", "|"]
+DecimalMark = Literal[".", ","]
 Numbering = Literal["column", "record", "time", "file"]
 TimeSystem = Literal["utc", "tai", "gps", "j2000", "on_board"]
 TimeForm = Literal["iso", "days", "seconds", "milliseconds", "microseconds", "nanoseconds", "jd", "mjd"]
@@ -62,6 +63,8 @@ class Layout(_Part):
         length, `cells_per_star` cells a star.
     separator, header, comment
         Of text tables; lines that begin with `comment` are skipped.
+    decimal
+        Decimal mark of a text table's numbers. With `auto`, semicolons or tabs in the header and decimal commas are recognised.
     extension
         Name or number of the table in a FITS file or VOTable; the first one with rows if left out.
     cells_per_star
@@ -79,6 +82,7 @@ class Layout(_Part):
     separator: Separator = ","
     header: bool = True
     comment: str = ""
+    decimal: DecimalMark = "."
     extension: str | int | None = None
     cells_per_star: int | None = None
     explode: tuple[str, ...] = ()
@@ -398,6 +402,7 @@ def _troubles(profile: Profile) -> list[tuple[bool, str]]:
         (len(columns) not in {0, 4}, "quaternion.columns are four"),
         (profile.sigma is not None and len(profile.sigma.columns) not in {1, 2}, "sigma.columns are one or two"),
         (wide is not None and not (1 <= wide.count <= 10_000 and 0 <= wide.first <= 10_000), "wide.count is 1 to 10000"),
+        (layout.decimal == "," == layout.separator, "a comma cannot separate columns and be decimal: give layout.separator"),
         ((layout.format == "ragged") != (layout.cells_per_star is not None), "layout.cells_per_star goes with ragged"),
         (layout.cells_per_star is not None and not 1 <= layout.cells_per_star <= 100, "layout.cells_per_star is 1 to 100"),
     ]  # fmt: skip

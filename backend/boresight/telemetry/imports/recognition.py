@@ -1,52 +1,417 @@
-"""Which mapping profile fits a file: each is tried, and those that read it stand in order of what they leave unused.
+"""What another program's file is, told by its first bytes and columns, and which profile reads it.
 
-A profile that names more of a file's columns says more of what they mean; of two that name as many, the one that finds more of what
-telemetry has is better, then the one that is offered first. A guess is shown to a person, who may choose another one.
+A built-in profile fits where the file has every column that it cannot do without; of several the one that finds most of its
+columns. Where none fits, a first profile is drafted from the names of the columns, without regard to case, dots and dashes;
+what a name does not tell, as where pixels are counted from, is listed for a person to tell.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import suppress
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry.imports.mapping import Imported, SourceFile, import_files
-from boresight.telemetry.imports.profile import Profile
-from boresight.telemetry.read.limits import LIMITS, Limits
-from boresight.telemetry.sensors import Sensor
+from boresight.telemetry.imports.builtin import BUILT_IN
+from boresight.telemetry.imports.profile import (
+    Axis,
+    Directions,
+    Frames,
+    Layout,
+    Magnitude,
+    Profile,
+    Quaternion,
+    Sigma,
+    StarId,
+    Temperature,
+    Time,
+    Wide,
+)
+from boresight.telemetry.imports.tables import (
+    SourceTable,
+    detect_form,
+    find_fits_columns,
+    find_separators,
+    read_head,
+    read_source,
+    split_row,
+)
+from boresight.telemetry.read.formats import BYTE_ORDER_MARK, parse_json
 
-#: A larger file is not read once for every profile.
-MOST_BYTES_RECOGNISED = 16_000_000
+#: Bytes of a JSON document that is read whole to see what it holds.
+_MOST_JSON_BYTES: Final = 16_000_000
+_SHOWN: Final = 6
+#: Names that quantities go by, as letters and digits alone; the first that a file has counts.
+_SYNONYMS: Final[Mapping[str, tuple[str, ...]]] = {
+    "frame": ("frame", "frameid", "framenumber", "frameno", "image", "imageid", "img", "imagenumber", "packet", "seq"),
+    "exposure": ("exposure", "exposureid", "exposurenumber"),
+    "row": ("rowpx", "row", "ypx", "ycentroid", "ypix", "ypixel", "yimage", "centroidy", "cy", "v", "line", "y"),
+    "col": ("colpx", "col", "column", "xpx", "xcentroid", "xpix", "xpixel", "ximage", "centroidx", "cx", "u", "x"),
+    "time": ("timeutc", "utc", "time", "timestamp", "datetime", "dateobs", "epoch", "t"),
+    "star_id": ("starid", "hip", "hipid", "hipparcos", "hipnumber", "catalogid", "catid"),
+    "ra": ("radeg", "ra", "rightascension"),
+    "dec": ("decdeg", "dec", "de", "declination"),
+    "magnitude": ("magnitude", "mag", "vmag", "magauto", "brightness"),
+    "flux": ("flux", "fluxauto", "counts", "intensity", "signal", "sum"),
+    "sigma": ("sigmapx", "sigma", "centroidsigma", "err"),
+    "temperature": ("temperaturec", "temperature", "temp", "tempc"),
+}  # fmt: skip
+_QUATERNIONS: Final = (("qx", "qy", "qz", "qw"), ("q1", "q2", "q3", "q4"), ("qi", "qj", "qk", "qs"))
+#: Names of coordinates that do not say which of them is which, so that a person has to look.
+_OF_AN_IMAGE: Final = ("x", "y", "u", "v", "ximage", "yimage")
+_NUMBERED = re.compile(r"^(.*?)(\d+)(.*)$")
 
 
-def recognise(
-    file: SourceFile,
-    profiles: Sequence[Profile],
-    *,
-    sensor: Sensor | None = None,
-    orbit: SourceFile | None = None,
-    time: str | None = None,
-    limits: Limits = LIMITS,
-) -> list[Imported]:
-    """Import a file by every profile that reads it, the likeliest first.
+@dataclass(frozen=True)
+class Recognised:
+    """What a file is.
 
-    Raises
-    ------
-    RefusedInputError
-        When no profile reads it, or it is too large to be tried by each.
+    `kind`: with its article. `columns`: names in their order. `layout`: how it is read, `auto` where that does.
+    `example`: the first cell of each column that was looked at.
     """
-    if file.path.stat().st_size > MOST_BYTES_RECOGNISED:
-        raise RefusedInputError(
-            f"{file.name} has more than {MOST_BYTES_RECOGNISED / 1e6:.0f} MB, too many to try every mapping profile on: choose its "
-            "profile yourself."
+
+    name: str
+    kind: str
+    columns: tuple[str, ...]
+    layout: Layout = field(default_factory=Layout)
+    example: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def profile(self) -> Profile | None:
+        """The built-in profile that fits best; None where none does."""
+        found = [(score, place, one) for place, one in enumerate(BUILT_IN.values()) if (score := self._score(one)) > 0]
+        suffix = Path(self.name).suffix.lower().removeprefix(".") or "-"
+        return max(found, key=lambda one: (one[0], one[2].name.endswith(suffix), one[1]))[2] if found else None
+
+    def _score(self, profile: Profile) -> int:
+        """Count the columns of a profile that are there; 0 where one that it needs is not, or the layout is another."""
+        layout, plain = profile.layout, Layout()
+        if layout.format == "ragged" or (
+            (layout.explode or self.layout.explode) and layout.explode[:1] != self.layout.explode[:1]
+        ):
+            return 0
+        if layout.separator not in {plain.separator, self.layout.separator}:
+            return 0
+        if layout.explode:
+            return sum(key.split(".")[0] in layout.explode for key in self.columns) + 1
+        table = SourceTable(
+            self.name, {column: pa.nulls(0) for column in self.columns}, np.zeros(0, np.int64), np.zeros(0, np.int64)
         )
-    found = []
-    for profile in profiles:
-        with suppress(RefusedInputError):
-            found.append(import_files([file], profile, sensor=sensor, orbit=orbit, time=time, limits=limits))
-    if not found:
-        raise RefusedInputError(
-            f"No mapping profile reads {file.name}: save one that names its columns, or upload it without a preview if it has "
-            "Boresight's own columns or is an image."
+        present = {quantity: all(map(table.has, columns)) for quantity, columns in _columns_of(profile)}
+        if any(not there for quantity, there in present.items() if quantity not in profile.optional):
+            return 0
+        return sum(present.values())
+
+    @property
+    def is_of_another_program(self) -> bool:
+        """Whether an import can read it, and telemetry's own reader cannot."""
+        is_plain = self.layout == Layout() and self.kind in {"a table", "JSON", "Parquet"}
+        if is_plain and {"row_px", "col_px"} & set(self.columns):
+            return False
+        return not is_plain or self.profile is not None or {"row", "col"} <= _names_of(self.columns)[0].keys()
+
+    @property
+    def command(self) -> str:
+        """The command that reads the file, or writes a first profile for it."""
+        name = Path(self.name).name
+        if (profile := self.profile) is not None:
+            return f"boresight import {name} --profile {profile.name} --out {Path(name).stem}-stars.csv"
+        return f"boresight import {name} --print-profile > mine.json"
+
+    def say(self) -> str:
+        """Say in a clause what the file is and what to do with it."""
+        listed = ", ".join([*self.columns[:_SHOWN], *(["..."] if len(self.columns) > _SHOWN else [])])
+        told = f"it is {self.kind} of another program, with {listed or 'no columns'}"
+        if (profile := self.profile) is not None:
+            return (
+                f"{told}, which the built-in mapping profile {profile.name} reads: run `{self.command}`, or choose this profile "
+                "(`--profile`) with the file"
+            )
+        return (
+            f"{told}, and no built-in mapping profile fits: write a first one by `{self.command}`, complete it, and run "
+            f"`boresight import {Path(self.name).name} --profile mine.json`"
         )
-    return sorted(found, key=lambda one: (len(one.unused), -len(one.meanings)))
+
+
+def _columns_of(profile: Profile) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Yield each quantity that a profile reads with its columns; of a wide table those of its first star."""
+    first = "" if profile.wide is None else str(profile.wide.first)
+
+    def named(*columns: str | None) -> tuple[str, ...]:
+        return tuple(column.replace("{n}", first) for column in columns if column is not None)
+
+    yield "row", named(None if profile.row is None else profile.row.column)
+    yield "col", named(None if profile.col is None else profile.col.column)
+    yield "frame", named(profile.frames.column, profile.frames.exposure)
+    yield "time", named(None if profile.time is None else profile.time.column)
+    yield "star_id", named(None if profile.star_id is None else profile.star_id.column)
+    yield "magnitude", named(None if profile.magnitude is None else profile.magnitude.column)
+    yield "temperature", named(None if profile.temperature is None else profile.temperature.column)
+    yield "sigma", () if profile.sigma is None else named(*profile.sigma.columns)
+    yield "directions", () if profile.directions is None else named(profile.directions.ra, profile.directions.dec)
+    yield "quaternion", () if profile.quaternion is None else named(*profile.quaternion.columns)
+    yield "velocity", () if profile.velocity is None else named(*profile.velocity.columns)
+
+
+def recognise_table(path: Path, name: str) -> Recognised | None:
+    """Return what table of another program a file is; None where it is none that an import reads."""
+    try:
+        return _recognise(path, name)
+    except (RefusedInputError, ValueError, OSError):  # Arrow's are ValueErrors
+        return None
+
+
+@contextmanager
+def leading_to_import(path: Path, name: str) -> Iterator[None]:
+    """Lead a refusal of another program's table to its import; what is telemetry, or nothing that is known, keeps its own."""
+    try:
+        yield
+    except RefusedInputError as error:
+        found = recognise_table(path, name)
+        if found is None or not found.is_of_another_program:
+            raise
+        raise RefusedInputError(f"{name} is not telemetry as it stands: {found.say()}.") from error
+
+
+def _recognise(path: Path, name: str) -> Recognised | None:  # noqa: PLR0911 - one a form
+    head = read_head(path)
+    start = head.removeprefix(BYTE_ORDER_MARK).lstrip()
+    if start.startswith((b"{", b"[")):
+        return _recognise_json(path, name, start)
+    if head.startswith(b"PAR1"):
+        import pyarrow.parquet as arrow_parquet  # noqa: PLC0415 - with every file system that Arrow knows, 40 ms
+
+        return Recognised(name, "Parquet", tuple(arrow_parquet.read_schema(path).names))
+    match detect_form(path, name, Layout()):
+        case "fits":
+            columns = find_fits_columns(path, name)
+            return Recognised(name, "a FITS table", columns) if columns else None
+        case "votable":
+            return _recognise_whole(path, name, "a VOTable")
+        case "ecsv":
+            return _recognise_whole(path, name, "an ECSV table")
+        case "sextractor":
+            return _recognise_whole(path, name, "a SExtractor catalogue")
+        case _:
+            return _recognise_text(name, head)
+
+
+def _recognise_whole(path: Path, name: str, kind: str) -> Recognised:
+    return Recognised(name, kind, tuple(read_source(path, name, Layout()).columns))
+
+
+def _recognise_text(name: str, head: bytes) -> Recognised | None:
+    if b"\0" in head:
+        return None
+    separator, decimal = find_separators(head)
+    lines = [line for line in head.removeprefix(BYTE_ORDER_MARK).decode(errors="replace").splitlines() if line.strip()]
+    if not lines:
+        return None
+    cells = [split_row(line, separator) for line in lines[:2]]
+    spelled = {";": "semicolons", "tab": "tabs"}.get(separator)
+    kind = "a table" if spelled is None else f"a table whose columns are separated by {spelled}"
+    layout = Layout() if spelled is None else Layout(format="text", separator=separator, decimal=decimal)
+    return Recognised(name, kind, tuple(cells[0]), layout, dict(zip(cells[0], cells[-1], strict=False)))
+
+
+def _recognise_json(path: Path, name: str, start: bytes) -> Recognised | None:
+    """Return what JSON with lists or objects inside holds; of a line for each star only its columns."""
+    document = _first_object(path, start)
+    if document is None:
+        return None
+    apart = [key for key, value in document.items() if isinstance(value, list) and value]
+    if not apart and not any(isinstance(value, dict) for value in document.values()):
+        return Recognised(name, "JSON", tuple(document), Layout(), {key: str(value) for key, value in document.items()})
+    known = [
+        one.layout.explode for one in BUILT_IN.values() if one.layout.explode and set(one.layout.explode) <= set(apart)
+    ]
+    nested = [key for key in apart if isinstance(document[key][0], dict | list)]
+    chosen = known[0] if known else tuple(nested[:1] or apart)
+    layout = Layout(format="json", explode=chosen)
+    columns = [key for key, value in document.items() if not isinstance(value, list | dict)]
+    example: dict[str, str] = {key: str(document[key]) for key in columns}
+    for key in chosen:
+        for inner, value in _inside(key, document[key][0]):
+            columns.append(inner)
+            example[inner] = str(value)
+    return Recognised(name, "nested JSON", tuple(columns), layout, example)
+
+
+def _inside(key: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the columns that an entry of a list gives."""
+    parts = value.items() if isinstance(value, dict) else enumerate(value, 1) if isinstance(value, list) else None
+    yield from ((f"{key}.{name}", item) for name, item in parts) if parts is not None else ((key, value),)
+
+
+def _first_object(path: Path, start: bytes) -> dict[str, Any] | None:
+    """Return the first object of JSON Lines, of a list, or the one that a document is."""
+    line = start.split(b"\n", 1)[0]
+    try:
+        found = parse_json(line)
+    except ValueError:
+        if path.stat().st_size > _MOST_JSON_BYTES:
+            return None
+        text = path.read_bytes().removeprefix(BYTE_ORDER_MARK)
+        try:
+            found = parse_json(text)
+        except ValueError:
+            found = parse_json(text.split(b"\n", 1)[0])
+    found = found[0] if isinstance(found, list) and found else found
+    return found if isinstance(found, dict) else None
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A first profile, and what is still to be told of it."""
+
+    profile: Profile
+    still: tuple[str, ...]
+
+
+def draft_profile(found: Recognised) -> Draft:
+    """Return the built-in profile that fits a file, or one drafted from its columns' names.
+
+    Raises RefusedInputError where no columns look like coordinates.
+    """
+    if (fitting := found.profile) is not None:
+        return Draft(fitting, ())
+    names, wide = _names_of(found.columns)
+    if "row" not in names or "col" not in names:
+        raise RefusedInputError(
+            f"{found.name} is {found.kind} with {', '.join(found.columns[:_SHOWN]) or 'no columns'}, none of which is named like "
+            "the row and column of a star: name them in a mapping profile, as docs/how-to/map-my-telemetry.md shows."
+        )
+    still: list[str] = []
+    time = None if "time" not in names else _drafted_time(names["time"], found.example, still)
+    profile = Profile(
+        name="mine",
+        description=f"Drafted from the columns of {Path(found.name).name}.",
+        layout=found.layout,
+        wide=wide,
+        frames=_drafted_frames(names, found, wide, still),
+        row=Axis(column=names["row"]),
+        col=Axis(column=names["col"]),
+        time=time,
+        star_id=None if "star_id" not in names else StarId(column=names["star_id"]),
+        directions=_drafted_directions(names, still),
+        quaternion=_drafted_quaternion(found.columns, still),
+        magnitude=_drafted_magnitude(names),
+        sigma=None if "sigma" not in names else Sigma(columns=(names["sigma"],)),
+        temperature=None if "temperature" not in names else Temperature(column=names["temperature"]),
+    )
+    still.insert(
+        0, "row.origin and col.origin: what the file calls the centre of the first pixel (0 is assumed, FITS says 1)"
+    )
+    if {_plain(names["row"].rpartition(".")[2]), _plain(names["col"].rpartition(".")[2])} & set(_OF_AN_IMAGE):
+        still.insert(1, "row and col: that y counts rows downwards (row.reversed where it grows upwards)")
+    if time is None:
+        still.append("time: the file has none; give --time, or its column")
+    return Draft(profile, tuple(still))
+
+
+def _plain(name: str) -> str:
+    """Return a column's name as small letters, digits and the place of a star's number."""
+    return re.sub(r"[^a-z0-9{}]", "", name.casefold())
+
+
+def _names_of(columns: Sequence[str]) -> tuple[dict[str, str], Wide | None]:
+    """Return the column of each quantity, of a wide table with `{n}` in it, and how wide it is."""
+    names = _matched(columns)
+    if "row" in names and "col" in names:
+        return names, None
+    numbered: dict[str, list[int]] = {}
+    for column in columns:
+        if (found := _NUMBERED.match(column)) is not None:
+            numbered.setdefault(f"{found.group(1)}{{n}}{found.group(3)}", []).append(int(found.group(2)))
+    templates = {one: numbers for one, numbers in numbered.items() if one.count("{") == 1}
+    stars = _matched(templates, numbered=True)
+    if "row" not in stars or "col" not in stars:
+        return names, None
+    numbers = templates[stars["row"]]
+    return names | stars, Wide(count=len(numbers), first=min(numbers))
+
+
+def _matched(columns: Sequence[str] | Mapping[str, Any], *, numbered: bool = False) -> dict[str, str]:
+    """Return the column of each quantity by its synonyms."""
+    plain: dict[str, str] = {}
+    for column in columns:
+        for form in _forms(column, numbered=numbered):
+            plain.setdefault(form, column)
+    found = {}
+    for quantity, words in _SYNONYMS.items():
+        word = next((word for word in words if word in plain), None)
+        if word is not None:
+            found[quantity] = plain[word]
+    return found
+
+
+def _forms(column: str, *, numbered: bool) -> Iterator[str]:
+    """Yield how a name is looked up: whole, and as the last part of a qualified one; `{n}` and `star` left out."""
+    whole = _plain(column)
+    last = _plain(re.split(r"[/ .:]", column)[-1])
+    for form in (whole, last):
+        yield re.sub(r"^(star|s|obj|det|centroid)?\{n\}|\{n\}$", "", form) if numbered else form
+
+
+def _drafted_time(column: str, example: Mapping[str, str], still: list[str]) -> Time:
+    cell = example.get(column, "")
+    if re.fullmatch(r"\s*[-+]?[0-9]+([.,][0-9]*)?\s*", cell):
+        still.append(
+            "time.system and time.form: what its numbers count, and from when (seconds from 1970, UTC, are assumed)"
+        )
+        return Time(column=column, form="seconds")
+    return Time(column=column)
+
+
+def _drafted_frames(names: Mapping[str, str], found: Recognised, wide: Wide | None, still: list[str]) -> Frames:
+    if wide is not None or found.layout.explode:
+        return Frames(by="record")
+    exposure = names.get("exposure")
+    if "frame" in names:
+        return Frames(column=names["frame"], exposure=exposure)
+    if "time" in names:
+        still.append("frames: a new one at every new time is assumed")
+        return Frames(by="time", exposure=exposure)
+    still.append("frames: the whole file is taken for one")
+    return Frames(by="file", exposure=exposure)
+
+
+def _drafted_directions(names: Mapping[str, str], still: list[str]) -> Directions | None:
+    if "ra" not in names or "dec" not in names:
+        return None
+    still.append("directions.kind: apparent, or catalogue (ICRS), which is assumed")
+    return Directions(ra=names["ra"], dec=names["dec"], kind="catalogue")
+
+
+def _drafted_quaternion(columns: Sequence[str], still: list[str]) -> Quaternion | None:
+    plain = {_plain(column): column for column in columns}
+    for words in _QUATERNIONS:
+        if all(word in plain for word in words):
+            still.append(
+                "quaternion.order, sense and convention: x y z w from ICRS to the detector, Hamilton's, is assumed"
+            )
+            return Quaternion(columns=tuple(plain[word] for word in words))
+    return None
+
+
+def _drafted_magnitude(names: Mapping[str, str]) -> Magnitude | None:
+    if "magnitude" in names:
+        return Magnitude(column=names["magnitude"])
+    return Magnitude(column=names["flux"], kind="flux") if "flux" in names else None
+
+
+def recognise_for_import(path: Path, name: str) -> Recognised:
+    """Return what table a file is; refuses one that is none."""
+    found = recognise_table(path, name)
+    if found is None:
+        read_head(path)
+        raise RefusedInputError(
+            f"{name} is no table that can be imported: give a table of stars, or images to `boresight extract`."
+        )
+    return found

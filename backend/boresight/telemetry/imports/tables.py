@@ -12,7 +12,7 @@ import difflib
 import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ import pyarrow as pa
 
 from boresight.arrays import IntArray
 from boresight.errors import Fault, RefusedInputError
-from boresight.telemetry.imports.profile import Format, Layout
+from boresight.telemetry.imports.profile import DecimalMark, Format, Layout, Separator
 from boresight.telemetry.read.checks import Faults
 from boresight.telemetry.read.formats import (
     BYTE_ORDER_MARK,
@@ -47,8 +47,11 @@ _FITS = b"SIMPLE  ="
 _SEXTRACTOR = re.compile(rb"#\s*1\s+[A-Za-z_]")
 _SEXTRACTOR_NUMBER = re.compile(r"\s*#\s*(\d+)\s")
 _LDAC = ("LDAC_IMHEAD",)
+_DECIMAL_COMMA = re.compile(r"\s*[-+]?(?:[0-9]+,[0-9]*|,[0-9]+)(?:[eE][-+]?[0-9]+)?\s*")
 _BAD_LINE = re.compile(r"data line (\d+)")
 _LISTED = 30
+#: Extensions of a FITS file that are looked at for an image.
+_MOST_HDUS = 100
 
 
 @dataclass(frozen=True)
@@ -113,6 +116,8 @@ def read_source(
         When it cannot be read, or is larger than may be.
     """
     form = layout.format if layout.format != "auto" else detect_form(path, name, layout)
+    if form == "csv" and layout.format == "auto":
+        form, layout = _by_separators(path, layout)
     match form:
         case "csv" | "jsonl" | "parquet":
             table = _read_plain(path, name, limits)
@@ -149,6 +154,34 @@ def detect_form(path: Path, name: str, layout: Layout) -> Format:  # noqa: PLR09
     if layout.separator != "," or not layout.header or layout.comment:
         return "text"
     return "csv"  # or JSON Lines or Parquet: telemetry's reader tells
+
+
+def _by_separators(path: Path, layout: Layout) -> tuple[Format, Layout]:
+    """Return how a text is read whose columns are not separated by commas, as spreadsheets write where the comma is decimal."""
+    separator, decimal = find_separators(read_head(path))
+    if separator == ",":
+        return "csv", layout
+    return "text", replace(layout, separator=separator, decimal=decimal)
+
+
+def find_separators(head: bytes) -> tuple[Separator, DecimalMark]:
+    """Tell by its first lines what separates a text's columns, and its decimal mark: a comma where cells have that and no point."""
+    lines = [line for line in head.removeprefix(BYTE_ORDER_MARK).decode(errors="replace").splitlines() if line.strip()]
+    header = lines[0] if lines and not head.startswith(b"PAR1") else ""
+    if header.lstrip().startswith(("{", "[")) or "," in header:
+        return ",", "."
+    separator: Separator = ";" if ";" in header else "tab" if "\t" in header else ","
+    cells = [cell for line in lines[1:100] for cell in split_row(line, separator)]
+    commas = any(_DECIMAL_COMMA.fullmatch(cell) for cell in cells)
+    points = any(_DECIMAL_COMMA.fullmatch(cell.replace(".", ",")) for cell in cells if "." in cell)
+    return separator, "," if separator != "," and commas and not points else "."
+
+
+def split_row(line: str, separator: str) -> list[str]:
+    """Return the cells of a line without blanks around them."""
+    mark = _SEPARATORS.get(separator, separator)
+    cells = line.split() if mark == " " else next(csv.reader([line], delimiter=mark), [])
+    return [cell.strip() for cell in cells]
 
 
 def read_head(path: Path) -> bytes:
@@ -236,7 +269,20 @@ def _read_text_table(path: Path, name: str, form: str, layout: Layout, limits: L
     names = _sextractor_names(name, lines, rows, limits) if form == "sextractor" else None
     text = "\n".join(lines[row - 1] for row in rows) + "\n"
     found = _by_astropy(name, text, separator, data, names=names, has_header=has_header)
+    if layout.decimal == ",":
+        found = {column: _with_points(cells) for column, cells in found.items()}
     return SourceTable(name, found, np.array(data, np.int64), np.arange(len(data)))
+
+
+def _with_points(cells: pa.Array) -> pa.Array:
+    """Return texts with a point in each that is a number with a comma; others stay as they are."""
+    if not pa.types.is_string(cells.type):
+        return cells
+    texts = [
+        text.replace(",", ".") if text is not None and _DECIMAL_COMMA.fullmatch(text) else text
+        for text in cells.to_pylist()
+    ]
+    return pa.array(texts, pa.string())
 
 
 def _split(line: str, separator: str) -> list[str]:
@@ -481,6 +527,23 @@ def _read_fits(path: Path, name: str, layout: Layout, wanted: Sequence[str], lim
     except Exception as error:
         raise RefusedInputError(f"{name} is a FITS file that is damaged: write it again.") from error
     return SourceTable(name, columns, np.arange(rows) + 1, np.arange(rows), keywords)
+
+
+def find_fits_columns(path: Path, name: str) -> tuple[str, ...]:
+    """Return the columns of the first table of a FITS file by its headers; none where it has an image or no table."""
+    from astropy.io import fits  # noqa: PLC0415 - loaded with the first file that needs it
+
+    if not read_head(path).startswith(_FITS):
+        return ()
+    try:
+        with warnings.catch_warnings(action="ignore"), path.open("rb") as raw, fits.open(raw, memmap=False) as file:
+            if any(hdu.is_image and len(hdu.shape) >= 2 for hdu in file[:_MOST_HDUS]):
+                return ()
+            return tuple(str(column) for column in _chosen_hdu(file, name, Layout(), ()).columns.names)
+    except RefusedInputError:
+        return ()
+    except Exception as error:
+        raise RefusedInputError(f"{name} is a FITS file that is damaged: write it again.") from error
 
 
 def _chosen_hdu(file: Any, name: str, layout: Layout, wanted: Sequence[str]) -> Any:

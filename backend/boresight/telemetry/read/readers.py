@@ -43,8 +43,11 @@ def read_chunks(
     path: Path, name: str | None = None, *, frames: int = CHUNK_FRAMES, limits: Limits = LIMITS
 ) -> Iterator[Telemetry]:
     """Read a telemetry file in parts of whole frames."""
+    from boresight.telemetry.imports.recognition import leading_to_import  # noqa: PLC0415 - it imports this module
+
     name = name or path.name
-    return iterate_chunks(open_tables(path, name, limits), name, frames, limits)
+    with leading_to_import(path, name):
+        yield from iterate_chunks(open_tables(path, name, limits), name, frames, limits)
 
 
 def iterate_chunks(tables: Tables, name: str, frames: int, limits: Limits = LIMITS) -> Iterator[Telemetry]:
@@ -72,7 +75,10 @@ def iterate_chunks(tables: Tables, name: str, frames: int, limits: Limits = LIMI
 
 def rows_in(path: Path) -> int | None:
     """Return how many rows a file has where that is told cheaply, as Parquet does; None for text."""
-    return rows_of_parquet(path, path.name) if format_at(path, path.name) == "Parquet" else None
+    from boresight.telemetry.imports.recognition import leading_to_import  # noqa: PLC0415 - it imports this module
+
+    with leading_to_import(path, path.name):
+        return rows_of_parquet(path, path.name) if format_at(path, path.name) == "Parquet" else None
 
 
 def open_tables(path: Path, name: str, limits: Limits = LIMITS, *, as_text: bool = False) -> Tables:
@@ -210,8 +216,11 @@ class Stretch:
 
 def stretches(path: Path, name: str, frames: int, limits: Limits = LIMITS) -> list[Stretch]:
     """Cut a file into stretches of at least `PARTS * frames` frames."""
-    if format_at(path, name) != "Parquet":
-        return []
+    from boresight.telemetry.imports.recognition import leading_to_import  # noqa: PLC0415 - it imports this module
+
+    with leading_to_import(path, name):
+        if format_at(path, name) != "Parquet":
+            return []
     layout = read_layout(path, name, limits)
     if "frame" not in layout.columns:
         return []
