@@ -7,6 +7,7 @@ what a name does not tell, as where pixels are counted from, is listed for a per
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -163,7 +164,7 @@ def recognise_table(path: Path, name: str) -> Recognised | None:
     """Return what table of another program a file is; None where it is none that an import reads."""
     try:
         return _recognise(path, name)
-    except (RefusedInputError, ValueError, OSError):  # Arrow's are ValueErrors
+    except (RefusedInputError, ValueError, OSError, NotImplementedError, csv.Error):  # of files that nothing can read
         return None
 
 
