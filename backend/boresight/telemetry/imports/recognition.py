@@ -177,7 +177,8 @@ def leading_to_import(path: Path, name: str) -> Iterator[None]:
         found = recognise_table(path, name)
         if found is None or not found.is_of_another_program:
             raise
-        raise RefusedInputError(f"{name} is not telemetry as it stands: {found.say()}.") from error
+        remedy = found.say()
+        raise RefusedInputError(f"{name} is not telemetry as it stands: {remedy}.") from error
 
 
 def _recognise(path: Path, name: str) -> Recognised | None:  # noqa: PLR0911 - one a form
