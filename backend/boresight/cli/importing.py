@@ -148,7 +148,8 @@ def _propose(path: Path, *, told_only: bool) -> Profile:
     found = recognise_for_import(path, path.name)
     draft = draft_profile(found)
     if told_only:
-        raise RefusedInputError(f"Without --profile nothing is imported: {found.name}, {found.say()}.")
+        remedy = found.say()
+        raise RefusedInputError(f"Without --profile {found.name} is not imported: {remedy}.")
     if found.profile is not None:
         click.echo(f"boresight: the built-in profile {draft.profile.name} fits: {found.command}", err=True)
     for sentence in draft.still:

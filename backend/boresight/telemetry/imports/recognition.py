@@ -7,6 +7,7 @@ what a name does not tell, as where pixels are counted from, is listed for a per
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -163,7 +164,7 @@ def recognise_table(path: Path, name: str) -> Recognised | None:
     """Return what table of another program a file is; None where it is none that an import reads."""
     try:
         return _recognise(path, name)
-    except (RefusedInputError, ValueError, OSError):  # Arrow's are ValueErrors
+    except (RefusedInputError, ValueError, OSError, NotImplementedError, csv.Error):  # of files that nothing can read
         return None
 
 
@@ -176,7 +177,8 @@ def leading_to_import(path: Path, name: str) -> Iterator[None]:
         found = recognise_table(path, name)
         if found is None or not found.is_of_another_program:
             raise
-        raise RefusedInputError(f"{name} is not telemetry as it stands: {found.say()}.") from error
+        remedy = found.say()
+        raise RefusedInputError(f"{name} is not telemetry as it stands: {remedy}.") from error
 
 
 def _recognise(path: Path, name: str) -> Recognised | None:  # noqa: PLR0911 - one a form
