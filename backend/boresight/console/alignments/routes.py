@@ -115,7 +115,7 @@ class Reasoned(Shape):
     reason: str = Field(examples=["The trackers were calibrated anew."])
 
 
-class Signing(Shape):
+class AlignmentSigning(Shape):
     """A signature: what it means, and the password again."""
 
     meaning: str = Field(examples=["I reviewed the evidence and approve this alignment for upload."])
@@ -124,7 +124,7 @@ class Signing(Shape):
     comment: str = Field("", description="Required to refuse.")
 
 
-Proven = Annotated[PasswordProof, own_password(Signing)]
+Proven = Annotated[PasswordProof, own_password(AlignmentSigning)]
 
 
 @router.post("/{alignment_id}:submit", summary="Submit it", status_code=201, response_model=schemas.AlignmentRequest)
@@ -151,7 +151,7 @@ def get_alignment_request(request_id: Id, session: Reading) -> AlignmentRequest:
 @request_router.post("/{request_id}:approve", summary="Approve an alignment", response_model=schemas.AlignmentRequest)
 def approve_alignment(
     request_id: Id,
-    signed: Signing,
+    signed: AlignmentSigning,
     actor: Who,
     seen: SeenVersion,
     proof: Proven,
@@ -166,7 +166,7 @@ def approve_alignment(
 @request_router.post("/{request_id}:refuse", summary="Refuse an alignment", response_model=schemas.AlignmentRequest)
 def refuse_alignment(
     request_id: Id,
-    signed: Signing,
+    signed: AlignmentSigning,
     actor: Who,
     seen: SeenVersion,
     proof: Proven,
