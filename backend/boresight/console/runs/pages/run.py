@@ -71,6 +71,7 @@ from boresight.figures.tables import (
     side_by_side,
     star_rows,
     to_flag,
+    unseen_rows,
 )
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
@@ -390,6 +391,7 @@ def make_trust_part(result: Calibration | None, why_nothing: str) -> dict[str, A
         "marks": trust_marks(result),
         "tests": model_test_rows(result),
         "causes": cause_rows(result),
+        "unseen": unseen_rows(result),
         "said": why_absent(result, ""),
         "prospects": prospects(result),
         "examined": result.trust is not None,
