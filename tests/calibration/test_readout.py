@@ -7,10 +7,19 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from boresight.calibration.assumptions import list_assumptions
 from boresight.calibration.calibrate import calibrate
+from boresight.calibration.calibration import UnseenDeparture
 from boresight.calibration.corrections import Corrections, put_right, to_apparent
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.readout import MOST_GAP_S, compute_rates, correct_readout, find_rates, find_speed_px_s
+from boresight.calibration.readout import (
+    MOST_GAP_S,
+    ReadoutCorrection,
+    compute_rates,
+    correct_readout,
+    find_rates,
+    find_speed_px_s,
+)
 from boresight.calibration.telemetry_pieces import TelemetryFile
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
@@ -263,6 +272,22 @@ def test_a_seam_that_no_test_sees_leaves_the_gate_of_assumptions_without_data_un
     again = calibrate(seamed, declared, catalogue, CalibrationSettings(match="given"))
     gates = [next(gate for gate in assess(one, sensor).gates if gate.name == "assumptions") for one in (found, again)]
     assert [gate.status for gate in gates] == ["NO-DATA", "PASS"]
+
+
+@pytest.mark.parametrize(
+    ("sigmas", "value"), [((2.9, 0.4), "would be noticed"), ((2.9, 3.1), "unbiased"), ((), "unbiased")]
+)
+def test_centroids_need_no_word_where_whatever_matters_would_be_noticed_and_none_is_known_of_a_small_set(
+    sigmas, value, catalogue
+):
+    telemetry, sensor = made(catalogue, frames=3)
+    sensor = replace(sensor, declared=replace(sensor.declared, centroids=None))
+    found = {"tangential": 50.0, **dict(zip(("lens", "seam"), sigmas, strict=False))}  # a decentred lens is asked apart
+    unseen = [UnseenDeparture(name=name, size_px=0.2, parameter="f_m", sigmas=far) for name, far in found.items()]
+    said = list_assumptions(telemetry, telemetry, sensor, catalogue, sensor.initial, ReadoutCorrection(), unseen)
+    (one,) = (one for one in said if one.name == "centroids")
+    assert (one.value, one.declared) == (value, value == "would be noticed")
+    assert ("too small" in one.sentence) == (not sigmas)
 
 
 def test_a_scenario_keeps_its_readout_and_slew():
