@@ -386,7 +386,8 @@ def make_provenance_part(review: RunReview) -> dict[str, Any]:
 def make_trust_part(result: Calibration | None, why_nothing: str) -> dict[str, Any]:
     """Gather what the trust part shows; `why_nothing` is said where the run has no result."""
     if result is None:
-        return {"marks": [], "tests": [], "causes": [], "said": f"No examination: {why_nothing}", "examined": False}
+        said = f"No examination: {why_nothing}"
+        return {"marks": [], "tests": [], "causes": [], "unseen": [], "said": said, "examined": False}
     return {
         "marks": trust_marks(result),
         "tests": model_test_rows(result),
