@@ -7,13 +7,23 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from boresight.calibration.assumptions import list_assumptions
 from boresight.calibration.calibrate import calibrate
+from boresight.calibration.calibration import UnseenDeparture
 from boresight.calibration.corrections import Corrections, put_right, to_apparent
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.readout import MOST_GAP_S, compute_rates, correct_readout, find_rates, find_speed_px_s
+from boresight.calibration.readout import (
+    MOST_GAP_S,
+    ReadoutCorrection,
+    compute_rates,
+    correct_readout,
+    find_rates,
+    find_speed_px_s,
+)
 from boresight.calibration.telemetry_pieces import TelemetryFile
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
+from boresight.library.functions import assess
 from boresight.simulation.scenes import calibration_scenario, parse_scenario, scenario_document, simulate
 from boresight.simulation.sensors import st16_truth
 from boresight.sky.apparent import apparent_directions
@@ -185,12 +195,14 @@ def test_every_assumption_says_whether_it_was_declared_and_what_an_error_would_d
     found = calibrate(replace(telemetry, velocity_m_s=None), undeclared, catalogue, CalibrationSettings())
     assert [(one.name, one.declared) for one in found.assumptions] == [
         ("readout", False), ("satellite_velocity", False), ("directions", True), ("decentring", False),
-        ("refraction", False),
+        ("centroids", False), ("refraction", False),
     ]  # fmt: skip
     assert "px" in found.assumptions[0].sentence
     assert all("sensor file" in one.sentence for one in found.assumptions if not one.declared)
     declared = replace(
-        sensor, readout=Readout("global"), declared=Declared("given", "apparent", "uncorrected", None, "centred")
+        sensor,
+        readout=Readout("global"),
+        declared=Declared("given", "apparent", "uncorrected", None, "centred", "unbiased"),
     )
     made_of = {one.name: one for one in calibrate(telemetry, declared, catalogue, CalibrationSettings()).assumptions}
     assert all(one.declared for one in made_of.values())
@@ -235,13 +247,47 @@ def test_a_centred_lens_is_assumed_aloud_where_tangential_distortion_that_matter
     telemetry, declared = made(catalogue, readout=Readout("global"), frames=40)
     sensor = replace(declared, declared=replace(declared.declared, decentring=None))
     found = calibrate(telemetry, sensor, catalogue, CalibrationSettings(match="given"))
-    (unseen,) = found.trust.unseen
+    unseen = next(one for one in found.trust.unseen if one.name == "tangential")
     assert unseen.sigmas > 3
     (asked,) = (one for one in found.assumptions if one.name == "decentring")
     assert (asked.declared, asked.value) == (False, "none")
     assert unseen.parameter in asked.sentence
     said = calibrate(telemetry, declared, catalogue, CalibrationSettings(match="given")).assumptions
     assert next(one for one in said if one.name == "decentring").declared
+
+
+def test_a_seam_that_no_test_sees_leaves_the_gate_of_assumptions_without_data_until_centroids_are_declared(catalogue):
+    telemetry, declared = made(catalogue, readout=Readout("global"), frames=100)
+    sensor = replace(declared, declared=replace(declared.declared, centroids=None))
+    seamed = replace(telemetry, row_px=telemetry.row_px + 0.2 * (telemetry.row_px > sensor.rows / 2))
+    found = calibrate(seamed, sensor, catalogue, CalibrationSettings(match="given"))
+    assert [one.name for one in found.tests if one.noticed] == []
+    (asked,) = (one for one in found.assumptions if not one.declared)
+    assert asked.name == "centroids"
+    most = max((one for one in found.trust.unseen if one.name != "tangential"), key=lambda one: one.sigmas)
+    assert most.sigmas > 3
+    assert most.parameter in asked.sentence
+    assert next(one for one in found.trust.unseen if one.name == "seam").size_px > 0.2
+
+    again = calibrate(seamed, declared, catalogue, CalibrationSettings(match="given"))
+    gates = [next(gate for gate in assess(one, sensor).gates if gate.name == "assumptions") for one in (found, again)]
+    assert [gate.status for gate in gates] == ["NO-DATA", "PASS"]
+
+
+@pytest.mark.parametrize(
+    ("sigmas", "value"), [((2.9, 0.4), "would be noticed"), ((2.9, 3.1), "unbiased"), ((), "unbiased")]
+)
+def test_centroids_need_no_word_where_whatever_matters_would_be_noticed_and_none_is_known_of_a_small_set(
+    sigmas, value, catalogue
+):
+    telemetry, sensor = made(catalogue, frames=3)
+    sensor = replace(sensor, declared=replace(sensor.declared, centroids=None))
+    found = {"tangential": 50.0, **dict(zip(("lens", "seam"), sigmas, strict=False))}  # a decentred lens is asked apart
+    unseen = [UnseenDeparture(name=name, size_px=0.2, parameter="f_m", sigmas=far) for name, far in found.items()]
+    said = list_assumptions(telemetry, telemetry, sensor, catalogue, sensor.initial, ReadoutCorrection(), unseen)
+    (one,) = (one for one in said if one.name == "centroids")
+    assert (one.value, one.declared) == (value, value == "would be noticed")
+    assert ("too small" in one.sentence) == (not sigmas)
 
 
 def test_a_scenario_keeps_its_readout_and_slew():

@@ -5,9 +5,11 @@ v / c sin(angle to v), so the field is stretched by up to v / c: 2.5e-5 for 7.6 
 the change of focal length that would be fitted for it. Refraction R = 2.9e-4 tan z (Bennett, at the sea's level) stretches the
 field by 2.9e-4 across the vertical and by 2.9e-4 / cos^2 z along it. A rolling shutter displaces stars by their speed times the
 time of a readout. A decentred lens is nearly a principal point and a tilt besides; how much of it the tests of a set may miss, and
-what that does, is computed (`trust.displacements`). A detector tilted by a about an axis in it displaces a star at r from the
-principal point by a r (n.r) / f with n a unit vector; so does a principal point that is a f off in the direction n, once the
-attitude has turned by a: for a camera without a tilt the one is the other to second order in r / f, and no star tells which it is.
+what that does, is computed (`trust.displacements`), and so it is for any other displacement that stays with a star's place on the
+detector or its brightness: a seam between two halves of the readout, charge left behind along the rows, a window. A detector
+tilted by a about an axis in it displaces a star at r from the principal point by a r (n.r) / f with n a unit vector; so does a
+principal point that is a f off in the direction n, once the attitude has turned by a: for a camera without a tilt the one is the
+other to second order in r / f, and no star tells which it is.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from boresight.arrays import FloatArray
 from boresight.calibration.calibration import Assumption, UnseenDeparture
 from boresight.calibration.corrections import lacks_refraction
 from boresight.calibration.readout import ReadoutCorrection, find_rates
-from boresight.calibration.trust.trust_tests import MATTERS, TANGENTIAL
+from boresight.calibration.trust.trust_tests import MATTERS, TANGENTIAL, title_of
 from boresight.cameras import CAMERA_MODELS, name_camera_with
 from boresight.cameras.model import Role
 from boresight.site import Site
@@ -75,6 +77,7 @@ def list_assumptions(
         *(make(telemetry, sensor, float(corner_px)) for make in (_velocity, _directions)),
         *_tilt(sensor, x),
         *_decentring(sensor, unseen),
+        _centroids(sensor, unseen),
     ]
     if sensor.site is None:
         return [*made, _refraction(telemetry, sensor, float(corner_px))]
@@ -233,6 +236,30 @@ def _decentring(sensor: Sensor, unseen: Sequence[UnseenDeparture]) -> list[Assum
         f"them, such as {name_camera_with(Role.DECENTRING)}, or {WHERE}."
     )
     return [Assumption(name=name, declared=False, value="none", sentence=sentence)]
+
+
+def _centroids(sensor: Sensor, unseen: Sequence[UnseenDeparture]) -> Assumption:
+    """That no centroid is displaced for good by less than the tests see; a decentred lens is asked apart."""
+    name, word = "centroids", sensor.declared.centroids
+    if word is not None:
+        return Assumption(name=name, declared=True, value=word, sentence=f"Declared. {_words(name, word)}.")
+    moves = {one.sigmas: one for one in unseen if one.name != TANGENTIAL and one.sigmas is not None}
+    if not moves:
+        how = "This set is too small, or was not examined, to tell how far an unnoticed one moves the parameters"
+    else:
+        most = moves[max(moves)]
+        how = (
+            f"Of the kind “{title_of(most.name).lower()}”, {most.size_px:.2g} px at most go unnoticed once in ten such "
+            f"sets and move {most.parameter} by {most.sigmas:.2g} claimed sigmas"
+        )
+        if max(moves) <= MATTERS:
+            said = f"Displacements that stay with place or brightness and matter would be noticed. {how}."
+            return Assumption(name=name, declared=True, value="would be noticed", sentence=said)
+    sentence = (
+        "Centroids are assumed to have no displacements that stay with place or brightness, such as seams of the readout, charge "
+        f"left behind or a window. {how}: measure them, as on flat fields or with a star moved over the detector, and {WHERE}."
+    )
+    return Assumption(name=name, declared=False, value="unbiased", sentence=sentence)
 
 
 def _refraction_given(sensor: Sensor) -> Assumption:

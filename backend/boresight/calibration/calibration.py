@@ -1047,7 +1047,8 @@ class ResidualSpline:
 class UnseenDeparture:
     """The largest displacement of a kind that its test misses once in ten times, and what it does to the parameter it moves most.
 
-    `size_px`: at the corner of the detector. `sigmas`: claimed ones of the parameter; None where nothing tells the two apart.
+    `size_px`: of tangential distortion at the corner of the detector, of another kind the largest of the stars. `sigmas`: claimed
+    ones of the parameter; None where nothing tells the two apart.
     """
 
     name: str

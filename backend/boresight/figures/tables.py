@@ -23,7 +23,7 @@ from boresight.calibration.calibration import (
     TrustTest,
 )
 from boresight.calibration.parameter_set import ParameterSetDocument
-from boresight.calibration.trust.trust_tests import KIND_OF_TEST
+from boresight.calibration.trust.trust_tests import KIND_OF_TEST, title_of
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import FAR_TYPICAL_SIGMAS
 from boresight.figures.chart import Table
@@ -620,5 +620,30 @@ def cause_rows(result: Calibration) -> list[CauseRow]:
     ]
 
 
+@dataclass(frozen=True)
+class UnseenRow:
+    """What the tests may miss of one kind of displacement, in words; `numbers` are what its cells sort by."""
+
+    kind: str
+    parameter: str
+    cells: tuple[str, ...]
+    numbers: tuple[float | None, ...]
+
+
+def unseen_rows(result: Calibration) -> list[UnseenRow]:
+    """Lay what the tests may miss out, first what moves a parameter most."""
+    found = list(result.trust.unseen if result.trust else ())
+    found.sort(key=lambda one: (one.sigmas is not None, -(one.sigmas or 0.0)))
+    return [
+        UnseenRow(
+            title_of(one.name),
+            one.parameter,
+            (number(one.size_px, 2), number(one.sigmas, 2)),
+            (one.size_px, one.sigmas),
+        )
+        for one in found
+    ]
+
+
 def _titles(names: list[str]) -> list[str]:
-    return [KIND_OF_TEST[name].title if name in KIND_OF_TEST else name for name in names]
+    return [title_of(name) for name in names]

@@ -85,7 +85,9 @@ WU_TYPICAL_SIGMA = np.array([1e-5, 1e-7, 1.0, 1.0, 1e-2, 1e-1])
 WU_START = np.array([1.0, 0.0155, 960.0, 540.0, 0.0, 0.0])
 
 #: What telemetry from orbit with its velocity declares; the ST-16 has a rolling shutter, and its centroids are corrected for it.
-IN_SPACE = Declared(satellite_velocity="given", directions="apparent", refraction="none", decentring="centred")
+IN_SPACE = Declared(
+    satellite_velocity="given", directions="apparent", refraction="none", decentring="centred", centroids="unbiased"
+)
 
 SENSOR_NUMBERS = tuple(range(1, len(CHANGES) + 1))
 

@@ -87,6 +87,14 @@ DECLARATIONS = {
             {"centred": "the lens was measured to have no tangential distortion, or what it has does not matter"},
             Role.DECENTRING,
         ),
+        Declaration(
+            "centroids",
+            "Centroids over the detector",
+            {
+                "unbiased": "they were measured to have no displacements that stay with place or brightness, such as seams of the "
+                "readout, charge left behind or a window, or what they have does not matter"
+            },
+        ),
     )
 }
 
@@ -136,6 +144,7 @@ class Declared:
     refraction: str | None = None
     tilt: str | None = None
     decentring: str | None = None
+    centroids: str | None = None
 
     def document(self) -> dict[str, str]:
         """Return what is declared as a sensor file has it."""

@@ -365,7 +365,12 @@ def test_every_test_of_the_model_and_every_cause_is_on_the_page_with_its_gate_an
     }  # fmt: skip
     sound = {**noticed, "name": "time", "probability": 0.4, "adjusted": 1.0, "noticed": False, "sentence": "No change."}
     cause = {"name": "phase", "likelihood": 0.97, "sentence": "Drawn.", "remedy": "Defocus.", "tests": ["phase"]}
-    made = {**examined_result(results["batch"]), "tests": [sound, noticed], "causes": [cause]}
+    unseen = [
+        {"name": "seam", "size_px": 0.25, "parameter": "g_y", "sigmas": 18.8},
+        {"name": "tangential", "size_px": 1.6, "parameter": "m0_px", "sigmas": None},
+        {"name": "lens", "size_px": 0.22, "parameter": "f_m", "sigmas": 33.4},
+    ]
+    made = {**examined_result(results["batch"], unseen=unseen), "tests": [sound, noticed], "causes": [cause]}
     text = read(site.visitor("victor").get(f"/runs/{site.add_run(state='SUCCEEDED', result=made)}?part=evidence"))
     assert "2 tests of one family" in text
     assert "phase 97" in text
@@ -373,6 +378,10 @@ def test_every_test_of_the_model_and_every_cause_is_on_the_page_with_its_gate_an
     assert text.index(noticed["sentence"]) < text.index(sound["sentence"])
     assert re.search(r"Pixel phase \S* ?noticed .*centroid-noise", text)
     assert "Tests of the model departs 1 of 2 noticed" in text
+    assert (
+        "Tangential distortion 1.6 m0_px – Smooth residual of the lens 0.22 f_m 33 Seam between readout halves 0.25 g_y 19"
+        in text
+    )
 
 
 def test_suspect_stars_are_marked_by_shape_and_word_and_can_be_copied(site, examined):

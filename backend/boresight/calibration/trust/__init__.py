@@ -27,7 +27,7 @@ a pass over the set a frame; such a part says how many frames it used.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -40,8 +40,19 @@ from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.trust.advice import cause_advice, trust_advice
 from boresight.calibration.trust.causes import find_causes
-from boresight.calibration.trust.departures import TANGENTIAL_AT_CORNER, find_companions, find_departures
-from boresight.calibration.trust.displacements import Score, ScoreSums, add_up, find_score, find_unseen
+from boresight.calibration.trust.departures import TANGENTIAL_AT_CORNER, find_companions, find_departures, find_untested
+from boresight.calibration.trust.displacements import (
+    FRAMES,
+    LEAST_SHARE,
+    OWN_SHARE,
+    Block,
+    Departure,
+    Score,
+    ScoreSums,
+    add_up,
+    find_score,
+    find_unseen,
+)
 from boresight.calibration.trust.efficiency import arc_sigma_map, efficiency, more_data
 from boresight.calibration.trust.field import residual_against, residual_distribution, residual_field, residual_outliers
 from boresight.calibration.trust.fitted_set import UNLIKELY, FittedSet, Unavailable, fit_best
@@ -51,7 +62,7 @@ from boresight.calibration.trust.refits import drop_one, drop_one_sentence, two_
 from boresight.calibration.trust.residual_spline import find_residual_spline
 from boresight.calibration.trust.residuals import StarResiduals, compute_star_residuals, residuals
 from boresight.calibration.trust.stars import StarTable, star_table, stars, stars_sentence
-from boresight.calibration.trust.trust_tests import TANGENTIAL, Examined, make_tests
+from boresight.calibration.trust.trust_tests import STAYING, TANGENTIAL, Examined, make_tests
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 
@@ -130,8 +141,9 @@ def judge_trust(
 def _tested(fitted: FittedSet, trust: Trust, parts: Parts, stars: StarParts) -> TrustReport:
     """Make every test that can be made, look for what explains them, and widen the sigmas by it."""
     departures, _ = find_departures(fitted)
+    untested = find_untested()
     try:
-        sums = add_up(fitted, [*departures, *find_companions(fitted)], MOST_TESTED)
+        sums = add_up(fitted, [*departures, *untested, *find_companions(fitted)], MOST_TESTED)
         scores = {one.name: find_score(sums, one.name) for one in departures}
         trials = {one.name: one.trials for one in departures}
         examined = Examined(fitted, sums, scores, parts, stars.found, stars.table, trials)
@@ -140,21 +152,27 @@ def _tested(fitted: FittedSet, trust: Trust, parts: Parts, stars: StarParts) -> 
     except np.linalg.LinAlgError:  # the numbers are too near to singular
         return TrustReport(trust, [], [])
     wider = find_misfit(fitted, sums, scores, tests)
-    trust = replace(trust, unseen=list(_unseen(fitted, sums, scores)))
+    trust = replace(trust, unseen=list(_unseen(fitted, [*departures, *untested], sums, scores)))
     return TrustReport(trust, tests, causes) if wider is None else TrustReport(trust, tests, causes, *wider)
 
 
-def _unseen(fitted: FittedSet, sums: ScoreSums, scores: Mapping[str, Score]) -> Iterator[UnseenDeparture]:
-    """Say what of a decentred lens the tests may miss."""
-    score = scores[TANGENTIAL]
-    found = find_unseen(sums, score, UNLIKELY)
-    if found is not None:
-        tested = float(np.sqrt(len(fitted.e) / sums.n_arcs))  # a part is tested, the sigmas are of all
+def _unseen(
+    fitted: FittedSet, departures: Sequence[Departure], sums: ScoreSums, scores: Mapping[str, Score]
+) -> Iterator[UnseenDeparture]:
+    """Say what the tests may miss of each departure that stays in the camera."""
+    tested = float(np.sqrt(len(fitted.e) / sums.n_arcs))  # a part is tested, the sigmas are of all
+    some = Block(fitted, 0, min(FRAMES, fitted.arcs.n_frames))
+    for one in (one for one in departures if one.name in STAYING):
+        score, tangential = scores[STAYING[one.name]], one.name == TANGENTIAL
+        found = find_unseen(sums, score, UNLIKELY, LEAST_SHARE if tangential else OWN_SHARE, one.name)
+        if found is None:
+            continue
+        largest = np.linalg.norm(one.fields(some) @ found.c, axis=1).max()
         yield UnseenDeparture(
-            name=TANGENTIAL,
-            size_px=TANGENTIAL_AT_CORNER * float(np.linalg.norm(found.c)),
+            name=one.name,
+            size_px=float(TANGENTIAL_AT_CORNER * np.linalg.norm(found.c) if tangential else largest),
             parameter=fitted.names[found.parameter],
-            sigmas=found.sigmas * tested if np.isfinite(found.sigmas) else None,
+            sigmas=None if tangential and score.dof < len(score.c) else found.sigmas * tested,
         )
 
 

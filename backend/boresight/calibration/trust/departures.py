@@ -33,6 +33,13 @@ every exposure looks up; of a set that looks all around the sky there are none. 
 after two rounds about it that are each twice as near, and its probability is multiplied by the number of places tried, which holds
 however they hang together. The lift of an exposure as a whole is a rotation and left out, for it is a hundred times the rest.
 
+Two more are not tested, for the test of `lens` notices what is large of them; what is not is told (`find_untested`):
+
+=============  ====================================================================================================
+`seam`         one half of the rows, or of the columns, displaced along either axis: halves that are read by their own amplifiers
+`trail`        1 - exp(-p / `TRAIL`) along rows, or columns, with p the place as a share of the side: charge left behind
+=============  ====================================================================================================
+
 A departure whose numbers a set does not have is not tested, and `find_departures` says why.
 """
 
@@ -58,6 +65,8 @@ from boresight.telemetry.schema import MAGNITUDES, TEMPERATURES_C, within
 
 #: Width of the edges, half diagonals: what a window of a few per cent of the detector's side reaches.
 EDGE = 0.1
+#: Share of the detector's side over which charge left behind comes to its full.
+TRAIL = 0.3
 #: Numbers of a departure that were looked for before it was tested: Schwarz's criterion counts them with its coefficients.
 SOUGHT = {"flaw": 3}
 #: Largest displacement at the corner by tangential terms of which the root of the sum of squares is one.
@@ -132,6 +141,11 @@ def find_departures(fitted: FittedSet) -> tuple[list[Departure], dict[str, str]]
     if isinstance(flaw := fitted.kept.get("flaw"), Flaw):
         found.append(Departure("flaw", "detector", partial(_flaw, flaw)))
     return found, known.missing
+
+
+def find_untested() -> list[Departure]:
+    """List what no test looks for, of which something may stay unseen."""
+    return [Departure("seam", "detector", _seam), Departure("trail", "detector", _trail)]
 
 
 def find_companions(fitted: FittedSet) -> list[Departure]:
@@ -335,6 +349,24 @@ def _towards_edges(block: Block, place: FloatArray, pixels: int) -> FloatArray:
     reach = EDGE * half_diagonal(block.fitted)
     near, far = (np.maximum(1 - away / reach, 0.0) for away in (place, pixels - 1 - place))
     return np.asarray(far - near)
+
+
+def _sides(block: Block) -> tuple[FloatArray, FloatArray]:
+    """Row and column of each star as shares of the detector's sides."""
+    sensor = block.fitted.problem.sensor
+    return block.arcs.row_px / sensor.rows, block.arcs.col_px / sensor.columns
+
+
+def _seam(block: Block) -> FloatArray:
+    row, col = (np.where(place > 0.5, 1.0, 0.0) for place in _sides(block))
+    none = np.zeros_like(row)
+    return _pairs((row, none), (none, row), (col, none), (none, col))
+
+
+def _trail(block: Block) -> FloatArray:
+    row, col = (1 - np.exp(-place / TRAIL) for place in _sides(block))
+    none = np.zeros_like(row)
+    return _pairs((row, none), (none, col))
 
 
 def _flaw(flaw: Flaw, block: Block) -> FloatArray:

@@ -24,13 +24,21 @@ directions that stand clear of the noise.
 What the test may miss follows before any data speak. A departure c falls short of being noticed once in ten times where its
 noncentrality c^T F c is
 
-    lambda = (sqrt(q) + z)^2 - 1,          q the chi-square that is noticed, z = 1.28 the normal deviate of nine in ten,
+    lambda = (sqrt(q) + z)^2 - (k - 1),    q the chi-square that is noticed, z = 1.28 the normal deviate of nine in ten,
 
-for sqrt(s^T F^-1 s) is nearly normal about sqrt(lambda + 1) with sigma one. Of all c of that size the parameter i is moved most, by
+for sqrt(s^T F^-1 s), of k degrees of freedom, is nearly normal about sqrt(lambda + k - 1) with sigma one. Of all c of that size
+the parameter i is moved most, by
 
     sqrt(lambda g_i^T F^-1 g_i),           g_i the row of -A^-1 H^T G,     along c = sqrt(lambda / g_i^T F^-1 g_i) F^-1 g_i:
 
-the external reliability of geodesy, told in claimed sigmas (`find_unseen`).
+the external reliability of geodesy, told in claimed sigmas (`find_unseen`). Among many fields there are some that arcs hardly see,
+as a turn of the image, and some that the camera takes up, as a scale: along them c grows without bound. With W the directions of
+G^T G that stand clear of nought, W^T G^T G W = 1, the eigenvalues of W^T F W are the shares of what arcs see that the camera
+leaves. Where it leaves less than `OWN_SHARE`, a tenth of the displacement, the departure is a change of the camera, which the
+directions of stars do not suffer from; F^-1 is then that of the other directions alone.
+
+A displacement c' of fields G' that no test looks for, as a step between two halves of the detector, is noticed by a test of other
+fields G with the noncentrality c'^T K F^-1 K^T c', where K = G'^T G - G'^T H A^-1 H^T G: K F^-1 K^T stands for F in the above.
 
 Three kinds of field have three kinds of rows: displaced centroids, pixels (J = -ds/d(principal point), for a camera knows a place
 only by its distance from it); directions displaced in the sky, rad east and north, where the arcs of the catalogue are what moves;
@@ -68,6 +76,8 @@ from boresight.estimation.statistics.special import chdtri, fdtrc
 
 #: Share of a displacement's information below which a direction of it is the camera's own, or a turn of the exposure.
 LEAST_SHARE = 1e-7
+#: Share of a smooth displacement's information below which what is unseen of it is the camera's own.
+OWN_SHARE = 1e-2
 #: Sigmas from which on a direction of c is clear.
 CLEAR = 3.0
 #: Normal deviate that nine in ten stay below.
@@ -293,7 +303,7 @@ class Unseen:
     """The departure of a kind that its test misses once in ten times and that moves a parameter most.
 
     `c`: (n_fields,) its coefficients. `parameter`: place of that parameter among the free ones. `sigmas`: how far it is moved, in
-    its claimed sigmas; infinite where a direction of c cannot be told from the camera.
+    its claimed sigmas.
     """
 
     c: FloatArray
@@ -301,20 +311,38 @@ class Unseen:
     sigmas: float
 
 
-def find_unseen(sums: ScoreSums, score: Score, level: float) -> Unseen | None:
-    """Find what of a departure may stay unnoticed at a level of its test; None where nothing of it can be told."""
+def find_unseen(
+    sums: ScoreSums, score: Score, level: float, least_share: float = LEAST_SHARE, name: str = ""
+) -> Unseen | None:
+    """Find what of a departure a test may miss at its level; None where nothing of it can be told.
+
+    `score`: of the test. `least_share`: of a direction's information that arcs see, and that the camera and the test leave, below
+    which it is left out. `name`: of the departure, that of the test where empty.
+    """
     if score.dof == 0:
         return None
-    P = covariance(sums.A)
-    reach = np.sqrt(chdtri(score.dof, level)) + NINE_IN_TEN
-    towards = -P @ sums.G_H[sums.places[score.name]].T
-    moved = np.sqrt(np.einsum("ij,jk,ik->i", towards, score.covariance, towards))
+    P, places = covariance(sums.A), sums.places[name or score.name]
+    noise = score.left / (sums.n_arcs - len(P) - score.dof)
+    apart = _find_apart(sums, places, score, noise, least_share)
+    moving = -P @ sums.G_H[places].T @ apart
+    moved = np.linalg.norm(moving, axis=1)
     i = int(np.argmax(moved / np.sqrt(np.diag(P))))
     if not moved[i] > 0:
         return None
-    size = np.sqrt(reach**2 - 1)
-    c = score.covariance @ towards[i] * size / moved[i]
-    return Unseen(c, i, float(size * moved[i] / np.sqrt(P[i, i])) if score.dof == len(score.c) else np.inf)
+    size = np.sqrt((np.sqrt(chdtri(score.dof, level)) + NINE_IN_TEN) ** 2 - (score.dof - 1))
+    c = apart @ moving[i] * size / moved[i]
+    return Unseen(c, i, float(size * moved[i] / np.sqrt(P[i, i])))
+
+
+def _find_apart(sums: ScoreSums, places: slice, score: Score, noise: float, least_share: float) -> FloatArray:
+    """Directions (n_fields, k) that arcs see and camera and test leave enough of, each of noncentrality one in the noise found."""
+    tested = sums.places[score.name]
+    size = 1 / np.sqrt(np.maximum(sums.squares[places], np.finfo(float).tiny))
+    seen, vectors = np.linalg.eigh(sums.G_G[places, places] * np.outer(size, size))
+    W = size[:, None] * vectors[:, seen > least_share] / np.sqrt(seen[seen > least_share])
+    K = W.T @ (sums.G_G[places, tested] - sums.G_H[places] @ covariance(sums.A) @ sums.G_H[tested].T)
+    share, vectors = np.linalg.eigh(K @ score.covariance @ K.T / noise)
+    return np.asarray(W @ vectors[:, share > least_share] * np.sqrt(noise / share[share > least_share]))
 
 
 def _solve(sums: ScoreSums, name: str, places: IntArray) -> Score:

@@ -38,6 +38,14 @@ from boresight.estimation.statistics.special import chdtrc, ndtr
 MATTERS, LITTLE = 3.0, 0.05
 #: The departure of a decentred lens.
 TANGENTIAL = "tangential"
+#: Departures that belong to the lens, the detector or the light on it and stay: what the tests may miss of each is told, by the
+#: test that would notice it.
+STAYING = {name: name for name in (TANGENTIAL, "radial", "affine", "lens", "magnitude")} | {
+    "seam": "lens",
+    "trail": "lens",
+}
+#: Titles of those among them that no test looks for.
+UNTESTED = {"seam": "Seam between readout halves", "trail": "Charge left behind"}
 #: Frames that tell a spread of their own.
 FEWEST_FRAMES = 20
 #: Spreads beyond which a sighting is taken out to see what it did to the parameters.
@@ -346,6 +354,11 @@ TRUST_TESTS: tuple[TrustTestKind, ...] = (
 )  # fmt: skip
 #: The same by name.
 KIND_OF_TEST: dict[str, TrustTestKind] = {kind.name: kind for kind in TRUST_TESTS}
+
+
+def title_of(name: str) -> str:
+    """The title of a test, or of what no test looks for; the name itself where neither is in the table any more."""
+    return KIND_OF_TEST[name].title if name in KIND_OF_TEST else UNTESTED.get(name, name)
 
 
 def gate_of_test(name: str) -> str:

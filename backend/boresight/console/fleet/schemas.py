@@ -22,6 +22,7 @@ EXAMPLE_DECLARED = {
     "directions": "apparent",
     "refraction": "none",
     "decentring": "centred",
+    "centroids": "unbiased",
 }
 
 

@@ -71,6 +71,7 @@ from boresight.figures.tables import (
     side_by_side,
     star_rows,
     to_flag,
+    unseen_rows,
 )
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
@@ -385,11 +386,13 @@ def make_provenance_part(review: RunReview) -> dict[str, Any]:
 def make_trust_part(result: Calibration | None, why_nothing: str) -> dict[str, Any]:
     """Gather what the trust part shows; `why_nothing` is said where the run has no result."""
     if result is None:
-        return {"marks": [], "tests": [], "causes": [], "said": f"No examination: {why_nothing}", "examined": False}
+        said = f"No examination: {why_nothing}"
+        return {"marks": [], "tests": [], "causes": [], "unseen": [], "said": said, "examined": False}
     return {
         "marks": trust_marks(result),
         "tests": model_test_rows(result),
         "causes": cause_rows(result),
+        "unseen": unseen_rows(result),
         "said": why_absent(result, ""),
         "prospects": prospects(result),
         "examined": result.trust is not None,
