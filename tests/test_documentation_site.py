@@ -128,7 +128,9 @@ def test_every_picture_of_a_page_is_one_that_the_script_takes_and_every_chart_on
     shown = {Path(found).name for text in texts for found in re.findall(r"!\[[^]]*\]\(([^)]+\.png)\)", text)}
     taken = {f"{name}.png" for name in screenshots.NAMES}
     assert shown == taken == {path.name for path in DOCS.rglob("*.png")}
-    charts = {path.stem.removesuffix("-weak") for path in (DOCS / "figures").iterdir()}  # the same chart of the weak example
+    charts = {
+        path.stem.removesuffix("-weak") for path in (DOCS / "figures").iterdir()
+    }  # the same chart of the weak example
     assert charts <= set(FIGURES)
 
 

@@ -122,7 +122,10 @@ BODIES: dict[str, dict[str, Any]] = {
     "submit_parameter_set": {"json": {"reason": "x"}},
     "submit_alignment": {"json": {"reason": "x"}},
     "withdraw_alignment": {"json": {"reason": "x"}},
-    **{f"{act}_alignment": {"json": {"meaning": "x", "password": PASSWORD, "comment": "x"}} for act in ("approve", "refuse")},
+    **{
+        f"{act}_alignment": {"json": {"meaning": "x", "password": PASSWORD, "comment": "x"}}
+        for act in ("approve", "refuse")
+    },
     "approve": {"json": {"meaning": "x", "password": PASSWORD}},
     "refuse": {"json": {"meaning": "x", "password": PASSWORD, "comment": "x"}},
     "set_gate_profile": {"json": {"gates": [], "reason": "x"}},
