@@ -51,9 +51,9 @@ function showRefusal(answer) {
   const page = new DOMParser().parseFromString(answer.responseText, "text/html");
   const told = page.getElementById("upload-result") ?? page.querySelector(".problem .body");
   if (told) result().replaceChildren(...told.childNodes);
+  else refuse(`The server answered ${answer.status}; try again.`);
   const recognised = find("#profile", HTMLSelectElement, page)?.value;
   if (recognised) need("#profile", HTMLSelectElement).value = recognised;
-  else refuse(`The server answered ${answer.status}; try again.`);
 }
 
 /** @param {XMLHttpRequest} answer */

@@ -719,8 +719,8 @@ GATES = {
         Gate(
             "assumptions",
             "Assumptions",
-            "Are the properties that no data can show declared: readout, satellite velocity, directions,"
-            " refraction, lens, centroids?",
+            "Are the properties that no data can show declared: readout, satellite velocity, directions, refraction, lens and "
+            "centroids?",
             "met",
             measure=assumptions,
         ),
