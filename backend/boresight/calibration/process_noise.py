@@ -14,12 +14,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from boresight.arrays import FloatArray, IntArray
+from boresight.arrays import FloatArray, IntArray, to_days
 from boresight.calibration.calibration import ProcessNoise, Values
 from boresight.calibration.estimate import Drift, Parameters
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
-from boresight.calibration.times import to_days
 from boresight.errors import RefusedInputError
 from boresight.estimation.arcs import ArcSet
 

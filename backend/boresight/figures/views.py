@@ -21,9 +21,8 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
-from boresight.arrays import FloatArray
+from boresight.arrays import FloatArray, parse_times
 from boresight.calibration.calibration import Calibration, NisOverTime, Trust
-from boresight.calibration.times import parse_times
 from boresight.errors import RefusedInputError
 from boresight.figures.chart import Trace
 from boresight.figures.style import theme

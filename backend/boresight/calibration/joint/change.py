@@ -17,11 +17,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from boresight.arrays import FloatArray, IntArray, TimeArray
+from boresight.arrays import DAY_US, FloatArray, IntArray, TimeArray, parse_times
 from boresight.calibration.calibration import InputPass, ParameterStep, PassVariation, Values, VariationTest
 from boresight.calibration.joint.passes_fit import PassesFit, PassesProblem, judge_fall, middle_days
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.times import DAY_US, parse_times
 from boresight.cameras.model import Role
 from boresight.errors import RefusedInputError
 from boresight.estimation.block_bordered import Regressed

@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from boresight.arrays import FloatArray
+from boresight.arrays import FloatArray, to_days
 from boresight.calibration.estimate import Asked, Drift, Parameters
 from boresight.calibration.joint.passes_fit import PassesProblem
 from boresight.calibration.joint.variation import FIRST_WALK, fit_walk
@@ -21,7 +21,6 @@ from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.process_noise import FEWEST_STRETCHES, GAP_HOURS
 from boresight.calibration.telemetry_pieces import TelemetryInput
-from boresight.calibration.times import to_days
 from boresight.estimation.walk import link_by_walk
 from boresight.telemetry.schema import Telemetry
 

@@ -13,12 +13,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from boresight.arrays import FloatArray, IntArray
+from boresight.arrays import FloatArray, IntArray, parse_times, to_days
 from boresight.calibration.calibration import InputPass, VariationTest
 from boresight.calibration.estimate import WHITENING_ROUNDS, Asked, Parameters
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem, whiten_part
-from boresight.calibration.times import parse_times, to_days
 from boresight.errors import CancelledError, RefusedInputError
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet

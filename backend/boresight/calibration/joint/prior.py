@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from boresight.arrays import FloatArray
+from boresight.arrays import FloatArray, parse_times
 from boresight.calibration.advice_kinds import Advice, of_kind
 from boresight.calibration.calibration import Calibration, PriorAgreement, PriorUse, Values
 from boresight.calibration.estimate import Estimate, Parameters
@@ -30,7 +30,6 @@ from boresight.calibration.options import OPTIONS, CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.result import OF_SEVERAL, ON_A_PRIOR, trend_entry
 from boresight.calibration.telemetry_pieces import TelemetryInput, is_large
-from boresight.calibration.times import parse_times
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
 from boresight.estimation.prior import Prior

@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
+from boresight.arrays import parse_times
 from boresight.calibration.alignment.align import AlignmentOptions
 from boresight.calibration.alignment.result import Alignment as AlignmentResult
 from boresight.calibration.alignment.result import parse_alignment
 from boresight.calibration.calibration import to_plain
-from boresight.calibration.times import parse_times
 from boresight.console.alignments import queries
 from boresight.console.alignments.tables import Alignment, AlignmentSummary, parse_summary
 from boresight.console.fleet.tables import Sensor
