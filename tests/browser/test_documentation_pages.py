@@ -6,9 +6,9 @@ import threading
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import sync_playwright
 
-from tests.browser.window import SCREENSHOTS, Window, launch_chromium
+from tests.browser.window import SCREENSHOTS, Window
+from tests.effort import few_of
 from tests.test_documentation_site import build
 
 pytestmark = pytest.mark.browser
@@ -32,20 +32,19 @@ def address(tmp_path_factory):
     threading.Thread(target=server.serve_forever, daemon=True).start()
     yield f"http://127.0.0.1:{server.server_port}"
     server.shutdown()
+    server.server_close()
 
 
-@pytest.mark.parametrize("width", [390, 1440])
-def test_a_page_of_the_documentation_fits_and_keeps_nobody_out(address, width):
-    with sync_playwright() as playwright:
-        browser = launch_chromium(playwright)
-        context = browser.new_context(viewport={"width": width, "height": 900}, reduced_motion="reduce")
-        window = Window(context)
-        found = {}
-        for name in PAGES:
-            answer = window.page.goto(f"{address}/{name}.html")
-            assert answer.status == 200, name
-            window.page.screenshot(path=SCREENSHOTS / f"documentation-{name.replace('/', '-')}-{width}.png")
-            found[name] = (window.page.evaluate(SIDEWAYS_PX), window.barriers())
-        browser.close()
+@pytest.mark.parametrize("width", few_of([390, 1440], 1))
+def test_a_page_of_the_documentation_fits_and_keeps_nobody_out(browser, address, width):
+    context = browser.new_context(viewport={"width": width, "height": 900}, reduced_motion="reduce")
+    window = Window(context)
+    found = {}
+    for name in PAGES:
+        answer = window.page.goto(f"{address}/{name}.html")
+        assert answer.status == 200, name
+        window.page.screenshot(path=SCREENSHOTS / f"documentation-{name.replace('/', '-')}-{width}.png")
+        found[name] = (window.page.evaluate(SIDEWAYS_PX), window.barriers())
+    context.close()
     assert found == dict.fromkeys(PAGES, (0, []))
     assert window.complaints == []
