@@ -244,7 +244,7 @@ def test_a_parameter_has_its_unit_and_no_digit_that_its_sigma_does_not_know_or_a
     assert {given: verdict_numbers.parameter(given[1], given[0]) for given in declared} == declared
     assert verdict_numbers.sigma(None, "f_m") == "fixed"
     assert verdict_numbers.sigma(8.0e-6, "f_m") == "0.0080"
-    units = {"f_m": "mm", "b2_per_m2": "m⁻²", "b4_per_m4": "m⁻⁴", "a1_rad": "mrad", "g_y": "1"}
+    units = {"f_m": "mm", "b2_per_m2": "m⁻²", "b4_per_m4": "m⁻⁴", "a1_rad": "mrad", "g_y": ""}
     assert {name: verdict_numbers.unit(name) for name in units} == units
 
 
