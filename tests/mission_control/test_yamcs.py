@@ -244,14 +244,14 @@ def test_name_and_password_or_a_key_let_us_in_and_never_go_over_a_line_in_the_cl
             ("wrong", False),
         ):
             (tmp_path / "credentials").write_text(f"{secret}\n")
-            opened = link(address, credentials=str(tmp_path / "credentials")).open()
-            if allowed:
-                assert opened.export(PROFILE, 0, 1).lines == []
-            else:
-                with pytest.raises(UnavailableError, match="BORESIGHT_YAMCS_CREDENTIALS"):
-                    opened.export(PROFILE, 0, 1)
-        with pytest.raises(UnavailableError):
-            link(address).open().export(PROFILE, 0, 1)
+            with closing(link(address, credentials=str(tmp_path / "credentials")).open()) as opened:
+                if allowed:
+                    assert opened.export(PROFILE, 0, 1).lines == []
+                else:
+                    with pytest.raises(UnavailableError, match="BORESIGHT_YAMCS_CREDENTIALS"):
+                        opened.export(PROFILE, 0, 1)
+        with closing(link(address).open()) as opened, pytest.raises(UnavailableError):
+            opened.export(PROFILE, 0, 1)
         credentials = Credentials(username="boresight", password="secret")
         with closing(YamcsClient(address, credentials=credentials, keep_alive=False)) as client:
             assert list(client.get_archive(INSTANCE).list_events()) == []
