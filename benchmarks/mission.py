@@ -29,7 +29,7 @@ import numpy as np
 import boresight as bs
 from benchmarks import Report, held
 from benchmarks.accuracy import detector_errors
-from boresight.arrays import FloatArray
+from boresight.arrays import FloatArray, parse_times, to_days
 from boresight.calibration.calibration import InputPass, PassVariation
 from boresight.calibration.estimate import Parameters, never
 from boresight.calibration.joint.passes import NamedTelemetry, join_sets
@@ -37,7 +37,6 @@ from boresight.calibration.joint.passes_fit import places_of
 from boresight.calibration.joint.variation import fit_variation
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem, build_problem
-from boresight.calibration.times import parse_times, to_days
 from boresight.cameras import CAMERA_MODELS
 from boresight.estimation import batch
 from boresight.estimation.statistics.consistency import nees

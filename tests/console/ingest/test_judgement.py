@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from boresight.console.fleet.trend import Trend, TrendPoint, make_epoch
-from boresight.console.ingest.judgement import Follower, Reference, judge, judge_newest, reference_of
+from boresight.console.fleet.trend import Follower, Trend, TrendPoint, make_epoch
+from boresight.console.ingest.judgement import Reference, judge, judge_newest, reference_of
 from boresight.console.ingest.rehearsal import rehearse
 from boresight.console.ingest.rules import RULES, PolicyRules, parse_rules
 from boresight.errors import RefusedInputError
@@ -58,7 +58,7 @@ RULE = PolicyRules()
 
 def judged(points, base, rules=RULE):
     """What a policy finds in each of some sets since a reference."""
-    follower, since, found = Follower(rules), [], []
+    follower, since, found = Follower(rules.false_alarm_rate), [], []
     for one in points:
         own = follower.follow(one)
         found.append(judge(one, own, since, base, rules))

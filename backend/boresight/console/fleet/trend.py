@@ -14,6 +14,7 @@ SHIFT` and no drift.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
@@ -28,7 +29,7 @@ from boresight.console.fleet import queries as rows
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
 from boresight.console.telemetry.tables import TelemetrySet, find_quality
-from boresight.estimation.pass_forecast import PassForecaster
+from boresight.estimation.pass_forecast import FollowedPass, PassForecaster
 from boresight.estimation.statistics import drift as tests
 from boresight.estimation.statistics.drift import FALSE_ALARM_RATE, Epoch, RegressionLine
 from boresight.platform.db.sessions import Session, utc_text
@@ -345,21 +346,43 @@ def judge_drift(trend: Trend, alpha: float = FALSE_ALARM_RATE) -> DriftResult:
         slope,
         line,
         len(series),
-        held.rejects and newest.timed and _is_jump(first, later[:-1], names, share),
+        held.rejects and _is_jump(newest, later[:-1], share),
     )
     return _with_sentence(found, trend.baseline)
 
 
-def _is_jump(newest: Epoch, before: Sequence[TrendPoint], names: Sequence[str], share: float) -> bool:
+@dataclass(frozen=True)
+class Followed:
+    """A calibration of the past as the model of the mission takes it."""
+
+    point: TrendPoint
+    found: FollowedPass
+
+
+class Follower:
+    """Takes the calibrations of a sensor in by time; those of other parameters are another series."""
+
+    def __init__(self, alpha: float) -> None:
+        self._series: defaultdict[frozenset[str], PassForecaster] = defaultdict(lambda: PassForecaster(alpha))
+
+    def follow(self, point: TrendPoint) -> Followed | None:
+        """Take a calibration in; None where it does not count, or has no covariance."""
+        if point.left_out or not point.timed or not point.names:
+            return None
+        try:
+            found = self._series[frozenset(point.names)].follow(make_epoch(point, sorted(point.names)))
+        except np.linalg.LinAlgError:
+            return None
+        return Followed(point, found)
+
+
+def _is_jump(newest: TrendPoint, before: Sequence[TrendPoint], alpha: float) -> bool:
     """Whether the calibrations before do not forecast the newest; False where they are too few to."""
-    forecaster = PassForecaster(share)
-    try:
-        for point in before[-MOST_FOLLOWED:]:
-            if point.timed and set(point.names) == set(names):
-                forecaster.follow(make_epoch(point, names))
-        return forecaster.follow(newest).is_outside
-    except np.linalg.LinAlgError:
-        return False
+    follower = Follower(alpha)
+    for point in before[-MOST_FOLLOWED:]:
+        follower.follow(point)
+    followed = follower.follow(newest)
+    return followed is not None and followed.found.is_outside
 
 
 def _verdict(held: tests.ChiSquareTest, slope: tests.ChiSquareTest | None, baseline: ParameterSet) -> str:

@@ -21,15 +21,14 @@ reference, as though people had promoted it; of a jump the advice is to wait for
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from boresight.console.fleet.trend import Trend, TrendPoint, make_baseline_epoch, make_epoch
+from boresight.console.fleet.trend import Followed, Follower, Trend, TrendPoint, make_baseline_epoch, make_epoch
 from boresight.console.ingest.rules import PolicyRules
-from boresight.estimation.pass_forecast import FEWEST, FollowedPass, PassForecaster
+from boresight.estimation.pass_forecast import FEWEST
 from boresight.estimation.statistics import drift as tests
 from boresight.estimation.statistics.drift import ChiSquareTest, Epoch
 from boresight.verdicts.numbers import fixed, number, quantity
@@ -99,33 +98,6 @@ def reference_of(point: TrendPoint) -> Reference:
     return Reference(f"run {point.run_id}", point.names, make_epoch(point, point.names), None, point.run_id)
 
 
-@dataclass(frozen=True)
-class Followed:
-    """A calibration of the past as the model of the mission takes it."""
-
-    point: TrendPoint
-    found: FollowedPass
-
-
-class Follower:
-    """Takes the calibrations of a sensor in by time; those of other parameters are another series."""
-
-    def __init__(self, rules: PolicyRules) -> None:
-        self._series: defaultdict[frozenset[str], PassForecaster] = defaultdict(
-            lambda: PassForecaster(rules.false_alarm_rate)
-        )
-
-    def follow(self, point: TrendPoint) -> Followed | None:
-        """Take a calibration in; None where it does not count, or has no covariance."""
-        if point.left_out or not point.timed or not point.names:
-            return None
-        try:
-            found = self._series[frozenset(point.names)].follow(make_epoch(point, sorted(point.names)))
-        except np.linalg.LinAlgError:
-            return None
-        return Followed(point, found)
-
-
 def judge_newest(trend: Trend, run_id: int, rules: PolicyRules) -> PolicyFinding:
     """Judge the calibration of a run against what those before it forecast, and the baseline."""
     point, reference = trend.of_run(run_id), make_reference(trend)
@@ -142,7 +114,7 @@ def judge_newest(trend: Trend, run_id: int, rules: PolicyRules) -> PolicyFinding
         )
     if (refusal := _refuse(point, reference, rules)) is not None:
         return refusal
-    follower = Follower(rules)
+    follower = Follower(rules.false_alarm_rate)
     earlier = [one for one in trend.independent if one.at_utc < point.at_utc]
     followed = [found for one in earlier if (found := follower.follow(one)) is not None]
     since = [one for one in followed if own is None or one.point.at_utc > own.at_utc]
