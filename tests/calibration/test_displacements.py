@@ -9,7 +9,7 @@ from scipy import stats
 
 from boresight.calibration.trust import displacements
 from boresight.calibration.trust.departures import find_departures, find_untested
-from boresight.calibration.trust.displacements import Block, Departure, add_up, find_score, find_unseen
+from boresight.calibration.trust.displacements import Block, Departure, add_up, expect, find_score, find_unseen
 from boresight.calibration.trust.trust_tests import STAYING
 from boresight.estimation import batch
 from boresight.estimation.arcs import arclength, pairs
@@ -201,6 +201,40 @@ def test_what_is_called_unseen_is_missed_once_in_ten_and_moves_its_parameter_as_
     shift = np.abs(np.mean(e, axis=0) @ H @ P) / np.sqrt(np.diag(P))
     assert shift[found.parameter] == pytest.approx(found.sigmas, abs=4 / np.sqrt(1000))
     assert shift.max() < found.sigmas + 4 / np.sqrt(1000)
+
+
+def _drawn(ground, departure, size):
+    """Sums of a set that departs by coefficients of so many times its fields' own noise, and how far that moves the parameters."""
+    sums, rng = add_up(ground, [departure]), np.random.default_rng(12)
+    G = Block(ground, 0, ground.arcs.n_frames).displace(
+        departure.fields(Block(ground, 0, ground.arcs.n_frames)), "detector"
+    )
+    H, P = ground.H, np.linalg.inv(sums.A)
+    own = 1 / np.sqrt(sums.squares)
+    F = (G.T @ G - G.T @ H @ P @ H.T @ G) * np.outer(own, own)
+    values, vectors = np.linalg.eigh(F)
+    seen = vectors[:, values > displacements.LEAST_SHARE]
+    for _ in range(400):
+        c = own * (seen @ (size * rng.normal(size=seen.shape[1])))
+        e = rng.normal(size=len(H)) + G @ c
+        yield replace(sums, G_e=G.T @ e, b=H.T @ e, chi2=float(e @ e)), -P @ (H.T @ G @ c)
+
+
+@pytest.mark.parametrize("size", [6.0, 30.0])
+def test_what_is_expected_of_a_departure_is_as_far_from_the_truth_as_it_says(size, sensor, catalogue):
+    ground = case(field(5, frames=60), sensor, catalogue).ground
+    lens = next(one for one in find_departures(ground)[0] if one.name == "lens")
+    squared = []
+    for sums, moved in _drawn(ground, lens, size):
+        if find_score(sums, "lens").p > 1e-3:  # nobody would widen
+            continue
+        d, P = expect(sums, "lens")
+        values, vectors = np.linalg.eigh(P / np.outer(*2 * [np.sqrt(np.diag(P))]))
+        large = values > 1e-9 * values.max()
+        off = vectors[:, large].T @ ((moved - d) / np.sqrt(np.diag(P)))
+        squared.append([float(np.sum(off**2 / values[large])), int(large.sum())])
+    found, dof = np.array(squared).mean(axis=0)
+    assert found == pytest.approx(dof, rel=0.3)
 
 
 def test_no_tangential_distortion_that_is_missed_as_often_moves_a_parameter_farther(sensor, catalogue):

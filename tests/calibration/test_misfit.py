@@ -17,8 +17,8 @@ from boresight.calibration.problem import make_problem
 from boresight.calibration.result import trend_entry
 from boresight.calibration.trust.departures import find_departures
 from boresight.calibration.trust.displacements import add_up, find_score
-from boresight.calibration.trust.fitted_set import UNLIKELY, fit_best
-from boresight.calibration.trust.misfit import _envelope, find_misfit, is_wider, sum_of_squares, widen
+from boresight.calibration.trust.fitted_set import FAMILY_LEVEL, UNLIKELY, fit_best
+from boresight.calibration.trust.misfit import _envelope, find_misfit, is_wider, misfit_advice, sum_of_squares, widen
 from boresight.cameras import CAMERA_MODELS
 from boresight.estimation.statistics.consistency import nees
 from boresight.estimation.statistics.observability import chi2_rise, is_curved
@@ -135,10 +135,46 @@ def judged(telemetry, sensor, s_i, truth):
     departures, _ = find_departures(fitted)
     sums = add_up(fitted, departures)
     scores = {one.name: find_score(sums, one.name) for one in departures}
-    tests = [SimpleNamespace(name=name, noticed=score.p < UNLIKELY) for name, score in scores.items()]
+    tests = [
+        SimpleNamespace(name=name, noticed=score.p < UNLIKELY, adjusted=min(1.0, 31 * score.p))
+        for name, score in scores.items()
+    ]
     error = (estimate.x - truth)[parameters.free] / parameters.scale
     described = find_misfit(fitted, sums, scores, tests)
     return Made(fitted, widen(fitted, sums, scores, tests), described, error)
+
+
+@pytest.fixture(scope="module")
+def decentred():
+    found = made("tangential", 2)
+    departures, _ = find_departures(found.fitted)
+    sums = add_up(found.fitted, departures)
+    return found.fitted, sums, {one.name: find_score(sums, one.name) for one in departures}
+
+
+def _widened(decentred, name, adjusted):
+    fitted, sums, scores = decentred
+    test = SimpleNamespace(name=name, noticed=adjusted < FAMILY_LEVEL, adjusted=adjusted)
+    return find_misfit(fitted, sums, scores, [test])[1]
+
+
+def test_what_is_suspected_of_a_lens_widens_and_is_not_advised(decentred):
+    noticed, suspected, silent = (_widened(decentred, "tangential", p) for p in (1e-9, 0.03, 0.06))
+    assert (noticed.departures, noticed.suspected) == (["tangential"], [])
+    assert (suspected.departures, suspected.suspected) == (["tangential"], ["tangential"])
+    assert (silent.departures, silent.suspected) == ([], [])
+    assert suspected.factor == noticed.factor
+    assert max(noticed.factor.values()) > 20 > 1.01 * max(silent.factor.values())
+    assert [[advice.code for advice in misfit_advice(one)] for one in (noticed, suspected, silent)] == [
+        ["misfit"],
+        [],
+        [],
+    ]
+
+
+def test_what_does_not_stay_with_a_place_widens_only_where_it_is_noticed(decentred):
+    assert _widened(decentred, "phase", 0.03).departures == []
+    assert _widened(decentred, "phase", 1e-9).departures == ["phase"]
 
 
 WRONG = ("temperature", "phase", "tangential", "quarter", "loud", "second")

@@ -496,13 +496,15 @@ class ModelMisfit:
     """How much wider than noise alone makes them the sigmas are for what the model does not hold.
 
     `covariance`: SI, of the estimate with it. `factor`: by parameter. `blocks`: of frames that disagree by more than noise, 0 where
-    none do.
+    none do. `departures`: from the model that widen, and `suspected`: those among them that no test noticed.
     """
 
     covariance: Covariance
     factor: Values[float | None]
     blocks: int
     sentence: str
+    departures: list[str] = field(default_factory=list)
+    suspected: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,6 +21,16 @@ how far its parameters are wrong if this departure is real. A direction of c tha
 camera nearly has itself is hardly known and moves the parameters far: what is told of d in claimed sigmas counts only those
 directions that stand clear of the noise.
 
+Sigmas that are to hold if it is real may not leave such a direction out: it is as likely displaced as the others. Let the
+coefficients a along the eigenvectors of F, of information L_i, be normal about nought with a variance t. What was found of them,
+y_i = L_i^1/2 a_i + noise of one, is then normal with the variance 1 + t L_i, which makes some t likelier than others: all
+directions together tell the size of the departure. Given it,
+
+    a_i = t L_i^1/2 y_i / (1 + t L_i)        with the variance t / (1 + t L_i),
+
+that found where L_i is large, and no more than nought +- t^1/2 where it is small. `expect` weighs all t by their likelihood,
+flat in log t before, and gives mean and covariance of the mixture.
+
 What the test may miss follows before any data speak. A departure c falls short of being noticed once in ten times where its
 noncentrality c^T F c is
 
@@ -80,6 +90,8 @@ LEAST_SHARE = 1e-7
 OWN_SHARE = 1e-2
 #: Sigmas from which on a direction of c is clear.
 CLEAR = 3.0
+#: Sizes of a departure that are weighed, in the noise of its directions: smallest, largest and how many.
+SMALLEST_SIZE, LARGEST_SIZE, SIZES = 1e-2, 1e2, 100
 #: Normal deviate that nine in ten stay below.
 NINE_IN_TEN = 1.2816
 #: Frames whose rows are made at a time: they stay in the processor's cache.
@@ -211,8 +223,8 @@ class Score:
     `statistic`: fall of chi-square in the noise found, and `dof` its degrees of freedom; `p`: chance of as much. `c`, `covariance`:
     (n_fields,) and (n_fields, n_fields) the coefficients, zero along directions that were left out. `d`: (n_free,) how far the
     parameters are off if it is real, typical sigmas. `misled`: that of the parameter that is misled most, in its claimed sigmas,
-    from the directions of c that stand clear of noise; `clear`: (n_fields,) c along these alone; `shift`, `shift_covariance`: d
-    from these alone, and its covariance. `fall`, `left`: of chi-square, in the stated noise, and what remains of it.
+    from the directions of c that stand clear of noise; `clear`: (n_fields,) c along these alone. `fall`, `left`: of chi-square, in
+    the stated noise, and what remains of it.
     """
 
     name: str
@@ -226,8 +238,6 @@ class Score:
     fall: float
     left: float
     clear: FloatArray
-    shift: FloatArray
-    shift_covariance: FloatArray
 
 
 def add_up(fitted: FittedSet, departures: Sequence[Departure], most_frames: int | None = None) -> ScoreSums:
@@ -345,7 +355,24 @@ def _find_apart(sums: ScoreSums, places: slice, score: Score, noise: float, leas
     return np.asarray(W @ vectors[:, share > least_share] * np.sqrt(noise / share[share > least_share]))
 
 
-def _solve(sums: ScoreSums, name: str, places: IntArray) -> Score:
+@dataclass(frozen=True)
+class _Directions:
+    """Independent directions of c that the data show.
+
+    `inverse`: (n_fields, k), each of information one. `fall`: (k,) along them, whose squares are the fall of chi-square.
+    `information`: (k,) of each where c is of length one in the fields' own noise. `P`, `towards`: A^-1 and -A^-1 H^T G. `left`:
+    chi-square of the fit.
+    """
+
+    inverse: FloatArray
+    fall: FloatArray
+    information: FloatArray
+    P: FloatArray
+    towards: FloatArray
+    left: float
+
+
+def _find_directions(sums: ScoreSums, places: IntArray) -> _Directions:
     P = covariance(sums.A)
     G_H = sums.G_H[places]
     F = sums.G_G[np.ix_(places, places)] - G_H @ P @ G_H.T
@@ -354,36 +381,44 @@ def _solve(sums: ScoreSums, name: str, places: IntArray) -> Score:
     values, vectors = np.linalg.eigh(F * np.outer(size, size))
     known = values > LEAST_SHARE
     inverse = size[:, None] * vectors[:, known] / np.sqrt(values[known])
-    fall = inverse.T @ s
-    k, left = int(known.sum()), sums.chi2 - float(sums.b @ P @ sums.b)
-    freedom = sums.n_arcs - len(sums.A) - k
+    return _Directions(inverse, inverse.T @ s, values[known], P, -P @ G_H.T, sums.chi2 - float(sums.b @ P @ sums.b))
+
+
+def expect(sums: ScoreSums, *names: str) -> tuple[FloatArray, FloatArray]:
+    """How far parameters are off if departures are real, (n_free,) typical sigmas, and the covariance (n_free, n_free) of it."""
+    every = np.arange(len(sums.squares))
+    found = _find_directions(sums, np.concatenate([every[sums.places[name]] for name in names]))
+    k = len(found.fall)
+    noise = (found.left - float(found.fall @ found.fall)) / (sums.n_arcs - len(found.P) - k)
+    y, L = found.fall / np.sqrt(noise), found.information / noise
+    t = np.geomspace(SMALLEST_SIZE / L.max(), LARGEST_SIZE / L.min(), SIZES)
+    spread = 1 + np.outer(t, L)
+    likelihood = -np.sum(np.log(spread) + y**2 / spread, axis=1) / 2
+    weight = np.exp(likelihood - likelihood.max())
+    weight /= weight.sum()
+    known = 1 - 1 / spread  # share of y that is kept
+    mean = weight @ known * y
+    square = (known * y).T @ (weight[:, None] * known * y) + np.diag(weight @ known)
+    moving = found.towards @ found.inverse * np.sqrt(noise)
+    return moving @ mean, moving @ (square - np.outer(mean, mean)) @ moving.T
+
+
+def _solve(sums: ScoreSums, name: str, places: IntArray) -> Score:
+    found = _find_directions(sums, places)
+    inverse, fall, P = found.inverse, found.fall, found.P
+    k, n = len(fall), len(places)
+    freedom = sums.n_arcs - len(P) - k
     if k == 0 or freedom < 1:
-        none = np.zeros(len(P))
-        return Score(
-            name,
-            0.0,
-            0,
-            1.0,
-            np.zeros(len(s)),
-            np.zeros(F.shape),
-            none,
-            0.0,
-            0.0,
-            left,
-            np.zeros(len(s)),
-            none,
-            np.zeros_like(P),
-        )
+        nothing = np.zeros(n)
+        return Score(name, 0.0, 0, 1.0, nothing, np.zeros((n, n)), np.zeros(len(P)), 0.0, 0.0, found.left, nothing)
     square = float(fall @ fall)
-    noise = max(left - square, np.finfo(float).tiny) / freedom
-    F_inverse = inverse @ inverse.T
-    c, towards = inverse @ fall, -P @ G_H.T
+    left = found.left - square
+    noise = max(left, np.finfo(float).tiny) / freedom
+    c = inverse @ fall
     clear = np.abs(fall) >= min(CLEAR * np.sqrt(noise), float(np.abs(fall).max()))
-    moving = towards @ inverse[:, clear]
-    by_clear = moving @ fall[clear]
-    misled = float(np.max(np.abs(by_clear) / np.sqrt(np.maximum(np.diag(P), np.finfo(float).tiny))))
+    by_clear = inverse[:, clear] @ fall[clear]
+    misled = np.abs(found.towards @ by_clear) / np.sqrt(np.maximum(np.diag(P), np.finfo(float).tiny))
     p = float(fdtrc(k, freedom, square / k / noise))
     return Score(
-        name, square / noise, k, p, c, F_inverse * noise, towards @ c, misled, square, left - square,
-        inverse[:, clear] @ fall[clear], by_clear, moving @ moving.T * noise,
+        name, square / noise, k, p, c, inverse @ inverse.T * noise, found.towards @ c, float(misled.max()), square, left, by_clear
     )  # fmt: skip

@@ -18,9 +18,11 @@ four ways, each of which may only widen it.
    inside: what is correlated over a tenth of a block is still underestimated by a tenth.
 
 3. Departures. What is the same in all frames (a lens, the phase of the pixels) leaves the scores of the blocks alone. Of each
-   departure that the tests notice, `displacements` has d, how far the parameters are off if it is real. The departure that
+   departure that the tests notice, `displacements` expects how far the parameters are off if it is real, d. The departure that
    explains most for its number of coefficients (Schwarz's criterion) is taken first, others only while they explain what is left;
    together they widen by d d^T + cov(d), and each parameter by a share `CURVATURE` of its own d besides, for d is of first order.
+   What stays with a star's place and is not noticed, but less likely chance than `SUSPECTED`, widens too, and is told with the
+   sigmas alone: a test that is silent at 1 % is no evidence of a sound lens.
    Two kinds of departure leave d small though the camera is wrong by more. One that changes it over the set (`drift`, `exposure`,
    `time`, `trend`, `temperature`): a fit ends between its states, and each of these is off by up to the change's amplitude a, along
    the parameters that change, or the focal length: a a^T. One that goes with the magnitude or the colour m of a star about the
@@ -54,9 +56,10 @@ from boresight.arrays import FloatArray
 from boresight.calibration.advice_kinds import Advice
 from boresight.calibration.calibration import Covariance, ModelMisfit, TrustTest, Values
 from boresight.calibration.estimate import covariance
-from boresight.calibration.trust.departures import find_quantities, half_diagonal
-from boresight.calibration.trust.displacements import Score, ScoreSums, find_score
+from boresight.calibration.trust.departures import SOUGHT, find_quantities, half_diagonal
+from boresight.calibration.trust.displacements import Score, ScoreSums, expect, find_score
 from boresight.calibration.trust.fitted_set import FittedSet
+from boresight.calibration.trust.trust_tests import STAYING
 from boresight.cameras.model import Role
 from boresight.estimation.robust import measure_huber_effect
 from boresight.estimation.statistics.consistency import chi_square
@@ -66,6 +69,8 @@ from boresight.estimation.statistics.special import chdtrc
 BLOCKS = (96, 48, 24)
 #: Chance of a clean set's trace, and quantile of the Tracy-Widom law of the same chance, from which on blocks are taken.
 LEVEL, TRACY_WIDOM = 0.005, 2.4224
+#: Chance, over all tests, below which what stays with a star's place widens though nobody need be told.
+SUSPECTED = 0.05
 #: Share of d by which it may be wrong because the camera is not linear over it.
 CURVATURE = 0.1
 #: Departures that change every free parameter during the set, and those that change the scale alone.
@@ -80,14 +85,16 @@ SAME, WIDE = 1.05, 2.0
 class Widening:
     """What was found: the covariance with it, (n_free, n_free) in typical sigmas, and what it came from.
 
-    `level`: s above. `blocks`: how many were taken, 0 where none were. `departures`: taken, the first first. `selected`: distance
-    of a filter that selects its arcs from the fit of the whole set, in claimed sigmas of its worst parameter.
+    `level`: s above. `blocks`: how many were taken, 0 where none were. `departures`: taken, the first first. `suspected`: those
+    among them that no test noticed. `selected`: distance of a filter that selects its arcs from the fit of the whole set, in
+    claimed sigmas of its worst parameter.
     """
 
     P: FloatArray
     level: float = 1.0
     blocks: int = 0
     departures: tuple[str, ...] = ()
+    suspected: tuple[str, ...] = ()
     selected: float = 0.0
 
 
@@ -113,7 +120,7 @@ def widen(
     widest, blocks = _of_blocks(fitted, noise, level)
     shift, taken = np.zeros_like(noise), tuple[str, ...]()
     if sums is not None and scores:
-        shift, taken = _of_departures(sums, [one.name for one in tests if one.noticed and one.name in scores])
+        shift, taken = _of_departures(sums, [one.name for one in tests if one.name in scores and _counts(one)])
         shift = shift + _of_changes(fitted, scores, taken) + _of_zero_points(fitted, sums, taken)
     lean = _lean(fitted)
     excess = np.asarray(widest - noise + shift)
@@ -122,7 +129,14 @@ def widen(
         excess = K @ excess @ K.T
     excess = excess + np.outer(lean, lean)
     selected = float(np.max(np.abs(lean) / np.sqrt(np.diag(fitted.estimate.P))))
-    return Widening(fitted.estimate.P + excess, level, blocks, taken, selected)
+    noticed = {one.name for one in tests if one.noticed}
+    suspected = tuple(name for name in taken if name not in noticed)
+    return Widening(fitted.estimate.P + excess, level, blocks, taken, suspected, selected)
+
+
+def _counts(test: TrustTest) -> bool:
+    """Whether a departure widens."""
+    return test.noticed or (test.name in STAYING and test.adjusted < SUSPECTED)
 
 
 def _lean(fitted: FittedSet) -> FloatArray:
@@ -197,18 +211,17 @@ def _of_departures(sums: ScoreSums, noticed: list[str]) -> tuple[FloatArray, tup
     price = float(np.log(sums.n_arcs))  # of a degree of freedom, as Schwarz has it
     while left := [name for name in noticed if name not in taken]:
         joint = [find_score(sums, *taken, name) for name in left]
-        worth = [one.statistic - price * one.dof for one in joint]
+        worth = [one.statistic - price * (one.dof + SOUGHT.get(name, 0)) for name, one in zip(left, joint, strict=True)]
         place = int(np.argmax(worth))
-        if best is not None and joint[place].fall - best.fall < price * max(joint[place].dof - best.dof, 1) * _noise(
-            sums, joint[place]
-        ):
+        more = 0 if best is None else joint[place].dof - best.dof + SOUGHT.get(left[place], 0)
+        if best is not None and joint[place].fall - best.fall < price * max(more, 1) * _noise(sums, joint[place]):
             break
         best = joint[place]
         taken.append(left[place])
     if best is None:
         return np.zeros_like(sums.A), ()
-    d = best.shift
-    return np.outer(d, d) + best.shift_covariance + np.diag((CURVATURE * d) ** 2), tuple(taken)
+    d, uncertainty = expect(sums, *taken)
+    return np.outer(d, d) + uncertainty + np.diag((CURVATURE * d) ** 2), tuple(taken)
 
 
 def _of_changes(fitted: FittedSet, scores: Mapping[str, Score], taken: Sequence[str]) -> FloatArray:
@@ -243,7 +256,8 @@ def _of_zero_points(fitted: FittedSet, sums: ScoreSums, taken: Sequence[str]) ->
         both = find_score(sums, name, f"{name} stretch")
         reach = float(np.abs(np.quantile(values, REACH)).max())
         d = reach * covariance(sums.A) @ sums.G_H[sums.places["alike"]].T @ both.clear
-        total += np.outer(d, d) + np.outer(both.shift, both.shift) + both.shift_covariance
+        shift, uncertainty = expect(sums, name, f"{name} stretch")
+        total += np.outer(d, d) + np.outer(shift, shift) + uncertainty
     return total
 
 
@@ -280,13 +294,17 @@ def describe_misfit(fitted: FittedSet, found: Widening) -> tuple[Values[float | 
         factor=Values(by_name),
         blocks=found.blocks,
         sentence=_sentence(fitted, found, factor),
+        departures=list(found.departures),
+        suspected=list(found.suspected),
     )
 
 
 def misfit_advice(found: ModelMisfit | None) -> list[Advice]:
-    """What a person should know of a widening that changes decisions."""
-    factors = [] if found is None else [one for one in found.factor.values() if one is not None]
-    return [Advice(found.sentence, "misfit")] if found is not None and max(factors, default=1.0) >= WIDE else []
+    """What a person should know of a widening that changes decisions; nothing of one that rests on suspicion alone."""
+    if found is None or (found.suspected == found.departures != [] and not found.blocks):
+        return []
+    factors = [one for one in found.factor.values() if one is not None]
+    return [Advice(found.sentence, "misfit")] if max(factors, default=1.0) >= WIDE else []
 
 
 def _sentence(fitted: FittedSet, found: Widening, factor: FloatArray) -> str:
@@ -295,11 +313,19 @@ def _sentence(fitted: FittedSet, found: Widening, factor: FloatArray) -> str:
     if factor[most] < SAME:
         return "Nothing in these data calls for wider sigmas than noise alone gives."
     reasons = []
-    if found.departures:
-        named = ", ".join(one.replace("_", " ") for one in found.departures)
+    seen, unlikely = (
+        ", ".join(one.replace("_", " ") for one in found.departures if (one in found.suspected) == wanted)
+        for wanted in (False, True)
+    )
+    if seen:
         reasons.append(
-            f"what was noticed ({named}) changes the parameters if it is real: remove its cause, or choose a camera "
+            f"what was noticed ({seen}) changes the parameters if it is real: remove its cause, or choose a camera "
             "model that describes it"
+        )
+    if unlikely:
+        reasons.append(
+            f"what the tests suspect without noticing it ({unlikely}) changes the parameters if it is real: "
+            "take more frames, or choose a camera model that describes it"
         )
     if found.blocks:
         reasons.append(
