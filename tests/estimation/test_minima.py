@@ -12,6 +12,7 @@ from boresight.calibration.problem import build_problem, make_problem
 from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import batch, minima
 from boresight.estimation.minima import LOWER
+from boresight.estimation.statistics.consistency import nees
 from boresight.estimation.statistics.special import chdtri
 from boresight.telemetry.read.readers import read_telemetry
 from boresight.telemetry.schema import Telemetry, select_rows
@@ -161,6 +162,62 @@ def test_a_profile_that_leads_lower_hands_it_back():
     assert lower
     with pytest.raises(LowerMinimum):
         describe_minima(problem, type(found)(higher), higher.found[0].x, np.full(8, np.nan))
+
+
+def spread_of(problem, free, scale):
+    found = look_for_minima(problem, free, scale, np.inf, usual(problem), None).search
+    rise = find_rise(problem, found)
+    path = [fitted for place in range(len(free)) for fitted in minima.profile(found, place, rise).path]
+    return found, minima.measure_spread(found, path, 1.0, np.random.default_rng(3))
+
+
+def test_the_spread_of_a_bent_valley_is_the_integral_over_a_grid():
+    problem, _ = sparse(SEVERAL)
+    free = np.array([2, 5])  # principal point and tilt along columns
+    found, spread = spread_of(problem, free, SCALE[free])
+    surface, best = found.surface, found.found[0]
+    half = 5 * batch.sigma_in_scale(best.A)
+    z = np.stack(np.meshgrid(*(np.linspace(-h, h, 101) for h in half), indexing="ij"), axis=-1).reshape(-1, 2)
+    weight = np.exp([-minima._rise(surface, best, one) / 2 for one in z])
+    exact = (z * weight[:, None]).T @ z / weight.sum()
+    size = np.sqrt(np.diag(exact))
+    np.testing.assert_allclose(spread / np.outer(size, size), exact / np.outer(size, size), atol=0.1)
+
+
+def test_the_spread_where_nothing_bends_is_the_covariance():
+    problem, _ = sparse(2, exposures=20, stars=12)
+    free = np.array([0, 3, 4, 7])  # neither principal point nor tilt
+    found, spread = spread_of(problem, free, SCALE[free])
+    root = np.linalg.cholesky(found.found[0].A)
+    np.testing.assert_allclose(root.T @ spread @ root, np.eye(4), atol=0.15)
+
+
+def errors_in_spread(sets):
+    for seed in range(sets):
+        problem, truth = sparse(seed)
+        if searched(problem).search is None:
+            continue
+        found, spread = spread_of(problem, FREE, SCALE)
+        if spread is not None:
+            yield (
+                nees((truth - found.found[0].x) / SCALE, spread),
+                nees((truth - found.found[0].x) / SCALE, np.linalg.inv(found.found[0].A)),
+            )
+
+
+def test_errors_of_sparse_sets_are_within_their_spread():
+    within, claimed = np.array(list(errors_in_spread(6))).T
+    assert len(within) >= 4
+    assert within.mean() < 12.0
+    assert claimed.max() > 50.0
+
+
+@pytest.mark.full
+def test_errors_of_many_sparse_sets_are_within_their_spread():
+    within, claimed = np.array(list(errors_in_spread(100))).T
+    assert len(within) > 80
+    assert within.mean() < 8 + 3 * np.sqrt(16 / len(within))
+    assert claimed.mean() > 100.0
 
 
 def coverage(exposures, stars, sets):

@@ -531,12 +531,15 @@ class ProfileInterval:
 class Minima:
     """What a search from many starts found, the best first, and the intervals of the parameters that are not symmetric.
 
-    `taken_from`: what led to the minimum that was taken up, empty where the usual start had ended in it.
+    `spread`: mean square distance from the estimate of all states, each as likely as the data make it, SI; None where the sigmas
+    tell as much, or it is not known. `taken_from`: what led to the minimum that was taken up, empty where the usual start had ended
+    in it.
     """
 
     starts: int
     found: list[Minimum] = field(default_factory=list)
     intervals: list[ProfileInterval] = field(default_factory=list)
+    spread: Covariance | None = None
     taken_from: str = ""
     sentence: str = ""
 

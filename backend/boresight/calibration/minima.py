@@ -17,12 +17,12 @@ import numpy as np
 
 from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.advice_kinds import Advice
-from boresight.calibration.calibration import Minima, Minimum, ProfileInterval, Values
+from boresight.calibration.calibration import Covariance, Minima, Minimum, ProfileInterval, Values
 from boresight.calibration.problem import Problem, whiten_at
 from boresight.estimation import minima
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.batch import BatchFit, determined
-from boresight.estimation.minima import LOWER, CostSurface, Piece, Search
+from boresight.estimation.minima import LOWER, CostSurface, Piece, Profile, Search
 from boresight.estimation.robust import measure_huber_effect
 from boresight.estimation.statistics.consistency import chi_square
 from boresight.estimation.statistics.observability import WEAK, chi2_rise, is_curved
@@ -138,29 +138,46 @@ def describe_minima(problem: Problem, searched: Searched, x: FloatArray, sigma: 
         return alone if searched.taken_from else None
     best = search.found[0]
     rise = find_rise(problem, search)
+    profiles = _profile(names, search, rise, follow=searched.restarts < MOST_RESTARTS)
+    found = [_describe(names, one, best) for one in search.found if one.cost - best.cost <= TOLD]
+    intervals = [
+        ProfileInterval(name=names[p], confidence=CONFIDENCE, pieces=[list(piece) for piece in one.pieces])
+        for p, one in zip(search.surface.free, profiles, strict=True)
+        if not is_symmetric(one.pieces, x[p], np.sqrt(rise) * sigma[p])
+    ]
+    bends = len(found) > 1 or bool(intervals)
     described = Minima(
         starts=search.starts,
-        found=[_describe(names, one, best) for one in search.found if one.cost - best.cost <= TOLD],
-        intervals=_find_intervals(names, search, x, sigma, rise, follow=searched.restarts < MOST_RESTARTS),
+        found=found,
+        intervals=intervals,
+        spread=_find_spread(names, search, profiles) if bends else None,
         taken_from=searched.taken_from,
     )
     return replace(described, sentence=_sentence(described, searched, x, sigma))
 
 
-def _find_intervals(
-    names: Sequence[str], search: Search, x: FloatArray, sigma: FloatArray, rise: float, *, follow: bool
-) -> list[ProfileInterval]:
-    """Profile every free parameter, and keep what is not the interval of its sigma; `follow` what leads lower."""
-    intervals = list[ProfileInterval]()
+def _profile(names: Sequence[str], search: Search, rise: float, *, follow: bool) -> list[Profile]:
+    """Profile every free parameter; `follow` what leads lower."""
+    profiles = list[Profile]()
     for place, p in enumerate(search.surface.free):
         found = minima.profile(search, place, rise)
         if found.lower is not None and follow:
             fall = search.found[0].cost - found.lower.cost
             raise LowerMinimum(found.lower.x, f"the profile of {names[p]}", fall)
-        if not is_symmetric(found.pieces, x[p], np.sqrt(rise) * sigma[p]):
-            pieces = [list(piece) for piece in found.pieces]
-            intervals.append(ProfileInterval(name=names[p], confidence=CONFIDENCE, pieces=pieces))
-    return intervals
+        profiles.append(found)
+    return profiles
+
+
+def _find_spread(names: Sequence[str], search: Search, profiles: Sequence[Profile]) -> Covariance | None:
+    """How far the estimate may be off where the set bends."""
+    surface = search.surface
+    variance = _residual_variance(surface, search.found[0])
+    path = [fitted for one in profiles for fitted in one.path]
+    spread = minima.measure_spread(search, path, variance, np.random.default_rng(SEED))
+    if spread is None:
+        return None
+    matrix = (spread * np.outer(surface.scale, surface.scale)).tolist()
+    return Covariance(names=[names[p] for p in surface.free], matrix=matrix)
 
 
 def find_rise(problem: Problem, search: Search) -> float:

@@ -23,15 +23,27 @@ theorem, and an interval at its quantile holds the truth in 85 to 90 of 100 sets
 as their truth (the measured places are taken for the true ones, so that no attitude is needed, and noise is added to them), and the
 mean of J_p(truth) - J over them and over the parameters multiplies q (Bartlett's correction by simulation).
 
+Spread. Where the valley bends or there are several minima, A^-1 tells neither how far nor along which line the estimate may be off.
+What does is the mean of (z - z_0)(z - z_0)^T over all states, each as likely as the data make it, exp(-(J - J_0) / 2 s), and none
+likelier before: no covariance holds fewer errors of its size. The integral is taken by importance sampling. States z_i are drawn
+from a mixture of t distributions, whose parts lie at the minima and at the fits along the profiles, which follow the valley, each
+with the information A of its place; with q the density of the mixture
+
+    spread = c sum_i w_i (z_i - z_0)(z_i - z_0)^T / sum_i w_i        w_i = exp(-(J(z_i) - J_0) / 2 s) / q(z_i).
+
+The weights leave as much as m = (sum w)^2 / sum w^2 equal draws would, and a covariance of p parameters that is known from m draws
+is too narrow for their squared errors by c = m / (m - p - 1) on average, the mean of an inverse Wishart matrix.
+
 References
 ----------
-Bartlett, "Properties of sufficiency and statistical tests", Proc. R. Soc. A 160, 1937. Venzon, Moolgavkar, "A method for computing
-profile-likelihood-based confidence intervals", Applied Statistics 37, 1988.
+Bartlett, "Properties of sufficiency and statistical tests", Proc. R. Soc. A 160, 1937. Kloek, van Dijk, "Bayesian estimates of
+equation system parameters: an application of integration by Monte Carlo", Econometrica 46, 1978. Venzon, Moolgavkar, "A method for
+computing profile-likelihood-based confidence intervals", Applied Statistics 37, 1988.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -57,6 +69,10 @@ REACH, LARGEST_SIGMA = 50.0, 1e3
 DRAWN = 15
 #: Growth of the steps of a profile, most steps to its end, and accuracy of the rise there.
 GROWTH, MOST_STEPS, RISE_TOLERANCE = 1.4, 40, 0.01
+#: States drawn for the spread, most parts of the mixture, and their distance from each other in sigmas; degrees of freedom of the
+#: parts, how much wider they are than A^-1, and how many draws' worth the weights must leave.
+DRAWS, MOST_PARTS, APART = 4_000, 64, 0.7
+TAIL, WIDER, FEWEST_DRAWS = 6, 1.2, 20.0
 
 
 @dataclass(frozen=True)
@@ -207,10 +223,11 @@ Piece = tuple[float | None, float | None]
 class Profile:
     """Where a parameter may lie.
 
-    `pieces`: in ascending order. `lower`: a minimum below the lowest, where the way led to one.
+    `pieces`: in ascending order. `path`: the fits on the way. `lower`: a minimum below the lowest, where the way led to one.
     """
 
     pieces: tuple[Piece, ...]
+    path: tuple[BatchFit, ...] = ()
     lower: BatchFit | None = None
 
 
@@ -229,24 +246,26 @@ def profile(searched: Search, place: int, rise: float) -> Profile:
     surface, minima = searched.surface, searched.found
     level, p = minima[0].cost + rise, int(surface.free[place])
     pieces: list[tuple[float, float]] = []
+    path: list[BatchFit] = []
     lower: BatchFit | None = None
     for one in (m for m in minima if m.cost < level):
         ends = [_end(surface, one, place, sign, level) for sign in (-1.0, 1.0)]
-        lowest = min((end.lowest for end in ends), key=lambda fitted: fitted.cost)
+        path += [fitted for end in ends for fitted in end.path]
+        lowest = min((fitted for end in ends for fitted in end.path), key=lambda fitted: fitted.cost)
         if lower is None and lowest.cost < minima[0].cost - LOWER:
             lower = searched.lower_minimum(lowest.x)
         pieces.append((ends[0].value, ends[1].value))
     low, high = minima[0].x[p] - REACH * surface.scale[place], minima[0].x[p] + REACH * surface.scale[place]
     ends_of = tuple((a if a > low else None, b if b < high else None) for a, b in _joined(pieces))
-    return Profile(ends_of, lower)
+    return Profile(ends_of, tuple(path), lower)
 
 
 @dataclass(frozen=True)
 class _End:
-    """Where a profile crosses its level, SI, infinite where it does not within reach, and the lowest fit on the way."""
+    """Where a profile crosses its level, SI, infinite where it does not within reach, and the fits on the way from a minimum."""
 
     value: float
-    lowest: BatchFit
+    path: tuple[BatchFit, ...]
 
 
 def _end(surface: CostSurface, minimum: BatchFit, place: int, sign: float, level: float) -> _End:
@@ -254,19 +273,14 @@ def _end(surface: CostSurface, minimum: BatchFit, place: int, sign: float, level
     scale, p = float(surface.scale[place]), int(surface.free[place])
     sigma = float(batch.sigma_in_scale(minimum.A)[place])
     t, step = 0.0, 0.4 * np.sqrt(max(level - minimum.cost, RISE_TOLERANCE)) * (sigma if np.isfinite(sigma) else 1.0)
-    inner = lowest = minimum
-    outer = None
+    path = [minimum]
     while t < REACH:
         t = min(t + step, REACH)
-        here = _held(surface, inner, place, minimum.x[p] + sign * t * scale)
-        lowest = min(lowest, here, key=lambda fitted: fitted.cost)
-        if not here.cost < level:
-            outer = here
-            break
-        inner, step = here, step * GROWTH
-    if outer is None:
-        return _End(sign * np.inf, lowest)
-    return _End(_cross(surface, inner, outer, place, level), lowest)
+        path.append(_held(surface, path[-1], place, minimum.x[p] + sign * t * scale))
+        if not path[-1].cost < level:
+            return _End(_cross(surface, path[-2], path[-1], place, level), tuple(path))
+        step *= GROWTH
+    return _End(sign * np.inf, tuple(path))
 
 
 def _cross(surface: CostSurface, inner: BatchFit, outer: BatchFit, place: int, level: float) -> float:
@@ -290,6 +304,80 @@ def _held(surface: CostSurface, near: BatchFit, place: int, value: float) -> Bat
     x[surface.free[place]] = value
     fitted = surface.fit(surface.whiten(near.x), x, held=place)
     return replace(fitted, cost=surface.cost(fitted.x))
+
+
+def measure_spread(
+    search: Search, path: Sequence[BatchFit], variance: float, rng: np.random.Generator
+) -> FloatArray | None:
+    """Mean square distance of what can be from the lowest minimum, (n_free, n_free) in typical sigmas; see the module.
+
+    Parameters
+    ----------
+    search
+        What was found.
+    path
+        Fits along the profiles.
+    variance
+        Of the whitened residuals, s.
+    rng
+        Draws the states.
+
+    Returns
+    -------
+    None where so few draws carry the weight that they tell nothing.
+    """
+    surface, best = search.surface, search.found[0]
+    n = len(surface.free)
+    parts = _parts(surface, [*search.found, *sorted(path, key=lambda one: one.cost)], best)
+    middle, root = np.array([one.z for one in parts]), np.array([one.root for one in parts])
+    share = np.exp(-np.array([one.rise for one in parts]) / (4 * variance))
+    share /= share.sum()
+    of = rng.choice(len(parts), size=DRAWS, p=share)
+    t = rng.normal(size=(DRAWS, n)) * np.sqrt(WIDER * TAIL / rng.chisquare(TAIL, DRAWS))[:, None]
+    z = middle[of] + np.linalg.solve(root[of].transpose(0, 2, 1), t[:, :, None])[:, :, 0]
+    distance = np.sum(((z[:, None] - middle)[:, :, None] @ root) ** 2, axis=(2, 3)) / WIDER
+    density = np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1) - (TAIL + n) / 2 * np.log1p(distance / TAIL)
+    largest = density.max(axis=1)
+    q = largest + np.log(np.exp(density - largest[:, None]) @ share)
+    weight = np.array([-(_rise(surface, best, one) / (2 * variance)) for one in z]) - q
+    weight = np.exp(weight - weight.max())
+    weight /= weight.sum()
+    worth = 1 / float(np.sum(weight**2))
+    if not worth > n + FEWEST_DRAWS:
+        return None
+    return np.asarray((z * weight[:, None]).T @ z * worth / (worth - n - 1))
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One part of the mixture: its middle z (n_free,) from the lowest minimum, the lower root of its information, its rise."""
+
+    z: FloatArray
+    root: FloatArray
+    rise: float
+
+
+def _parts(surface: CostSurface, fits: Sequence[BatchFit], best: BatchFit) -> list[_Part]:
+    """Parts at fits, in their order, that lie apart from each other."""
+    parts: list[_Part] = []
+    for one in fits:
+        z = (one.x - best.x)[surface.free] / surface.scale
+        A = batch.normal_equations(surface.whiten(one.x), one.x, surface.free, surface.scale).A
+        if not np.isfinite(A).all() or any((z - other.z) @ A @ (z - other.z) < APART**2 for other in parts):
+            continue
+        try:
+            parts.append(_Part(z, np.asarray(np.linalg.cholesky(A)), one.cost - best.cost))
+        except np.linalg.LinAlgError:  # singular there
+            continue
+        if len(parts) == MOST_PARTS:
+            break
+    return parts
+
+
+def _rise(surface: CostSurface, best: BatchFit, z: FloatArray) -> float:
+    """Rise of the cost at z (n_free,) typical sigmas from the lowest minimum; infinite out of reach and where nothing can be."""
+    x = _moved(surface, best.x, z)
+    return surface.cost(x) - best.cost if np.abs(z).max() <= REACH and surface.allowed(x) else np.inf
 
 
 def measure_wilks_factor(search: Search, rng: np.random.Generator) -> float:

@@ -188,7 +188,7 @@ def evaluate_result(
     matching = matching_view(telemetry, sensor, ended, evaluation)
     P = parameters.full_covariance(estimate.P, n=len(estimate.x))
     problem, matched = ended.matched.problem, ended.matched.telemetry
-    judged = judge_trust(problem, parameters, settings, estimate, matched, sets.catalogue)
+    judged = judge_trust(problem, parameters, settings, estimate, matched, sets.catalogue, calibration.minima)
     return with_advice(
         replace(
             calibration,

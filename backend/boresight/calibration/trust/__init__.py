@@ -34,7 +34,8 @@ from typing import Any
 
 import numpy as np
 
-from boresight.calibration.calibration import Cause, ModelMisfit, Trust, TrustTest, UnseenDeparture, Values
+from boresight.arrays import FloatArray
+from boresight.calibration.calibration import Cause, Minima, ModelMisfit, Trust, TrustTest, UnseenDeparture, Values
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
@@ -118,6 +119,7 @@ def judge_trust(
     estimate: Estimate,
     telemetry: Telemetry,
     catalogue: Catalogue | None = None,
+    minima: Minima | None = None,
 ) -> TrustReport:
     """Judge a finished estimate in every way there is.
 
@@ -135,10 +137,13 @@ def judge_trust(
     stars = _of_stars(fitted)
     parts |= stars.parts
     trust = Trust(**parts, unavailable=unavailable | stars.unavailable)
-    return _tested(fitted, trust, parts, stars)
+    spread = None if minima is None or minima.spread is None else np.asarray(minima.spread)
+    if spread is not None:
+        spread = spread / np.outer(parameters.scale, parameters.scale)
+    return _tested(fitted, trust, parts, stars, spread)
 
 
-def _tested(fitted: FittedSet, trust: Trust, parts: Parts, stars: StarParts) -> TrustReport:
+def _tested(fitted: FittedSet, trust: Trust, parts: Parts, stars: StarParts, spread: FloatArray | None) -> TrustReport:
     """Make every test that can be made, look for what explains them, and widen the sigmas by it."""
     departures, _ = find_departures(fitted)
     untested = find_untested()
@@ -151,7 +156,7 @@ def _tested(fitted: FittedSet, trust: Trust, parts: Parts, stars: StarParts) -> 
         causes = find_causes(examined, tests)
     except np.linalg.LinAlgError:  # the numbers are too near to singular
         return TrustReport(trust, [], [])
-    wider = find_misfit(fitted, sums, scores, tests)
+    wider = find_misfit(fitted, sums, scores, tests, spread)
     trust = replace(trust, unseen=list(_unseen(fitted, [*departures, *untested], sums, scores)))
     return TrustReport(trust, tests, causes) if wider is None else TrustReport(trust, tests, causes, *wider)
 

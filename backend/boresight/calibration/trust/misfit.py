@@ -1,7 +1,7 @@
 """Sigmas that tell the truth about misfit: what noise alone leaves in the parameters, widened by what the model does not hold.
 
-The covariance A^-1 of a fit is right when every centroid errs by the stated noise alone. What is wrong with the model shows in
-four ways, each of which may only widen it.
+The covariance A^-1 of a fit is right when every centroid errs by the stated noise alone, and the model is linear over it. What is
+wrong with the model shows in four ways, and what bends in a fifth, each of which may only widen it.
 
 1. Level. Where chi-square per degree of freedom, s, is above its 95 % bound, residuals are larger than stated: s A^-1.
 
@@ -32,6 +32,9 @@ four ways, each of which may only widen it.
 4. Selection. A filter that matches by the tolerance of the flight code takes in, frame by frame, the arcs that agree with where it
    stands. From a start that is off by more than that tolerance it keeps few, and those lean to the start. The fit of the whole set
    as it is matched in the end does not; the distance between the two, d, widens by d d^T.
+
+5. Bends. Where chi-square of a small set has several minima, or rises along a valley that bends, `estimation.minima` has the mean
+   square distance of all that can be from the estimate. The covariance is widened to be nowhere narrower than that.
 
 A filter's estimate has its start in it too; it is widened by as much as the fit of the whole set is. An estimate that stands on a
 prior follows the fit of the set by K = P A only, and is widened by K times that from both sides: what the data err does not widen
@@ -87,7 +90,7 @@ class Widening:
 
     `level`: s above. `blocks`: how many were taken, 0 where none were. `departures`: taken, the first first. `suspected`: those
     among them that no test noticed. `selected`: distance of a filter that selects its arcs from the fit of the whole set, in
-    claimed sigmas of its worst parameter.
+    claimed sigmas of its worst parameter. `bends`: whether chi-square does, so that the sigmas alone tell too little.
     """
 
     P: FloatArray
@@ -96,6 +99,7 @@ class Widening:
     departures: tuple[str, ...] = ()
     suspected: tuple[str, ...] = ()
     selected: float = 0.0
+    bends: bool = False
 
 
 def widen(
@@ -103,6 +107,7 @@ def widen(
     sums: ScoreSums | None = None,
     scores: Mapping[str, Score] | None = None,
     tests: Sequence[TrustTest] = (),
+    spread: FloatArray | None = None,
 ) -> Widening:
     """Find by how much the sigmas of a fit are to be widened.
 
@@ -114,10 +119,14 @@ def widen(
         What `displacements` found of departures; None where they were not tested.
     tests
         The tests that were made of them.
+    spread
+        (n_free, n_free) mean square distance of all that can be, in typical sigmas; None where chi-square does not bend.
     """
     noise = covariance(fitted.A)
     level = _level(fitted)
     widest, blocks = _of_blocks(fitted, noise, level)
+    if spread is not None:
+        widest = _envelope(widest, spread)
     shift, taken = np.zeros_like(noise), tuple[str, ...]()
     if sums is not None and scores:
         shift, taken = _of_departures(sums, [one.name for one in tests if one.name in scores and _counts(one)])
@@ -131,7 +140,7 @@ def widen(
     selected = float(np.max(np.abs(lean) / np.sqrt(np.diag(fitted.estimate.P))))
     noticed = {one.name for one in tests if one.noticed}
     suspected = tuple(name for name in taken if name not in noticed)
-    return Widening(fitted.estimate.P + excess, level, blocks, taken, suspected, selected)
+    return Widening(fitted.estimate.P + excess, level, blocks, taken, suspected, selected, spread is not None)
 
 
 def _counts(test: TrustTest) -> bool:
@@ -267,13 +276,17 @@ def _noise(sums: ScoreSums, score: Score) -> float:
 
 
 def find_misfit(
-    fitted: FittedSet, sums: ScoreSums, scores: Mapping[str, Score], tests: Sequence[TrustTest]
+    fitted: FittedSet,
+    sums: ScoreSums,
+    scores: Mapping[str, Score],
+    tests: Sequence[TrustTest],
+    spread: FloatArray | None = None,
 ) -> tuple[Values[float | None], ModelMisfit] | None:
     """Widen the sigmas of a fit: those with misfit, SI, and where they come from; None where a direction is not determined."""
     if not fitted.determined or not np.isfinite(fitted.estimate.P).all():
         return None
     try:
-        return describe_misfit(fitted, widen(fitted, sums, scores, tests))
+        return describe_misfit(fitted, widen(fitted, sums, scores, tests, spread))
     except np.linalg.LinAlgError:  # too near to singular
         return None
 
@@ -335,6 +348,10 @@ def _sentence(fitted: FittedSet, found: Widening, factor: FloatArray) -> str:
         reasons.append(
             f"the filter used only arcs that agreed with its state, and ended {found.selected:.2g} of its sigmas from the fit "
             "of the whole set: choose the statistical tolerance, or the batch"
+        )
+    if found.bends:
+        reasons.append(
+            "chi-square bends or has other minima: use the profile intervals, hold a known parameter fixed, or add frames"
         )
     if found.level > 1:
         reasons.append(
