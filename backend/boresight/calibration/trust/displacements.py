@@ -333,7 +333,7 @@ def find_unseen(
         return None
     P, places = covariance(sums.A), sums.places[name or score.name]
     noise = score.left / (sums.n_arcs - len(P) - score.dof)
-    apart = _find_apart(sums, places, score, noise, least_share)
+    apart = _find_apart(sums, P, places, score, noise, least_share)
     moving = -P @ sums.G_H[places].T @ apart
     moved = np.linalg.norm(moving, axis=1)
     i = int(np.argmax(moved / np.sqrt(np.diag(P))))
@@ -344,13 +344,15 @@ def find_unseen(
     return Unseen(c, i, float(size * moved[i] / np.sqrt(P[i, i])))
 
 
-def _find_apart(sums: ScoreSums, places: slice, score: Score, noise: float, least_share: float) -> FloatArray:
+def _find_apart(
+    sums: ScoreSums, P: FloatArray, places: slice, score: Score, noise: float, least_share: float
+) -> FloatArray:
     """Directions (n_fields, k) that arcs see and camera and test leave enough of, each of noncentrality one in the noise found."""
     tested = sums.places[score.name]
     size = 1 / np.sqrt(np.maximum(sums.squares[places], np.finfo(float).tiny))
     seen, vectors = np.linalg.eigh(sums.G_G[places, places] * np.outer(size, size))
     W = size[:, None] * vectors[:, seen > least_share] / np.sqrt(seen[seen > least_share])
-    K = W.T @ (sums.G_G[places, tested] - sums.G_H[places] @ covariance(sums.A) @ sums.G_H[tested].T)
+    K = W.T @ (sums.G_G[places, tested] - sums.G_H[places] @ P @ sums.G_H[tested].T)
     share, vectors = np.linalg.eigh(K @ score.covariance @ K.T / noise)
     return np.asarray(W @ vectors[:, share > least_share] * np.sqrt(noise / share[share > least_share]))
 
