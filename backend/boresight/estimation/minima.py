@@ -69,10 +69,10 @@ REACH, LARGEST_SIGMA = 50.0, 1e3
 DRAWN = 15
 #: Growth of the steps of a profile, most steps to its end, and accuracy of the rise there.
 GROWTH, MOST_STEPS, RISE_TOLERANCE = 1.4, 40, 0.01
-#: States drawn for the spread, most parts of the mixture, and their distance from each other in sigmas; degrees of freedom of the
-#: parts, how much wider they are than A^-1, and how many draws' worth the weights must leave.
-DRAWS, MOST_PARTS, APART = 4_000, 64, 0.7
-TAIL, WIDER, FEWEST_DRAWS = 6, 1.2, 20.0
+#: States drawn at a time for the spread and in all, and how many equal draws' worth the weights are to leave: enough, and fewest.
+DRAWS, MOST_DRAWS, ENOUGH, FEWEST = 500, 4_000, 250.0, 20.0
+#: Most parts of the mixture, their distance from each other in sigmas, their degrees of freedom, how much wider they are than A^-1.
+MOST_PARTS, APART, TAIL, WIDER = 64, 0.7, 6, 1.2
 
 
 @dataclass(frozen=True)
@@ -332,20 +332,27 @@ def measure_spread(
     middle, root = np.array([one.z for one in parts]), np.array([one.root for one in parts])
     share = np.exp(-np.array([one.rise for one in parts]) / (4 * variance))
     share /= share.sum()
-    of = rng.choice(len(parts), size=DRAWS, p=share)
-    t = rng.normal(size=(DRAWS, n)) * np.sqrt(WIDER * TAIL / rng.chisquare(TAIL, DRAWS))[:, None]
-    z = middle[of] + np.linalg.solve(root[of].transpose(0, 2, 1), t[:, :, None])[:, :, 0]
+    z, weight, worth = np.empty((0, n)), np.empty(0), 0.0
+    while worth < ENOUGH and len(z) < MOST_DRAWS:
+        of = rng.choice(len(parts), size=DRAWS, p=share)
+        t = rng.normal(size=(DRAWS, n)) * np.sqrt(WIDER * TAIL / rng.chisquare(TAIL, DRAWS))[:, None]
+        drawn = middle[of] + np.linalg.solve(root[of].transpose(0, 2, 1), t[:, :, None])[:, :, 0]
+        rise = np.array([_rise(surface, best, one) for one in drawn])
+        z = np.concatenate([z, drawn])
+        weight = np.concatenate([weight, np.exp(-rise / (2 * variance) - _log_density(drawn, middle, root, share))])
+        worth = float(weight.sum() ** 2 / np.sum(weight**2)) if weight.any() else 0.0
+    if not worth > n + FEWEST:
+        return None
+    return np.asarray((z * (weight / weight.sum())[:, None]).T @ z * worth / (worth - n - 1))
+
+
+def _log_density(z: FloatArray, middle: FloatArray, root: FloatArray, share: FloatArray) -> FloatArray:
+    """Logarithm of the mixture's density at z (n_draws, n_free), less a constant; parts as `_Part`, and their shares."""
+    n = z.shape[1]
     distance = np.sum(((z[:, None] - middle)[:, :, None] @ root) ** 2, axis=(2, 3)) / WIDER
     density = np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1) - (TAIL + n) / 2 * np.log1p(distance / TAIL)
     largest = density.max(axis=1)
-    q = largest + np.log(np.exp(density - largest[:, None]) @ share)
-    weight = np.array([-(_rise(surface, best, one) / (2 * variance)) for one in z]) - q
-    weight = np.exp(weight - weight.max())
-    weight /= weight.sum()
-    worth = 1 / float(np.sum(weight**2))
-    if not worth > n + FEWEST_DRAWS:
-        return None
-    return np.asarray((z * weight[:, None]).T @ z * worth / (worth - n - 1))
+    return np.asarray(largest + np.log(np.exp(density - largest[:, None]) @ share))
 
 
 @dataclass(frozen=True)
