@@ -108,7 +108,7 @@ def furnish(folder: Path, frames: int, runs: int, overlaid: int) -> tuple[dict[s
     catalogue = load_catalogue(settings_in(folder).catalogue_folder)
     document = calibrate(simulate(scenario, np.random.default_rng(1), catalogue), scenario.sensor, catalogue, settings)
     result: dict[str, Any] = document.to_dict()
-    blobs, rng, now = open_blobs(settings_in(folder).blob_place), np.random.default_rng(2), utc_now()
+    blobs, rng, now = open_blobs(settings_in(folder).blob_location), np.random.default_rng(2), utc_now()
     results = [with_noise(result, rng) for _ in range(overlaid)]
     addresses = [blobs.put(orjson.dumps(one)) for one in results]
     filled = fill(folder, 0, 1)

@@ -136,7 +136,7 @@ class Ledger:
         self._environment = make_environment(folder, 1, LEASE_S, external=False) | {"BORESIGHT_DATABASE_URL": address}
         self._settings = read_settings(self._environment)
         self.engine = open_engine(self._settings.database_url)
-        self._blobs = open_blobs(self._settings.blob_place)
+        self._blobs = open_blobs(self._settings.blob_location)
         self._catalogue = load_catalogue(self._settings.catalogue_folder)
         self._sensors: list[int] = []
         self._sets: dict[int, list[int]] = {}

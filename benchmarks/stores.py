@@ -126,7 +126,7 @@ def fill(folder: Path, runs: int, clients: int, people_in_all: int = PEOPLE) -> 
     with opened(folder) as engine:
         migrate(engine)
         people = analysts(engine, people_in_all)
-        catalogue, blobs = load_catalogue(settings.catalogue_folder), open_blobs(settings.blob_place)
+        catalogue, blobs = load_catalogue(settings.catalogue_folder), open_blobs(settings.blob_location)
         telemetry = simulate(replace(calibration_scenario(1), frames=FRAMES), np.random.default_rng(1), catalogue)
         document = sensor_document(st16_sensor(1))
         with uploaded(telemetry, catalogue, 1) as upload, open_writing(engine) as session:
@@ -207,7 +207,7 @@ class Constellation:
 
 def furnish(installed: Settings, trackers: int, frames: int, settings: Mapping[str, Any]) -> Constellation:
     """Fill an empty data folder."""
-    database, blobs = open_engine(installed.database_url), open_blobs(installed.blob_place)
+    database, blobs = open_engine(installed.database_url), open_blobs(installed.blob_location)
     migrate(database)
     analyst = analysts(database, 1)[0]
     tables = min(trackers, len(SENSOR_NUMBERS))

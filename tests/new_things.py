@@ -47,7 +47,7 @@ SENSOR = SCENARIO.sensor
 def furnished(folder: Path) -> int:
     """Fill a store: people, a sensor, and two runs that ended with the example's calibration; returns the sensor's number."""
     settings = settings_in(folder)
-    blobs = open_blobs(settings.blob_place)
+    blobs = open_blobs(settings.blob_location)
     engine = open_migrated(url_in(folder))
     with open_writing(engine) as session:
         person = add_person(session, "ada", "analyst")
@@ -123,7 +123,7 @@ def camera(ada: httpx.Client, folder: Path) -> dict[str, Any]:
     engine = open_engine(url_in(folder))
     with open_writing(engine) as session:
         sensor_id = registered.json()["id"]
-        run_id = add_runs(session, open_blobs(settings_in(folder).blob_place), 1, sensor_id, found, count=1)[0].id
+        run_id = add_runs(session, open_blobs(settings_in(folder).blob_location), 1, sensor_id, found, count=1)[0].id
     engine.dispose()
     pages = {
         "form": ada.get(f"/runs/new?sensor={sensor_id}").text,

@@ -93,7 +93,7 @@ def _settings(folder: Path) -> Settings:
 @pytest.fixture(scope="session")
 def furnished(tmp_path_factory, results) -> Path:
     settings = _settings(tmp_path_factory.mktemp("furnished"))
-    engine, blobs = open_engine(settings.database_url), open_blobs(settings.blob_place)
+    engine, blobs = open_engine(settings.database_url), open_blobs(settings.blob_location)
     migrate(engine)
     with open_writing(engine) as session:
         for name, (printed_name, roles) in PEOPLE.items():

@@ -9,11 +9,12 @@ from typing import ClassVar
 
 @dataclass(frozen=True)
 class Fault:
-    """One place in an input where something is wrong."""
+    """One place in an input where something is wrong; `name`: of the field that it is about, where one may be asked for."""
 
     row: int | None
     column: str | None
     detail: str
+    name: str = ""
 
     def __str__(self) -> str:
         """Join place and detail as `row 12, column row_px: ...`."""

@@ -160,8 +160,8 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.policy = settings.policy
     state.traces = get_traces(settings.otlp_endpoint, "boresight")
     state.engine = open_engine(settings.database_url)
-    state.blobs = open_blobs(settings.blob_place)
-    if settings.blob_place.is_folder:
+    state.blobs = open_blobs(settings.blob_location)
+    if settings.blob_location.is_folder:
         with suppress(StorageError):  # `readyz` says so, and the first use tries again
             state.blobs.open()
     state.blob_check = CachedCheck(state.blobs.refuse_unusable)

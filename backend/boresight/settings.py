@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 from boresight.errors import RefusedInputError
 from boresight.images.limits import ImageLimits
 from boresight.platform.actors import Policy, SessionLimits
-from boresight.platform.audit.external_head import refuse_place
+from boresight.platform.audit.external_head import refuse_within_data_folder
 from boresight.platform.blobs.locations import BlobLocation, parse_address
 from boresight.platform.observability.logs import FORMATS
 from boresight.platform.web.targets import WebhookTargets, read_hosts
@@ -405,7 +405,7 @@ class Settings:
         if not self.audit_head_file:
             return None
         file = Path(self.audit_head_file).expanduser()
-        refuse_place(file, self.data_folder)
+        refuse_within_data_folder(file, self.data_folder)
         return file
 
     @property
@@ -444,7 +444,7 @@ class Settings:
         return self.data_folder / "catalogue"
 
     @property
-    def blob_place(self) -> BlobLocation:
+    def blob_location(self) -> BlobLocation:
         """Where content-addressed files are kept.
 
         Raises
@@ -529,8 +529,8 @@ def private_files(settings: Settings) -> Iterator[None]:
     before = os.umask(OTHERS)
     try:
         _shut(settings.data_folder)
-        if settings.blob_place.is_folder:
-            _shut(Path(settings.blob_place.address))
+        if settings.blob_location.is_folder:
+            _shut(Path(settings.blob_location.address))
         yield
     finally:
         os.umask(before)

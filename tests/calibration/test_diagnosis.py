@@ -10,8 +10,8 @@ import pytest
 from benchmarks.diagnosis import INPUTS, KNOWN, MISTAKES, ORBIT, Input, is_right, make_sets, mends_wrongly, spoil
 from benchmarks.images import make_night
 from boresight.calibration.calibrate import calibrate
+from boresight.calibration.diagnosis.camera_fit import fit_directions
 from boresight.calibration.diagnosis.diagnose import diagnose, find_consensus, sample_exposures
-from boresight.calibration.diagnosis.evidence import fit_directions
 from boresight.calibration.diagnosis.explain import add_to_report
 from boresight.calibration.diagnosis.result import parse_diagnosis
 from boresight.calibration.diagnosis.trials import Hypothesis

@@ -46,7 +46,7 @@ class Demonstration:
         named = {"BORESIGHT_DATA_FOLDER": str(folder), "BORESIGHT_WORKERS": "1"}
         self.settings = read_settings(named | environment_in(folder))
         self.engine = open_engine(self.settings.database_url)
-        self.blobs = open_blobs(self.settings.blob_place)
+        self.blobs = open_blobs(self.settings.blob_location)
         self.catalogue = load_catalogue(self.settings.catalogue_folder)
         self.said = []
         migrate(self.engine)

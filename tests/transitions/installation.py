@@ -58,7 +58,7 @@ class Installation:
 
     def __post_init__(self) -> None:
         self.engine = open_engine(self.settings.database_url)
-        self.blobs = open_blobs(self.settings.blob_place)
+        self.blobs = open_blobs(self.settings.blob_location)
         migrate(self.engine)
         with open_writing(self.engine) as session:
             for name, roles in self.people.items():

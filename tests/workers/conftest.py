@@ -42,7 +42,7 @@ class Store:
         self.environment |= environment_in(folder)
         self.settings: Settings = read_settings(self.environment)
         self.database = open_engine(self.settings.database_url)
-        self.blobs = open_blobs(self.settings.blob_place)
+        self.blobs = open_blobs(self.settings.blob_location)
         self.marks = folder / "marks"
         self.marks.mkdir()
         migrate(self.database)

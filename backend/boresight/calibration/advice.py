@@ -67,11 +67,8 @@ def too_few(problem: Problem, minimum_stars: int) -> list[Advice]:
         f"{item.count} {item.what[: -1 if item.count == 1 else None]}: {item.reason}" for item in problem.left_out
     ]
     missing = "; ".join(reasons) or "the set is empty"
-    sentence = (
-        f"No exposure has {minimum_stars} usable matched stars that are not on one line, so nothing was estimated; "
-        f"match more stars or use other frames ({missing})."
-    )
-    return [Advice(sentence, "too_few_stars")]
+    found = f"No exposure has {minimum_stars} usable matched stars that are not on one line, so nothing was estimated"
+    return [Advice.begin("too_few_stars", found, f"; match more stars or use other frames ({missing}).")]
 
 
 def _of_status(estimate: Estimate, observed: Observability, settings: CalibrationSettings) -> Iterator[Advice]:
@@ -81,22 +78,16 @@ def _of_status(estimate: Estimate, observed: Observability, settings: Calibratio
             if settings.match == "given"
             else ""
         )
-        yield Advice(
-            f"The fit diverged: do not use these numbers; {named}free fewer parameters, or start closer to the truth.",
-            "diverged",
-        )
+        rest = f": do not use these numbers; {named}free fewer parameters, or start closer to the truth."
+        yield Advice.begin("diverged", "The fit diverged", rest)
     if estimate.status == "max_iterations":
-        yield Advice(
-            "The fit had not settled at its last iteration: allow more iterations, or free fewer parameters.",
-            "max_iterations",
-        )
+        rest = ": allow more iterations, or free fewer parameters."
+        yield Advice.begin("max_iterations", "The fit had not settled at its last iteration", rest)
     if estimate.status == "rank_deficient":
         lost = [observed.direction(i) for i in range(len(observed.names)) if observed.singular_values[i] == 0]
         names = sorted({name for direction in lost for name, value in direction.items() if abs(value) > 0.1})
-        yield Advice(
-            f"These data do not determine {', '.join(names)}: hold at least {len(lost)} of them fixed and run again.",
-            "rank_deficient",
-        )
+        rest = f": hold at least {len(lost)} of them fixed and run again."
+        yield Advice.begin("rank_deficient", f"These data do not determine {', '.join(names)}", rest)
 
 
 def _of_weak_directions(observed: Observability, estimate: Estimate) -> Iterator[Advice]:
@@ -108,29 +99,27 @@ def _of_weak_directions(observed: Observability, estimate: Estimate) -> Iterator
             caution = (
                 "Hold it fixed" if alone else "Use these parameters together, not one by one; hold one of them fixed"
             )
-            yield Advice(
-                f"Weakly determined: {observed.sentence(i)} {caution}, or add frames that cover more of the detector.",
-                "weakest_direction",
-            )
+            rest = f": {observed.sentence(i)} {caution}, or add frames that cover more of the detector."
+            yield Advice.begin("weakest_direction", "Weakly determined", rest)
 
 
 def _of_curvature(observed: Observability, estimate: Estimate, rise: float | None) -> Iterator[Advice]:
     """Say that a covariance does not hold, and which parameters leave the rest known best when they are held."""
     if rise is None or not is_curved(rise):
         return
-    opening = (
-        f"The covariance is wrong along the weakest direction: one sigma along it chi-square rises by {rise:.3g} "
-        "where the covariance says 1"
-    )
+    finding = "The covariance is wrong along the weakest direction"
+    size = f": one sigma along it chi-square rises by {rise:.3g} where the covariance says 1"
     if len(observed.names) == 1:
-        yield Advice(f"{opening}, because the fit is curved there: add frames before relying on its sigma.", "curved")
+        rest = f"{size}, because the fit is curved there: add frames before relying on its sigma."
+        yield Advice.begin("curved", finding, rest)
         return
     alike = _listed([symbol for symbol, _ in observed.named(len(observed.names) - 1)])
     held = to_hold(estimate.A, STRAIGHT) or [_hold_first(estimate.A, list(range(len(observed.names))))]
-    yield Advice(
-        f"{opening}, because the data hardly separate {alike} and the fit is curved there; hold "
-        f"{_listed([observed.names[p] for p in held])} fixed and run again before relying on its sigmas.",
+    yield Advice.begin(
         "curved",
+        finding,
+        f"{size}, because the data hardly separate {alike} and the fit is curved there; hold "
+        f"{_listed([observed.names[p] for p in held])} fixed and run again before relying on its sigmas.",
     )
 
 
@@ -150,24 +139,26 @@ def _of_consistency(
     if estimate.status == "diverged":
         return
     if settings.sequential and is_overconfident(nis.mean, nis.upper, fit.mean):
-        yield Advice(
-            f"The filter is over-confident (normalised innovations {nis.mean:.3g} per degree of freedom, at most "
-            f"{nis.upper:.3g} expected): do not rely on its sigmas; compare it with a batch run.",
+        yield Advice.begin(
             "nis",
+            f"The filter is over-confident (normalised innovations {nis.mean:.3g} per degree of freedom, at most "
+            f"{nis.upper:.3g} expected)",
+            ": do not rely on its sigmas; compare it with a batch run.",
         )
     claimed = claim(estimate.A, estimate.P, parameters.known_at_start(settings)) if settings.sequential else 1.0
     if claimed > OVERCLAIM:
         times = f"{claimed:.2g} times" if np.isfinite(claimed) else "far more than"
-        yield Advice(
-            f"The filter claims {times} the information that the data contain along some direction, because it used "
-            "early frames far from its final state: its sigmas there are too small; run the batch, or start from its result.",
+        yield Advice.begin(
             "overclaim",
+            f"The filter claims {times} the information that the data contain along some direction, because it used "
+            "early frames far from its final state",
+            ": its sigmas there are too small; run the batch, or start from its result.",
         )
     if settings.sequential and settings.linearisations == 1:
-        yield Advice(
-            "One linearisation per frame, as published, makes the filter over-confident from a distant start: "
-            "its sigmas are too small.",
+        yield Advice.begin(
             "distant_start",
+            "One linearisation per frame, as published, makes the filter over-confident from a distant start",
+            ": its sigmas are too small.",
         )
 
 
@@ -180,24 +171,17 @@ def _of_shift(problem: Problem, parameters: Parameters, estimate: Estimate, fit:
     if not far:
         return
     if np.abs(shift).max() > ANOTHER_SENSOR and fit.mean > FITS:
-        yield Advice(
-            f"This telemetry is probably not from this sensor (change in typical sigmas: {far}): diagnose it, or choose the right "
-            "sensor.",
-            "wrong_sensor",
-        )
+        rest = f" (change in typical sigmas: {far}): diagnose it, or choose the right sensor."
+        yield Advice.begin("wrong_sensor", "This telemetry is probably not from this sensor", rest)
     else:
-        yield Advice(
-            f"Large change from the start, in typical sigmas: {far}; check the sensor file's start and typical_sigma.",
-            "large_change",
-        )
+        finding = f"Large change from the start, in typical sigmas: {far}"
+        yield Advice.begin("large_change", finding, "; check the sensor file's start and typical_sigma.")
 
 
 def _of_data(problem: Problem) -> Iterator[Advice]:
     if problem.arcs.n_frames < 20:
-        yield Advice(
-            f"Only {problem.arcs.n_frames} frames were used: the result depends strongly on these few fields.",
-            "few_frames",
-        )
+        finding = f"Only {problem.arcs.n_frames} frames were used"
+        yield Advice.begin("few_frames", finding, ": the result depends strongly on these few fields.")
 
 
 def _of_gain_form(problem: Problem, settings: CalibrationSettings) -> Iterator[Advice]:
@@ -207,10 +191,10 @@ def _of_gain_form(problem: Problem, settings: CalibrationSettings) -> Iterator[A
     parts = problem.arcs.over_blocks(_pairs_in_block)
     most, many = max(part[0] for part in parts), sum(part[1] for part in parts)
     if many:
-        yield Advice(
-            f"{many} of {problem.arcs.n_exposures} exposures have more than {MOST_PAIRS:,} pairs (up to {most:,}): "
-            "their gain was taken over two numbers a star, which gives the same but takes less time than the printed inverse.",
+        yield Advice.begin(
             "gain_form",
+            f"{many} of {problem.arcs.n_exposures} exposures have more than {MOST_PAIRS:,} pairs (up to {most:,})",
+            ": their gain was taken over two numbers a star, which gives the same but takes less time than the printed inverse.",
         )
 
 

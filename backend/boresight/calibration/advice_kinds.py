@@ -58,18 +58,27 @@ ADVICE_KINDS = {
 
 
 class Advice(str):
-    """A sentence that knows of which kind it is; no code where a result of an earlier version says none."""
+    """A sentence that knows of which kind it is, and what was found; no code where a result of an earlier version says none.
 
-    __slots__ = ("code",)
+    `finding`: what was found, without how it is known and what to do; empty where the kind says it as well.
+    """
+
+    __slots__ = ("code", "finding")
     code: str
+    finding: str
 
-    def __new__(cls, sentence: str, code: str = "") -> Self:
+    def __new__(cls, sentence: str, code: str = "", finding: str = "") -> Self:
         """Make one of a kind that there is."""
         if code and code not in ADVICE_KINDS and not code.startswith(CAUSE):
             raise ValueError(f"Expected a code of ADVICE_KINDS. Received: {code!r}.")
         made = super().__new__(cls, sentence)
-        made.code = code
+        made.code, made.finding = code, finding
         return made
+
+    @classmethod
+    def begin(cls, code: str, finding: str, rest: str) -> Self:
+        """Make a sentence that begins with what was found."""
+        return cls(f"{finding}{rest}", code, finding)
 
 
 def of_kind(code: str, sentences: Iterable[str]) -> list[Advice]:

@@ -415,8 +415,16 @@ def _term(
     )  # fmt: skip
 
 
-def _sentence(name: str, value: Mapping[str, float], sigma: Mapping[str, float | None], p: float, needed: bool) -> str:
-    """Say the size of a term, and what to do about it."""
+def _sentence(
+    name: str,
+    value: Mapping[str, float],
+    sigma: Mapping[str, float | None],
+    p: float,
+    needed: bool,
+    *,
+    applied: bool = False,
+) -> str:
+    """Say the size of a term, and what was or is to be done about it."""
     main = "factor" if name == "level" else "slope"
     if name.startswith("phase"):
         size = f"the bias varies by ± {phase_amplitude(value):.2g} px within a pixel"
@@ -428,9 +436,8 @@ def _sentence(name: str, value: Mapping[str, float], sigma: Mapping[str, float |
         size = f"the noise changes by {value[main]:+.2g} ± {sigma[main]:.2g} {UNITS[name]}"
     if not needed:
         return f"{TITLES[name]}: {size}, which chance explains."
-    return (
-        f"{TITLES[name]}: {size}, more than chance (p = {p:.1g}): use noise_model from-data, or state it in sigma_px."
-    )
+    remedy = "applied" if applied else "use noise_model from-data, or state it in sigma_px"
+    return f"{TITLES[name]}: {size}, more than chance (p = {p:.1g}): {remedy}."
 
 
 def phase_amplitude(coefficients: Mapping[str, float]) -> float:
@@ -444,7 +451,11 @@ def marked_as_applied(noise: Noise) -> Noise:
     return replace(
         noise,
         terms=[
-            replace(term, applied=True, sentence=f"{term.sentence.split(': use noise_model')[0]}: applied.")
+            replace(
+                term,
+                applied=True,
+                sentence=_sentence(term.name, term.coefficients, term.sigma, term.probability, True, applied=True),
+            )
             if term.needed
             else term
             for term in noise.terms

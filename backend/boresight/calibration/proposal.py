@@ -8,7 +8,7 @@ narrowest last, because its table of patterns takes a minute to make and 320 MB.
 
 **Solve.** What the recognised exposures agree on is a parity and a focal length, good to half a percent. With these a whole sensor
 is derived (`telemetry.new_sensor`), every exposure recognised and matched with the catalogue under it, and its camera fitted to the
-stars matched (`diagnosis.evidence`): focal length and lowest radial term, for without the one a lens that bends by a percent has
+stars matched (`diagnosis.camera_fit`): focal length and lowest radial term, for without the one a lens that bends by a percent has
 the wrong other; the principal point is freed and left in the middle, because a turn of the camera looks the same. The stars then
 tell two more numbers: with r the residuals of n matched stars, chi2 their weighted squares over the exposures, and p
 the parameters that they tell (the trace of H (H + I)^-1),
@@ -36,6 +36,7 @@ from pathlib import Path
 import numpy as np
 
 from boresight.arrays import FloatArray, IntArray
+from boresight.calibration.diagnosis.camera_fit import fit_camera
 from boresight.calibration.diagnosis.diagnose import (
     FEWEST,
     TOO_LIKELY,
@@ -43,7 +44,6 @@ from boresight.calibration.diagnosis.diagnose import (
     find_consensus,
     sample_exposures,
 )
-from boresight.calibration.diagnosis.evidence import fit_camera
 from boresight.calibration.diagnosis.trials import Bench, Hypothesis, Trial
 from boresight.calibration.matching.rematch import centroid_sigma_px
 from boresight.calibration.options import CalibrationSettings

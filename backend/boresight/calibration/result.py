@@ -55,7 +55,7 @@ from boresight.calibration.estimate import Estimate, Parameters, robust_view
 from boresight.calibration.history_recorder import RecordedHistory
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
-from boresight.calibration.telemetry_pieces import spread_blocks
+from boresight.calibration.telemetry_pieces import pick_blocks
 from boresight.calibration.trust.advice import TOO_SMALL
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.batch import sigma_in_scale
@@ -138,7 +138,7 @@ def _tail(arcs: Arcs, states: FloatArray) -> FloatArray:
     """Tail RMS at each state, over the whole set or, of a very large one, over evenly spread blocks."""
     if arcs.n_frames <= TAIL_WHOLE:
         return tail_rms(arcs, states)
-    chosen = spread_blocks(-(-arcs.n_frames // FRAMES), TAIL_BUDGET // MOST_POINTS // FRAMES)
+    chosen = pick_blocks(-(-arcs.n_frames // FRAMES), TAIL_BUDGET // MOST_POINTS // FRAMES)
     total, n_arcs = np.zeros(len(states)), 0
     for block in chosen * FRAMES:
         part = arcs.frames(block, min(block + FRAMES, arcs.n_frames))

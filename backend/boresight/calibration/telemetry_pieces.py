@@ -380,7 +380,7 @@ JUDGED_STARS = 300_000
 OF_ROWS = ("star_id", "s_i", "row_reason", "tolerance_rad", "flags")
 
 
-def spread_blocks(n_blocks: int, most: int) -> NDArray[np.int64]:
+def pick_blocks(n_blocks: int, most: int) -> NDArray[np.int64]:
     """Places of at most so many of the blocks, evenly spread; at least one."""
     return np.unique(np.linspace(0, n_blocks - 1, max(1, min(most, n_blocks))).round().astype(np.int64))
 
@@ -411,7 +411,7 @@ def judged_frames(arcs: Arcs) -> Ends:
     if arcs.n_stars <= JUDGED_WHOLE:
         return WHOLE
     n_blocks = -(-arcs.n_frames // FRAMES)
-    chosen = spread_blocks(n_blocks, JUDGED_STARS * n_blocks // arcs.n_stars)
+    chosen = pick_blocks(n_blocks, JUDGED_STARS * n_blocks // arcs.n_stars)
     return [_ends(arcs, int(block)) for block in chosen]
 
 

@@ -90,6 +90,11 @@ class Parameter(NamedTuple):
         """Value at which it does nothing, for what a symmetric camera has not; None for what it has."""
         return NEUTRAL.get(self.role)
 
+    @property
+    def written_unit(self) -> str:
+        """Its unit as it is written behind a number; nothing where it has none."""
+        return "" if self.unit == "1" else self.unit
+
 
 class Equations(NamedTuple):
     """A camera in words and formulas: which way it runs, where it is written, its steps a line each, and the way back."""

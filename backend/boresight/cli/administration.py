@@ -250,7 +250,7 @@ def retention(days: float | None, *, is_applied: bool) -> None:
                 f"{len(found.going)} sets would go, {found.going_bytes / MB:.1f} MB; nothing was changed.", err=True
             )
             return
-        blobs, freed, gone = open_blobs(settings.blob_place), 0, 0
+        blobs, freed, gone = open_blobs(settings.blob_location), 0, 0
         for one in found.going:
             try:
                 freed += service.remove(engine, blobs, COMMAND_LINE, one.row.id, keep_days)

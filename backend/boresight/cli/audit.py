@@ -55,7 +55,7 @@ def verify(context: click.Context, head: str | None, public_keys: Path | None, *
         with open_reading(engine) as session:
             file = settings.kept_head_file
             kept = None if file is None else read_head(file)
-            blobs = None if no_blobs else open_blobs(settings.blob_place)
+            blobs = None if no_blobs else open_blobs(settings.blob_location)
             found = chain.verify(session, head, blobs, kept=kept, head_file=file, trust=trust)
     finally:
         engine.dispose()

@@ -140,7 +140,7 @@ def _write_now(file: str, *, encrypt: bool, keep_going: bool) -> None:
         encrypt_all(engine, settings.secret_box)  # the archive must hold no plain secret
         with open_reading(engine) as session:
             head = audit.head(session)
-    blobs = open_blobs(settings.blob_place)
+    blobs = open_blobs(settings.blob_location)
     scratch = settings.data_folder if encrypt else None
     taken = backups.write_backup(
         settings.database_url, blobs, head, Path(file), keep_going=keep_going, key=key, scratch=scratch
@@ -279,7 +279,7 @@ def restore(file: str, key_file: Path | None) -> None:
     from boresight.platform.db.sessions import open_reading, open_store
 
     settings = read_settings()
-    blobs = open_blobs(settings.blob_place)
+    blobs = open_blobs(settings.blob_location)
     with _opened(file, settings.data_folder) as archive:
         taken = backups.read_backup(archive, settings.database_url, blobs, _keys(settings, key_file))
     with open_store(settings.database_url) as engine:

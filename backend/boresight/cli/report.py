@@ -95,4 +95,4 @@ def _stored(run_id: int) -> Calibration:
 
     settings = read_settings()
     with open_store(settings.database_url) as engine, open_reading(engine) as session:
-        return runs.get_final_calibration(session, open_blobs(settings.blob_place), run_id)
+        return runs.get_final_calibration(session, open_blobs(settings.blob_location), run_id)

@@ -106,8 +106,8 @@ def _serve(settings: Settings, on_open: Callable[[], None] | None = None) -> Non
         make_security(settings)  # refuse now what the engine would only log
         with open_store(settings.database_url):
             pass  # likewise for the server's start
-        if settings.blob_place.is_folder:  # an object store may come back while the server waits
-            open_blobs(settings.blob_place).refuse_unusable()
+        if settings.blob_location.is_folder:  # an object store may come back while the server waits
+            open_blobs(settings.blob_location).refuse_unusable()
         try:
             run(settings, on_open)
         except KeyboardInterrupt:
@@ -129,7 +129,7 @@ def _populate(settings: Settings) -> None:
     click.echo("\n  The fleet is being created and calibrated now. Stop with Ctrl-C.\n")
     engine = open_engine(settings.database_url)
     try:
-        catalogue, blobs = load_catalogue(settings.catalogue_folder), open_blobs(settings.blob_place)
+        catalogue, blobs = load_catalogue(settings.catalogue_folder), open_blobs(settings.blob_location)
         watched = max(0, settings.workers - 1)  # one is left to whoever visits
         create_demonstration(engine, blobs, catalogue, _say, watched)
         for _ in continue_demonstration(engine, blobs, catalogue, _say, settings.policy, settings.own_key):

@@ -43,7 +43,7 @@ def export(
     from boresight.platform.db.sessions import open_store, open_writing
 
     settings = read_settings()
-    blobs = open_blobs(settings.blob_place)
+    blobs = open_blobs(settings.blob_location)
     with open_store(settings.database_url) as engine, open_writing(engine) as session:
         row = packages.set_named(session, parameter_set)
         package = packages.build(

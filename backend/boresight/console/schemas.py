@@ -14,6 +14,17 @@ Document = dict[str, Any]
 Settings = Annotated[Document, WithJsonSchema(options.schema())]
 
 
+def multipart(required: tuple[str, ...], **fields: Document) -> Document:
+    """Describe the form that an operation takes, as OpenAPI has it: which fields must be there, and a schema of each."""
+    schema = {"type": "object", "required": list(required), "properties": fields}
+    return {"requestBody": {"required": True, "content": {"multipart/form-data": {"schema": schema}}}}
+
+
+def file_field(description: str) -> Document:
+    """Describe a field that is a file."""
+    return {"type": "string", "format": "binary", "description": description}
+
+
 class Row(BaseModel):
     """A row of the store, read by its columns."""
 

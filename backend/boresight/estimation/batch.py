@@ -182,10 +182,7 @@ def equations_of_block(
 ) -> NormalEquations:
     """Evaluate A and b of one block."""
     A, b = np.empty((len(free), len(free))), np.empty(len(free))
-    chi2, total = kernels.normal_equations(
-        block.camera.kind, x, block.pitch, block.star_start, block.row_px, block.col_px, block.known_phi, block.band,
-        free, scale, threshold, A, b,
-    )  # fmt: skip
+    chi2, total = kernels.normal_equations(*block.of_whitened_loop(x), free, scale, threshold, A, b)
     return NormalEquations(A, b, float(chi2), float(total))
 
 
@@ -196,11 +193,7 @@ def compute_chi2(arcs: Arcs, x: FloatArray) -> float:
 
 def _squares_of_block(block: ArcSet, x: FloatArray) -> float:
     """Whitened sum of squares of one block."""
-    return float(
-        kernels.count_beyond(
-            block.camera.kind, x, block.pitch, block.star_start, block.row_px, block.col_px, block.known_phi, block.band, np.inf
-        )[1]
-    )  # fmt: skip
+    return float(kernels.count_beyond(*block.of_whitened_loop(x), np.inf)[1])
 
 
 def determined(A: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:

@@ -145,7 +145,7 @@ def _rows_of_values(value, chosen, apart, place, row):
 
 
 @_part
-def _spread(s, sigma, P, value, row, first, size, G):
+def _add_combination(s, sigma, P, value, row, first, size, G):
     """Add h_ri = sigma_i (I - w w^T) g_ri of one combination to its rows of G (m, 3 n)."""
     n = s.shape[0]
     for k in range(3):
@@ -238,7 +238,7 @@ def factor_values(star_start, s_i, sigma, model, chosen, apart, determined, rows
             for k in range(3):
                 if rows[e, c, k] >= 0:
                     z[e, rows[e, c, k]] += value[k]
-            _spread(s, noise, P, value, rows[e, c], first, size, G)
+            _add_combination(s, noise, P, value, rows[e, c], first, size, G)
         sizes[e, 0] = m
         sizes[e, 1] = _factor(G[:m], ends, determined, L[e], pivot[e], full, variance, left)
 

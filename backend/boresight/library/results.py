@@ -97,6 +97,31 @@ class Summarised:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
+class Reported(Summarised):
+    """An answer with a report."""
+
+    document: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the whole report as plain lists, numbers and None."""
+        return self.document
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class NewTelemetry(Tabular, Reported):
+    """Telemetry that was made, with a report."""
+
+    telemetry: Telemetry = field(repr=False)
+
+    def _columns(self) -> pa.Table:
+        return tabulate(self.telemetry)
+
+    def save(self, path: str | Path) -> None:
+        """Write the telemetry, with `star_id` as matched, as CSV or Parquet by the name's ending."""
+        save_telemetry(self.telemetry, Path(path))
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Calibration(Tabular, tree.Calibration):
     """A calibration: every number of its JSON as a typed member, with tables and drawings.
 
@@ -201,8 +226,8 @@ class Finding:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Quality(Summarised):
-    """The quality of telemetry: counts, and findings, the worst first."""
+class Quality(Reported):
+    """The quality of telemetry: counts, and findings, the worst first; the whole report is `boresight.quality/1`."""
 
     verdict: str
     findings: list[Finding]
@@ -213,21 +238,18 @@ class Quality(Summarised):
     usable: int
     usable_exposures: int
     usable_frames: int
-    document: dict[str, Any] = field(default_factory=dict, repr=False)
 
     def _summarise(self) -> Summary:
         return text.summarise_quality(self)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the whole report, `boresight.quality/1`, as plain lists, numbers and None."""
-        return self.document
-
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Matches(Tabular, Summarised):
-    """Telemetry with its stars matched again, how many of the given identities stood, and why others did not."""
+class Matches(NewTelemetry):
+    """Telemetry with its stars matched again, how many of the given identities stood, and why others did not.
 
-    telemetry: Telemetry = field(repr=False)
+    The whole report, `boresight.matching/1`, has every exposure with its attitude.
+    """
+
     given: int
     kept: int
     changed: int
@@ -237,45 +259,23 @@ class Matches(Tabular, Summarised):
     frames: int
     valid_frames: int
     advice: list[str]
-    document: dict[str, Any] = field(default_factory=dict, repr=False)
 
     def _summarise(self) -> Summary:
         return text.summarise_matches(self)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the whole report, `boresight.matching/1`, every exposure with its attitude, as plain lists, numbers and None."""
-        return self.document
-
-    def _columns(self) -> pa.Table:
-        return tabulate(self.telemetry)
-
-    def save(self, path: str | Path) -> None:
-        """Write the rows with `star_id` as matched, as CSV or Parquet by the name's ending."""
-        save_telemetry(self.telemetry, Path(path))
-
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Extraction(Tabular, Summarised):
-    """Telemetry extracted from images: what became of each image, what was found and assumed, in sentences."""
+class Extraction(NewTelemetry):
+    """Telemetry extracted from images: what became of each image, what was found and assumed, in sentences.
 
-    telemetry: Telemetry = field(repr=False)
+    The whole report is `boresight.extraction/1`.
+    """
+
     images: list[ExtractedImage]
     sentences: list[str]
-    document: dict[str, Any] = field(default_factory=dict, repr=False)
 
     def _summarise(self) -> Summary:
         return text.summarise_extraction(self)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the whole report, `boresight.extraction/1`, as plain lists, numbers and None."""
-        return self.document
-
-    def _columns(self) -> pa.Table:
-        return tabulate(self.telemetry)
-
-    def save(self, path: str | Path) -> None:
-        """Write the telemetry, as CSV or Parquet by the name's ending."""
-        save_telemetry(self.telemetry, Path(path))
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -215,7 +215,7 @@ def flags_of(catalogue: Catalogue, star: IntArray, blend_rad: float) -> NDArray[
     first, last = (np.searchsorted(dec, catalogue.dec_rad[star] + edge * blend_rad) for edge in (-1.01, 1.01))
     of = np.repeat(np.arange(len(star)), last - first)
     other = order[np.arange(len(of)) + np.repeat(first - np.append(0, np.cumsum(last - first)[:-1]), last - first)]
-    chord = _place(catalogue, other) - _place(catalogue, star)[of]
+    chord = _directions(catalogue, other) - _directions(catalogue, star)[of]
     reach = 2 * np.sin(blend_rad / 2)
     near = (np.sum(chord * chord, axis=1) <= reach * reach) & (other != star[of])
     matters = catalogue.magnitude[other] - catalogue.magnitude[star[of]] <= FAINTER_MAG
@@ -246,7 +246,7 @@ def pulls_of(catalogue: Catalogue, star: IntArray, psf_rad: float) -> FloatArray
         count = last[part] - first[part]
         of = np.repeat(part, count)
         other = order[np.arange(len(of)) + np.repeat(first[part] - np.append(0, np.cumsum(count)[:-1]), count)]
-        chord = _place(catalogue, other) - _place(catalogue, star)[of]
+        chord = _directions(catalogue, other) - _directions(catalogue, star)[of]
         d = np.sqrt(np.sum(chord * chord, axis=1))
         near = (d <= reach) & (other != star[of])
         of, other, d = of[near], other[near], d[near]
@@ -259,7 +259,7 @@ def _unreliable(solution_type: IntArray) -> NDArray[np.int8]:
     return np.where(solution_type == SINGLE_STAR, 0, UNRELIABLE).astype(np.int8)
 
 
-def _place(catalogue: Catalogue, star: IntArray | slice) -> FloatArray:
+def _directions(catalogue: Catalogue, star: IntArray | slice) -> FloatArray:
     """Unit vectors (n, 3) to some stars."""
     return unit_vectors(catalogue.ra_rad[star], catalogue.dec_rad[star])
 
@@ -271,6 +271,6 @@ def phrases(flag: int) -> list[str]:
 
 def _blended(catalogue: Catalogue, blend_rad: float) -> NDArray[np.int64]:
     """Stars, some more than once, with a companion within the radius that is brighter or at most `FAINTER_MAG` fainter."""
-    a, b = close_pairs(_place(catalogue, slice(None)), 2 * np.sin(blend_rad / 2))
+    a, b = close_pairs(_directions(catalogue, slice(None)), 2 * np.sin(blend_rad / 2))
     fainter_by = catalogue.magnitude[b] - catalogue.magnitude[a]
     return np.concatenate([a[fainter_by <= FAINTER_MAG], b[-fainter_by <= FAINTER_MAG]])

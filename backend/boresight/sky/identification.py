@@ -155,7 +155,7 @@ def prepare_recognition(field_deg: float, cache_folder: Path | None) -> None:
 
 def is_prepared(field_deg: float, cache_folder: Path | None) -> bool:
     """Whether the folder has the table of patterns that `recognise` looks things up in, so that reading it takes milliseconds."""
-    return cache_folder is not None and _place(cache_folder, _wide_field(field_deg), every_size=True).is_file()
+    return cache_folder is not None and _database_path(cache_folder, _wide_field(field_deg), every_size=True).is_file()
 
 
 def recognise(
@@ -207,7 +207,7 @@ def _loaded(field_deg: float, cache_folder: Path | None, *, every_size: bool) ->
     """Table of patterns for a field of view, or for every one below it: from the folder, or made now and kept there."""
     import tetra3rs  # noqa: PLC0415 - 10 ms that only those pay who are lost in space
 
-    path = None if cache_folder is None else _place(cache_folder, field_deg, every_size=every_size)
+    path = None if cache_folder is None else _database_path(cache_folder, field_deg, every_size=every_size)
     if path is not None and path.is_file():
         try:
             return tetra3rs.SolverDatabase.load_from_file(str(path))
@@ -233,7 +233,7 @@ def _loaded(field_deg: float, cache_folder: Path | None, *, every_size: bool) ->
     return made
 
 
-def _place(cache_folder: Path, field_deg: float, *, every_size: bool) -> Path:
+def _database_path(cache_folder: Path, field_deg: float, *, every_size: bool) -> Path:
     """Return where a table of patterns is kept."""
     import tetra3rs  # noqa: PLC0415 - as above
 

@@ -225,13 +225,14 @@ def _site_number(one: SiteField, value: Any, faults: Faults) -> float | None:
     """Return a number of a site within its bounds, None with a fault where it is none."""
     if value is None:
         if not one.optional:
-            faults.add(f"site.{one.name} is missing: give it in degrees")
+            faults.add(f"site.{one.name} is missing: give it in degrees", name=one.name)
         return None
     if isinstance(value, int | float) and not isinstance(value, bool) and one.lowest <= value <= one.highest:
         return float(value)
     faults.add(
         f"site.{one.name} is {value!r}: give a number from {one.lowest:g} to {one.highest:g}{one.unit and f' {one.unit}'}, "
-        f"{one.sentence}"
+        f"{one.sentence}",
+        name=one.name,
     )
     return None
 

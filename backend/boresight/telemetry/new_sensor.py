@@ -101,10 +101,10 @@ def join_refusals(faults: Faults, refusal: RefusedInputError) -> RefusedInputErr
     """Return the refusal of these faults and those of another one, less what is missing because it could not be read."""
     if not faults.count:
         return refusal
-    unread = [str(one).split(" is ")[0] for one in faults.refusal().faults]
+    unread = {one.name for one in faults.refusal().faults} - {""}
     for one in refusal.faults:
-        if not any(str(one).startswith(f"{name} is missing") for name in unread):
-            faults.add(str(one))
+        if one.name not in unread:
+            faults.add(one.detail, column=one.column, row=one.row, name=one.name)
     return faults.refusal()
 
 
@@ -121,7 +121,7 @@ def _number(name: str, text: str, faults: Faults) -> float | int | None:
     asked = ASKED[name]
     value = _plain(text)
     if isinstance(value, str):
-        faults.add(f"{name} is {text!r}: give a number of {asked.unit}")
+        faults.add(f"{name} is {text!r}: give a number of {asked.unit}", name=name)
         return None
     if asked.whole and value == round(value):
         return round(value)
@@ -165,7 +165,7 @@ def describe_sensor(known: LensAndDetector, subject: str = "The new sensor") -> 
         faults.add(f"parity is {known.parity!r}: give -1 for an upright image, or 1")
     for name in ("rows", "columns", "pixel_pitch_um"):
         if at_hand[name] is None and (sheet is not None or known.sheet is None):
-            faults.add(f"{name} is missing: give it in {ASKED[name].unit}, or name a data sheet")
+            faults.add(f"{name} is missing: give it in {ASKED[name].unit}, or name a data sheet", name=name)
     focal_mm = _focal_mm(at_hand, sheet, faults) if sheet is not None or known.sheet is None else None
     faults.refuse()
     return _describe(known, sheet, at_hand, focal_mm or math.nan, model)
@@ -201,9 +201,10 @@ def _checked(name: str, value: Any, faults: Faults) -> float | None:
         return None
     if isinstance(value, bool) or not isinstance(value, int | float) or not asked.lowest <= value <= asked.highest:
         hint = "check its unit" if isinstance(value, int | float) else "give a number"
-        faults.add(f"{name} is {value!r}, expected {asked.lowest:g} to {asked.highest:g} {asked.unit}: {hint}")
+        limits = f"{asked.lowest:g} to {asked.highest:g} {asked.unit}"
+        faults.add(f"{name} is {value!r}, expected {limits}: {hint}", name=name)
     elif asked.whole and value != round(value):
-        faults.add(f"{name} is {value:g}: give a whole number of pixels")
+        faults.add(f"{name} is {value:g}: give a whole number of pixels", name=name)
     return float(value) if isinstance(value, int | float) else math.nan
 
 
@@ -223,7 +224,10 @@ def _focal_mm(at_hand: Mapping[str, float | None], sheet: DataSheet | None, faul
     focal, view = at_hand["focal_length_mm"], at_hand["field_of_view_deg"]
     if focal is None and view is None:
         of = f": {sheet.name} takes any lens" if sheet is not None else ""
-        faults.add(f"focal_length_mm is missing{of}: give it in mm, or field_of_view_deg across the longer side")
+        faults.add(
+            f"focal_length_mm is missing{of}: give it in mm, or field_of_view_deg across the longer side",
+            name="focal_length_mm",
+        )
         return None
     rows, columns, pitch = (at_hand[name] for name in ("rows", "columns", "pixel_pitch_um"))
     if view is None or rows is None or columns is None or pitch is None or not 0 < view < 180:
@@ -232,7 +236,8 @@ def _focal_mm(at_hand: Mapping[str, float | None], sheet: DataSheet | None, faul
     if focal is not None and abs(from_view / focal - 1) > 0.05:
         faults.add(
             f"focal_length_mm is {focal:g} and field_of_view_deg {view:g}, which would be {from_view:.4g} mm across "
-            f"{max(rows, columns):g} pixels of {pitch:g} µm: leave one of them out, or correct rows, columns or pixel_pitch_um"
+            f"{max(rows, columns):g} pixels of {pitch:g} µm: leave one of them out, or correct rows, columns or pixel_pitch_um",
+            name="focal_length_mm",
         )
     return from_view if focal is None else focal
 

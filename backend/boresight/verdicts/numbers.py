@@ -36,7 +36,7 @@ class Quantity:
 
 
 def _quantity_of(parameter: Parameter) -> Quantity:
-    own = ("" if parameter.unit == "1" else parameter.unit, 1.0)
+    own = (parameter.written_unit, 1.0)
     return Quantity(parameter.symbol, *(parameter.shown or own), *(parameter.change or own))
 
 

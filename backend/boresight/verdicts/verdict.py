@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from boresight.calibration.advice_kinds import Advice
+from boresight.calibration.advice_kinds import ADVICE_KINDS, CAUSE, Advice
 from boresight.calibration.calibration import (
     Calibration,
     ChiSquareTest,
@@ -400,6 +400,7 @@ def _why_not_made(trust: Trust, part: str) -> str:
 class RunSummary:
     """What lists show of a run; what its calibration does not have, or what was not kept yet when it ended, is None.
 
+    `advice`: the gravest sentence; `finding`: what it found, for a line among others; absent from summaries of earlier versions.
     `weak_directions`: how many the data hardly determine, or not at all. `tail_rms_rad`: of a filter, at its end. `seconds`,
     `cpu_seconds`: what a worker took for it.
     """
@@ -407,6 +408,7 @@ class RunSummary:
     status: str | None = None
     level: str | None = None
     advice: str | None = None
+    finding: str | None = None
     chi2_consistent: bool | None = None
     weak_directions: int | None = None
     rms_initial_arc_rad: float | None = None
@@ -446,6 +448,7 @@ def summarise_run(result: Calibration) -> RunSummary:
         status=result.status,
         level=judged.level,
         advice=advice[0] if advice else None,
+        finding=name_finding(advice[0], result) if advice else None,
         chi2_consistent=not is_doubted(result, "chi_square", result.chi2.consistent) if result.chi2 else None,
         weak_directions=count_weak(seen) if seen else None,
         rms_initial_arc_rad=result.rms_arc_rad.initial,
@@ -461,6 +464,14 @@ def summarise_run(result: Calibration) -> RunSummary:
         validation_rms_initial_arc_rad=validation.rms_arc_rad.initial if validation else None,
         validation_rms_final_arc_rad=validation.rms_arc_rad.final if validation else None,
     )
+
+
+def name_finding(advice: str, result: Calibration) -> str:
+    """Return what was found, of a sentence of advice: what it says itself, else its cause or kind; of no kind, all of it."""
+    if not isinstance(advice, Advice):
+        return advice
+    cause = next((one.sentence for one in result.causes if f"{CAUSE}{one.name}" == advice.code), None)
+    return advice.finding or cause or ADVICE_KINDS.get(advice.code, advice)
 
 
 def judge_result(summary: RunSummary) -> str:

@@ -229,7 +229,7 @@ def _close(part: Any | None) -> None:
 
 def _shared_folder(settings: Settings) -> str:
     """Return the folder that every worker must see, created at the first start; empty for an object store."""
-    place = settings.blob_place
+    place = settings.blob_location
     if not place.is_folder:
         return ""
     Path(place.address).mkdir(parents=True, exist_ok=True)

@@ -124,13 +124,13 @@ def points_after(history: History | None, after: int | None) -> dict[str, Any] |
     first = 0 if after is None else bisect_right(frames, after)
     if first >= len(frames):
         return None
-    kept = _spread(first, len(frames) - 1)
+    kept = _pick_evenly(first, len(frames) - 1)
     columns = {name: getattr(history, name) for name in COLUMNS} | {"nis_per_dof": _nis_per_dof(history)}
     told = {name: [column[k] for k in kept] for name, column in columns.items() if column is not None}
     return {"after": after, "frame": [frames[k] for k in kept]} | told
 
 
-def _spread(first: int, last: int) -> list[int]:
+def _pick_evenly(first: int, last: int) -> list[int]:
     """Return evenly spread indices, including the first and the last."""
     most = min(last - first + 1, POINTS_AN_EVENT)
     return [last] if most == 1 else [first + round(k * (last - first) / (most - 1)) for k in range(most)]

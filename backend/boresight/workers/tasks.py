@@ -159,7 +159,7 @@ Keep = Callable[[Callable[[], str]], "Future[str]"]
 def gather_inputs(settings: Settings, run: ClaimedRun, traceparent: str | None = None) -> Inputs:
     """Gather what a worker needs."""
     return Inputs(
-        blob_address=settings.blob_place.address,
+        blob_address=settings.blob_location.address,
         catalogue_folder=str(settings.catalogue_folder),
         sets=[asdict(one) for one in run.sets],
         validation=None if run.validation is None else asdict(run.validation),
@@ -247,7 +247,7 @@ def _traceback() -> Line:
 def _succeeded(inputs: Inputs, calculation: str, link: Link, keep: Keep) -> tuple[RunEnd, Future[str] | None]:
     """Calibrate or choose, begin to put the result, and describe it."""
     begun_s, begun_cpu_s = time.perf_counter(), time.thread_time()
-    blobs = open_blobs(replace(_own_place(), address=inputs["blob_address"]), make=False)
+    blobs = open_blobs(replace(_own_location(), address=inputs["blob_address"]), make=False)
     summary, document, word = (
         _chosen(blobs, inputs, link) if inputs["chooses"] else _calibrated(blobs, inputs, calculation, link)
     )
@@ -366,9 +366,9 @@ def _table(blobs: BlobStore, sha256: str) -> StoredTable:
 
 
 @cache
-def _own_place() -> BlobLocation:
+def _own_location() -> BlobLocation:
     """Return the blob location of this process's own settings, with its cache folder."""
-    return read_settings().blob_place
+    return read_settings().blob_location
 
 
 @cache

@@ -10,7 +10,7 @@ from zxcvbn.matching import RANKED_DICTIONARIES
 
 from boresight.console import list_queries as lists
 from boresight.console.access import confirmations, passwords, users
-from boresight.console.access.log_in_attempts import FORGET_S, HELD_S, LoginAttempt, LoginLimiter, name_place
+from boresight.console.access.log_in_attempts import FORGET_S, HELD_S, LoginAttempt, LoginLimiter, name_network
 from boresight.console.access.passwords import describe_weakness, name_password_setter
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals.tables import Approval
@@ -379,4 +379,4 @@ def test_the_counts_do_not_grow_without_bound(limiter, monkeypatch):
     ],
 )
 def test_an_address_of_ipv6_stands_for_its_network(address, place):
-    assert name_place(address) == place
+    assert name_network(address) == place

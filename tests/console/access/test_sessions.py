@@ -247,7 +247,7 @@ def test_requests_do_not_write_and_a_round_writes_the_last_use_once(settings):
 
 def test_what_lapsed_is_written_and_what_ended_long_ago_is_forgotten(settings):
     engine = open_engine(settings.database_url)
-    maintenance = Maintenance(engine, settings.session_limits, open_blobs(settings.blob_place))
+    maintenance = Maintenance(engine, settings.session_limits, open_blobs(settings.blob_location))
     ages_h = {"fresh": 0.0, "idle": 1.2, "expired": 13.0}
     with open_writing(engine) as session:
         for age_h in ages_h.values():

@@ -114,7 +114,8 @@ def test_a_submission_takes_the_report_that_holds_or_a_light_one(candidate, asse
         light = gates.choose_report_for_submission(session, people["ana"], blobs, new.id)
     assert light.parameter_set_id == new.id
     with open_reading(engine) as session:
-        assert gates.read_verdicts(session, [1, known.id, new.id]) == {known.id: "NO-DATA", new.id: "NO-DATA"}
+        found = gates.read_verdicts(session, [1, known.id, new.id])
+    assert {number: one.verdict for number, one in found.items()} == {known.id: "NO-DATA", new.id: "NO-DATA"}
 
 
 SHIFT = {"gates": [{"name": "parameter-shift", "limit": 1e-6, "marginal": 1e-6}]}
@@ -340,7 +341,7 @@ def test_baseline_and_package_tell_the_verdict_that_was_signed_also_when_its_wai
         approvals.promote(session, people["dee"], row.id, row.version)
         package = packages.build(session, people["dee"], blobs, row.id)
         assert set_queries.find_baseline(session, 1).id == blocked.id
-        shown = gates.read_verdicts(session, [blocked.id])[blocked.id]
+        shown = gates.read_verdicts(session, [blocked.id])[blocked.id].words
     assert shown == "NO-DATA (1 gate waived)"
     with zipfile.ZipFile(blobs.path(package.sha256)) as packed:
         said = json.loads(packed.read("MANIFEST.json"))["gates"]

@@ -8,6 +8,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import pytest
 
+from boresight.calibration.advice_kinds import ADVICE_KINDS
 from boresight.calibration.calibration import parse_calibration, to_plain
 from boresight.console.alarms import queries as alarms_queries
 from boresight.console.alarms import rules
@@ -107,11 +108,16 @@ WORSE = EXAMPLE["validation"] | {"rms_arc_rad": {"initial": 1e-5, "final": 2e-5}
             "degree of freedom is 4",
         ),
         ({"observability": WEAK}, "caution", "with reservations"),
-        ({"advice": ["Only 12 frames took part. Add some.", "More."]}, "caution", ": Only 12 frames took part."),
+        (
+            {"advice": ["Only 12 frames took part. Add some.", "More."]},
+            "caution",
+            ": Only 12 frames took part. Add some.",
+        ),
+        ({"advice": ["Not yet."], "advice_codes": ["drop_one"]}, "caution", f": {ADVICE_KINDS['drop_one']}."),
         (
             {"status": "diverged", "advice": ["The fit diverged: stop."]},
             "serious",
-            "ended diverged: The fit diverged.",
+            "ended diverged: The fit diverged: stop.",
         ),
         ({"status": "rank_deficient", "advice": ["Hold a1."]}, "serious", "ended rank deficient: Hold a1."),
         ({"validation": WORSE}, "serious", "On the validation set"),

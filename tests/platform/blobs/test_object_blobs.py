@@ -184,13 +184,13 @@ def test_any_bytes_come_back_and_a_lost_cache_costs_nothing_but_time(
 )
 def test_an_address_that_is_no_place_or_holds_a_password_is_refused_without_repeating_it(given: str, says: str) -> None:
     with pytest.raises(RefusedInputError, match=says) as told:
-        _ = read_settings({"BORESIGHT_BLOBS": given}).blob_place
+        _ = read_settings({"BORESIGHT_BLOBS": given}).blob_location
     assert "secret" not in str(told.value)
 
 
 def test_a_folder_or_nothing_means_a_folder(tmp_path: Path) -> None:
-    own = read_settings({"BORESIGHT_DATA_FOLDER": str(tmp_path)}).blob_place
-    shared = read_settings({"BORESIGHT_BLOBS": f"{tmp_path}/x/../shared"}).blob_place
+    own = read_settings({"BORESIGHT_DATA_FOLDER": str(tmp_path)}).blob_location
+    shared = read_settings({"BORESIGHT_BLOBS": f"{tmp_path}/x/../shared"}).blob_location
     assert (own.address, shared.address) == (f"{tmp_path}/blobs", f"{tmp_path}/shared")
     assert open_blobs(shared).folder == tmp_path / "shared"
     assert open_blobs(shared).kept_at is None

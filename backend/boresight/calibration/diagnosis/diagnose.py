@@ -13,7 +13,7 @@ solves clearly more than the file does as it is (`BETTER`). Otherwise the cause 
 **What matches and is wrong all the same.** Some mistakes do not stop the matching but bend its result. They are looked for with the
 stars that matched, each against its own limit:
 
-- focal length: the fit (`evidence`) is off by `FAR_FOCAL` and more than three typical sigmas, more than any launch does;
+- focal length: the fit (`camera_fit`) is off by `FAR_FOCAL` and more than three typical sigmas, more than any launch does;
 - origin: with the principal point half a pixel or one pixel off on both axes, chi2 falls by `CLEAR_CHI2`, and no other principal
   point does better by `FREE_CHI2`; or the attitudes matched look past those of the file by as much. Either shows only where the
   sensor file knows its principal point to a fraction of a pixel, for else that takes it up, and no harm is done. Or detections lie
@@ -33,7 +33,7 @@ from pathlib import Path
 import numpy as np
 
 from boresight.arrays import FloatArray, IntArray
-from boresight.calibration.diagnosis.evidence import fit_camera, fit_directions
+from boresight.calibration.diagnosis.camera_fit import fit_camera, fit_directions
 from boresight.calibration.diagnosis.result import MOST_OFF, Diagnosis, FoundCause, Tried
 from boresight.calibration.diagnosis.sentences import describe, say
 from boresight.calibration.diagnosis.trials import Bench, Hypothesis, Trial
@@ -93,7 +93,7 @@ YEAR_S = 365.25 * 86400.0
 def sample_exposures(telemetry: TelemetryInput, most: int = MOST_EXPOSURES) -> tuple[Telemetry, int]:
     """Return whole frames spread over a set, of `most` exposures about, and how many exposures it has."""
     if not is_large(telemetry):
-        return _spread(whole := read_whole(telemetry), most), len(find_exposures(whole))
+        return _pick_frames(whole := read_whole(telemetry), most), len(find_exposures(whole))
     sample, exposures = ExposureSample(most), 0
     for chunk in telemetry.chunks():
         exposures += len(find_exposures(chunk))
@@ -110,16 +110,16 @@ class ExposureSample:
     def add(self, part: Telemetry) -> None:
         """Take frames of the next part; the memory that is held does not grow with their number."""
         if len(part):
-            self._kept.append(_spread(part, self._most))
+            self._kept.append(_pick_frames(part, self._most))
         if len(self._kept) > self._most:
             self._kept = self._kept[::2]
 
     def get(self) -> Telemetry:
         """Return the sample of a set that has rows."""
-        return _spread(joined(self._kept), self._most)
+        return _pick_frames(joined(self._kept), self._most)
 
 
-def _spread(telemetry: Telemetry, most: int) -> Telemetry:
+def _pick_frames(telemetry: Telemetry, most: int) -> Telemetry:
     """Return frames spread over a set in memory, of those with enough detections where there are any."""
     exposures = find_exposures(telemetry)
     frames, first, of = np.unique(exposures.frame, return_index=True, return_inverse=True)

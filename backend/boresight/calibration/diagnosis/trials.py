@@ -21,7 +21,7 @@ import numpy as np
 
 from boresight.arrays import BoolArray, TimeArray
 from boresight.calibration.corrections import put_right
-from boresight.calibration.diagnosis.evidence import Agreement, fit_camera
+from boresight.calibration.diagnosis.camera_fit import Agreement, fit_camera
 from boresight.calibration.matching.rematch import (
     Matches,
     MatchingSky,

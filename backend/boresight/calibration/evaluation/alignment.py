@@ -160,7 +160,7 @@ def sensitivity(problem: Problem, x: FloatArray, sigma_rad: FloatArray) -> Float
     `x`: (n_parameters,) state, SI. `sigma_rad`: (n_stars,) direction errors that weigh the stars of an attitude.
     """
     arcs = problem.arcs.whole()
-    chosen, starts = _spread(arcs)
+    chosen, starts = _pick_exposures(arcs)
     each, covariance = sensitivity_of_exposures(arcs, chosen, starts, x, sigma_rad[chosen], problem.sensor.parity)
     return np.average(each, axis=0, weights=1 / np.trace(covariance, axis1=1, axis2=2))
 
@@ -178,7 +178,7 @@ def sensitivity_of_exposures(
     return covariance @ np.add.reduceat(torque, starts, axis=0), covariance
 
 
-def _spread(arcs: ArcSet) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _pick_exposures(arcs: ArcSet) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Stars of exposures spread evenly over the set, and where each of those exposures begins among them."""
     step = max(1, arcs.n_exposures // EXPOSURES_FOR_SENSITIVITY)
     exposures = np.arange(0, arcs.n_exposures, step)

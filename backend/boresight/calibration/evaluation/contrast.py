@@ -140,10 +140,10 @@ def read_values(result: Calibration, names: Sequence[str]) -> FloatArray:
 
 def read_covariance(result: Calibration, names: Sequence[str]) -> FloatArray:
     """Read the covariance to decide by in the model's order, (n_parameters, n_parameters), zero rows for what was held fixed."""
-    return _spread(result.reliable_covariance, names)
+    return _fill_in(result.reliable_covariance, names)
 
 
-def _spread(covariance: Covariance, names: Sequence[str]) -> FloatArray:
+def _fill_in(covariance: Covariance, names: Sequence[str]) -> FloatArray:
     place = [names.index(name) for name in covariance.names]
     P = np.zeros((len(names), len(names)))
     if place:
@@ -162,7 +162,7 @@ def contrast(result: Calibration, reference: Calibration, names: Sequence[str], 
 
 def correlation(result: Calibration, names: Sequence[str]) -> FloatArray:
     """Read a result's correlations, (n_parameters, n_parameters), NaN where a parameter was not estimated."""
-    P = _spread(result.covariance, names)
+    P = _fill_in(result.covariance, names)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(P / np.sqrt(np.outer(np.diag(P), np.diag(P))))
 

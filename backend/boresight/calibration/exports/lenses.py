@@ -101,7 +101,7 @@ class FittedLens:
         """Parameters by name."""
         return dict(zip(self.lens.parameters, self.p.tolist(), strict=True))
 
-    def spread(self, names: tuple[str, ...]) -> list[float]:
+    def list_coefficients(self, names: tuple[str, ...]) -> list[float]:
         """Return coefficients in a program's own order, 0 for those that this lens has not."""
         return [self.values.get(name, 0.0) for name in names]
 

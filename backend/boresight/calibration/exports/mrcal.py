@@ -23,7 +23,7 @@ def _write(asked: Export) -> Written:
         "{",
         f"    'lensmodel':  'LENSMODEL_OPENCV{len(names)}',",
         f"    # {' '.join((*PINHOLE, *names))}",
-        f"    'intrinsics': {[*fitted.p[:4].tolist(), *fitted.spread(names)]},",
+        f"    'intrinsics': {[*fitted.p[:4].tolist(), *fitted.list_coefficients(names)]},",
         f"    'rt_cam_ref': {pose},",
         f"    'extrinsics': {pose},",
         f"    'imagersize': [{sensor.columns}, {sensor.rows}],",

@@ -87,7 +87,7 @@ def _matrix(asked: Export) -> tuple[float, ...]:
 def _opencv(asked: Export) -> Written:
     lens = asked.lens.lens
     names = lens.coefficients if lens is EQUIDISTANT else COEFFICIENTS[: LENGTHS[lens.name]]
-    coefficients = asked.lens.spread(names)
+    coefficients = asked.lens.list_coefficients(names)
     module = f"cv::{'fisheye' if lens is EQUIDISTANT else 'projectPoints'}, coefficients {' '.join(names)}"
     comments = [*provenance(asked), f"Lens: {lens.name} ({module}); pixel centres at whole numbers from 0"]
     return of_lens(asked, opencv_yaml(asked.sensor.columns, asked.sensor.rows, _matrix(asked), coefficients, comments))

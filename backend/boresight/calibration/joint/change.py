@@ -242,9 +242,9 @@ def _size(fitted: PassesFit, number: int) -> tuple[float, float]:
 def _sentence(of: PassesProblem, found: ParameterStep, place: int) -> str:
     """Say what stepped, how far and when."""
     camera, p = of.problem.camera, of.parameters.free[place]
-    is_focal = camera.parameters[p].role is Role.FOCAL
-    factor, unit = (1e6 / of.x[p], "ppm") if is_focal else (1.0, "" if camera.units[p] == "1" else camera.units[p])
-    size = f"{camera.symbols[p]} stepped by {found.step * factor:+.3g} ± {found.sigma * factor:.2g} {unit}".rstrip()
+    moved = camera.parameters[p]
+    factor, unit = (1e6 / of.x[p], "ppm") if moved.role is Role.FOCAL else (1.0, moved.written_unit)
+    size = f"{moved.symbol} stepped by {found.step * factor:+.3g} ± {found.sigma * factor:.2g} {unit}".rstrip()
     if found.event_utc is not None:
         return f"{size} at {found.event_utc}"
     begin, end = parse_times([found.from_utc, found.to_utc])

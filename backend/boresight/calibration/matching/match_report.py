@@ -285,7 +285,7 @@ def matching_view(telemetry: Telemetry, sensor: Sensor, ended: CyclesEnd, evalua
         matched=int(found.sum()),
         cycles=list(ended.cycles),
         rested=ended.rested,
-        tolerance_px=_spread(matches.tolerance_rad[found] / pixel_rad(sensor, ended.estimate.x)),
+        tolerance_px=_summarise(matches.tolerance_rad[found] / pixel_rad(sensor, ended.estimate.x)),
         row_reasons=counted(matches.row_reason[~found], ROW_REASONS),
         removed_reasons=counted(matches.row_reason[named & ~found], ROW_REASONS),
         exposure_reasons=counted(matches.reason, EXPOSURE_REASONS),
@@ -330,7 +330,7 @@ def counted(places: NDArray[np.int8], phrases: Sequence[str]) -> dict[str, int]:
     return {phrases[place]: count for place, count in Counter(places.tolist()).most_common()}
 
 
-def _spread(values: NDArray[np.float64]) -> Tolerance:
+def _summarise(values: NDArray[np.float64]) -> Tolerance:
     """Median and 95th percentile; nulls of nothing."""
     values = values[np.isfinite(values)]
     if not len(values):

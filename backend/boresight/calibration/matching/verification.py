@@ -203,10 +203,7 @@ def _doubtful(block: ArcSet, how: Verification) -> BoolArray:
     if how.everywhere:
         return doubtful
     if how.before_estimate:
-        loops.find_disagreeing(
-            block.camera.kind, how.x, block.pitch, block.star_start, block.row_px, block.col_px, block.known_phi, block.band,
-            how.root, GATE, doubtful,
-        )  # fmt: skip
+        loops.find_disagreeing(*block.of_whitened_loop(how.x), how.root, GATE, doubtful)
         return doubtful
     return ~(_chi2_in_block(block, how.x) <= how.limit * how.noise**2)
 
@@ -214,17 +211,7 @@ def _doubtful(block: ArcSet, how: Verification) -> BoolArray:
 def _chi2_in_block(block: ArcSet, x: FloatArray) -> FloatArray:
     """Chi-square of each exposure of one block, (n_exposures,)."""
     chi2 = np.empty(block.n_exposures)
-    loops.exposure_chi2(
-        block.camera.kind,
-        x,
-        block.pitch,
-        block.star_start,
-        block.row_px,
-        block.col_px,
-        block.known_phi,
-        block.band,
-        chi2,
-    )
+    loops.exposure_chi2(*block.of_whitened_loop(x), chi2)
     return chi2
 
 

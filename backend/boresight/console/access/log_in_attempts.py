@@ -36,7 +36,7 @@ FORGET_S = 3600.0
 MOST_COUNTS = 20_000
 
 
-def name_place(address: str) -> str:
+def name_network(address: str) -> str:
     """Return the place that an address stands for: of IPv6 the network of 64 bits, which one customer has whole."""
     try:
         parsed = ipaddress.ip_address(address)

@@ -27,7 +27,7 @@ from boresight.console.access.log_in_attempts import (
     Failures,
     LoginAttempt,
     LoginLimiter,
-    name_place,
+    name_network,
 )
 from boresight.console.access.passwords import NO_PROOF, NewPassword, PasswordProof, StoredPassword
 from boresight.console.access.second_factors import FactorRules, GivenFactor
@@ -113,7 +113,7 @@ class PasswordWorker:
         self, name: str, password: str, client: ClientAddress, code: str = "", site: Site | None = None
     ) -> PasswordProof:
         """Check name and password of somebody who is not known yet, and the code of a second factor where one is given."""
-        place = name_place(client.address)
+        place = name_network(client.address)
         stored, known = await self._read(partial(_read_stored_at, name=name, place=place))
         tried = LoginAttempt(comparison_key(name), place, known)
         lane = self._returning if known else self._anybody
@@ -142,7 +142,7 @@ class PasswordWorker:
 
     async def check_code(self, user_id: int, code: str, client: ClientAddress, site: Site) -> GivenFactor:
         """Check the code of a person whose log-in waits for a second factor."""
-        place = name_place(client.address)
+        place = name_network(client.address)
         names = await self._read(partial(users.get_person_names, user_id=user_id))
         known = await self._read(partial(sessions.has_logged_in_from, user_id=user_id, place=place))
         tried = LoginAttempt(comparison_key(names[0] if names else ""), place, known)
@@ -158,7 +158,7 @@ class PasswordWorker:
         code: str = "",
     ) -> PasswordProof:
         """Check name and password of a second person at the acting person's console, and the code of their second factor."""
-        place = name_place(client.address)
+        place = name_network(client.address)
 
         def read(session: Session) -> tuple[StoredPassword, bool] | None:
             try:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from boresight.console import list_queries as lists
 from boresight.console.access import queries as rows
-from boresight.console.access.log_in_attempts import name_place
+from boresight.console.access.log_in_attempts import name_network
 from boresight.console.access.second_factors import FORGET_S
 from boresight.console.access.tables import LoginSession
 from boresight.errors import ForbiddenError, NotFoundError, SessionEndedError, UnauthenticatedError
@@ -95,8 +95,8 @@ def _hash(token: str) -> str:
 
 
 def has_logged_in_from(session: Session, user_id: int | None, place: str) -> bool:
-    """Whether a person logged in from a place, as `name_place` names it, as far back as log-ins are kept."""
-    return user_id is not None and any(name_place(one) == place for one in rows.list_addresses(session, user_id))
+    """Whether a person logged in from a place, as `name_network` names it, as far back as log-ins are kept."""
+    return user_id is not None and any(name_network(one) == place for one in rows.list_addresses(session, user_id))
 
 
 def find(session: Session, token: str) -> LoginSession:

@@ -1,7 +1,7 @@
 """WebAuthn (W3C Level 2): the options that a browser is given, and the check of what an authenticator signed.
 
 A credential belongs to one site, its relying party id, which is the host that people type; the browser refuses it to any
-other. No attestation is asked for: which make a key is of decides nothing here. The library is loaded when a key is first used.
+other. No attestation is asked for: which make a key is of decides nothing here.
 """
 
 from __future__ import annotations
@@ -13,14 +13,26 @@ import secrets
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
+
+import webauthn
+from webauthn.helpers import (
+    base64url_to_bytes,
+    bytes_to_base64url,
+    options_to_json,
+    parse_authentication_credential_json,
+    parse_client_data_json,
+)
+from webauthn.helpers.exceptions import WebAuthnException
+from webauthn.helpers.structs import (
+    AuthenticatorSelectionCriteria,
+    PublicKeyCredentialDescriptor,
+    ResidentKeyRequirement,
+    UserVerificationRequirement,
+)
 
 from boresight.console.access.tables import SecondFactor, User
 from boresight.errors import RefusedInputError, SecondFactorError
-
-if TYPE_CHECKING:
-    from webauthn.helpers.structs import PublicKeyCredentialDescriptor
 
 CHALLENGE_BYTES = 32
 WAIT_MS = 120_000
@@ -72,8 +84,6 @@ def new_challenge() -> str:
 @contextmanager
 def _refusing(answer: str, sentence: str) -> Iterator[None]:
     """Refuse an answer that is too long, or that the library finds wrong or cannot read."""
-    from webauthn.helpers.exceptions import WebAuthnException  # noqa: PLC0415 - when a key is used
-
     if len(answer) > LONGEST_ANSWER:
         raise SecondFactorError(NO_ANSWER)
     try:
@@ -84,14 +94,6 @@ def _refusing(answer: str, sentence: str) -> Iterator[None]:
 
 def make_creation_options(user: User, known: Sequence[SecondFactor], challenge: str, site: Site) -> str:
     """Return the options of `navigator.credentials.create` as JSON."""
-    import webauthn  # noqa: PLC0415 - when a key is used
-    from webauthn.helpers import base64url_to_bytes, options_to_json  # noqa: PLC0415 - when a key is used
-    from webauthn.helpers.structs import (  # noqa: PLC0415 - when a key is used
-        AuthenticatorSelectionCriteria,
-        ResidentKeyRequirement,
-        UserVerificationRequirement,
-    )
-
     site.refuse_address()
     options = webauthn.generate_registration_options(
         rp_id=site.rp_id,
@@ -114,10 +116,6 @@ def make_request_options(known: Sequence[SecondFactor], challenge: str, site: Si
     own = _list_own(known, site)
     if not own:
         return None
-    import webauthn  # noqa: PLC0415 - when a key is used
-    from webauthn.helpers import base64url_to_bytes, options_to_json  # noqa: PLC0415 - when a key is used
-    from webauthn.helpers.structs import UserVerificationRequirement  # noqa: PLC0415 - when a key is used
-
     options = webauthn.generate_authentication_options(
         rp_id=site.rp_id,
         challenge=base64url_to_bytes(challenge),
@@ -134,17 +132,11 @@ def _list_own(known: Sequence[SecondFactor], site: Site) -> list[str]:
 
 
 def _describe(credentials: Sequence[str]) -> list[PublicKeyCredentialDescriptor]:
-    from webauthn.helpers import base64url_to_bytes  # noqa: PLC0415 - when a key is used
-    from webauthn.helpers.structs import PublicKeyCredentialDescriptor  # noqa: PLC0415 - when a key is used
-
     return [PublicKeyCredentialDescriptor(id=base64url_to_bytes(one)) for one in credentials]
 
 
 def check_registration(answer: str, challenge: str, site: Site) -> RegisteredCredential:
     """Check what `navigator.credentials.create` returned."""
-    import webauthn  # noqa: PLC0415 - when a key is used
-    from webauthn.helpers import base64url_to_bytes, bytes_to_base64url  # noqa: PLC0415 - when a key is used
-
     unfit = "The security key was not registered, for its answer does not fit this page; reload the page and try again."
     with _refusing(answer, unfit):
         made = webauthn.verify_registration_response(
@@ -171,8 +163,6 @@ class Assertion:
 
 def read_assertion(answer: str) -> Assertion:
     """Read which credential and which challenge an answer names."""
-    from webauthn.helpers import bytes_to_base64url, parse_authentication_credential_json, parse_client_data_json  # noqa: PLC0415 - when a key is used
-
     with _refusing(answer, NO_ANSWER):
         given = parse_authentication_credential_json(json.loads(answer))
         told = parse_client_data_json(given.response.client_data_json)
@@ -181,9 +171,6 @@ def read_assertion(answer: str) -> Assertion:
 
 def check_assertion(given: Assertion, challenge: str, site: Site, public_key: str, sign_count: int) -> int:
     """Check an answer against a challenge and a public key; returns the new count of signatures."""
-    import webauthn  # noqa: PLC0415 - when a key is used
-    from webauthn.helpers import base64url_to_bytes  # noqa: PLC0415 - when a key is used
-
     other = (
         "The security key's answer was refused: it is of another key, page or attempt; reload the page and try again."
     )

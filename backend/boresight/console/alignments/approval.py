@@ -16,7 +16,14 @@ from boresight.console.access.passwords import PasswordProof
 from boresight.console.alignments import queries, service
 from boresight.console.alignments.tables import Alignment, AlignmentRequest
 from boresight.console.approvals.service import Decision
-from boresight.console.approvals.signers import refuse_who_never_signs
+from boresight.console.approvals.signers import (
+    CREATOR,
+    LAUNCHER,
+    SUBMITTER,
+    SetPart,
+    refuse_own_part,
+    refuse_who_never_signs,
+)
 from boresight.console.runs.tables import Run
 from boresight.console.transitions import describe_last_change, move, name_subject, require_seen
 from boresight.errors import ConflictError, ForbiddenError, RefusedInputError
@@ -74,11 +81,12 @@ def _refuse_signer(session: Session, actor: Actor, request: AlignmentRequest, po
     user_id = refuse_who_never_signs(session, actor)
     row = session.get_known(Alignment, request.alignment_id)
     runs = [session.get_known(Run, number) for number in (row.run_a_id, row.run_b_id)]
-    done = [(request.submitted_by, "submitted this alignment"), (row.created_by, "asked for this alignment")]
-    done += [(run.launched_by, f"launched run {run.id} behind it") for run in runs]
-    own = [deed for by, deed in done if by == user_id] if policy.four_eyes else []
-    if own:
-        raise ForbiddenError(f"You {' and '.join(own)}; ask another approver to sign.")
+    done = [
+        (request.submitted_by, SUBMITTER, "submitted this alignment"),
+        (row.created_by, CREATOR, "asked for this alignment"),
+        *((run.launched_by, LAUNCHER, f"launched run {run.id} behind it") for run in runs),
+    ]
+    refuse_own_part([SetPart(by, role, deed) for by, role, deed in done if by == user_id] if policy.four_eyes else [])
     return user_id
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 from fastapi import Query
-from pydantic import Field, SecretStr
+from pydantic import Field
 from starlette.responses import Response
 
 from boresight.calibration.alignment.align import AlignmentOptions
@@ -16,14 +16,12 @@ from boresight.console.access.dependencies import (
     ServerPolicy,
     Who,
     Writing,
-    factor_field,
     own_password,
-    password_field,
 )
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.alignments import approval, queries, schemas, service
 from boresight.console.alignments.tables import Alignment, AlignmentRequest
-from boresight.console.approvals.service import Decision
+from boresight.console.approvals.routes import PlainSigning
 from boresight.console.list_queries import list_newest
 from boresight.console.operation import json_response, operations
 from boresight.console.runs.schemas import PlotlyFigure
@@ -115,13 +113,10 @@ class Reasoned(Shape):
     reason: str = Field(examples=["The trackers were calibrated anew."])
 
 
-class AlignmentSigning(Shape):
+class AlignmentSigning(PlainSigning):
     """A signature: what it means, and the password again."""
 
     meaning: str = Field(examples=["I reviewed the evidence and approve this alignment for upload."])
-    password: SecretStr = password_field("The signer's own password again.")
-    factor: SecretStr = factor_field()
-    comment: str = Field("", description="Required to refuse.")
 
 
 Proven = Annotated[PasswordProof, own_password(AlignmentSigning)]
@@ -159,8 +154,7 @@ def approve_alignment(
     session: Writing,
 ) -> AlignmentRequest:
     """Approve as a second person, who did not submit it, ask for it or launch its runs; not an administrator, not by API key."""
-    decided = Decision("APPROVE", signed.meaning, signed.comment)
-    return approval.sign(session, actor, request_id, decided, proof, seen, policy=policy)
+    return approval.sign(session, actor, request_id, signed.decided("APPROVE"), proof, seen, policy=policy)
 
 
 @request_router.post("/{request_id}:refuse", summary="Refuse an alignment", response_model=schemas.AlignmentRequest)
@@ -174,8 +168,7 @@ def refuse_alignment(
     session: Writing,
 ) -> AlignmentRequest:
     """Refuse with a comment, as a second person."""
-    decided = Decision("REFUSE", signed.meaning, signed.comment)
-    return approval.sign(session, actor, request_id, decided, proof, seen, policy=policy)
+    return approval.sign(session, actor, request_id, signed.decided("REFUSE"), proof, seen, policy=policy)
 
 
 @request_router.post("/{request_id}:withdraw", summary="Withdraw it", response_model=schemas.AlignmentRequest)

@@ -309,11 +309,11 @@ def _laid_over(
     return gates.summarise(gates.parse_report(report.document), waived, {waiver.gate for waiver in waivers})
 
 
-def read_verdicts(session: Session, parameter_set_ids: Collection[int]) -> dict[int, str]:
-    """Return the verdict, in words, of each of some sets that was ever assessed; waivers stay in it for ever."""
+def read_verdicts(session: Session, parameter_set_ids: Collection[int]) -> dict[int, gates.GateReport]:
+    """Return the newest report of each of some sets that was ever assessed, with the waivers laid over it for ever."""
     given = rows.list_waivers(session, parameter_set_ids)
     return {
-        number: _laid_over(report, [waiver for waiver in given if waiver.parameter_set_id == number]).words
+        number: _laid_over(report, [waiver for waiver in given if waiver.parameter_set_id == number])
         for number, report in rows.list_newest_reports(session, parameter_set_ids).items()
     }
 

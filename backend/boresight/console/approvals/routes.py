@@ -221,13 +221,22 @@ class Acknowledged(Shape):
     )
 
 
-class Signing(Shape):
-    """A signature: what it means, and the password again."""
+class PlainSigning(Shape):
+    """A signature without points to answer: what it means, and the password again."""
 
     meaning: str = Field(examples=["I reviewed the evidence and approve this set for baseline."])
     password: SecretStr = password_field("The signer's own password again.")
     factor: SecretStr = factor_field()
     comment: str = Field("", description="Required to refuse.")
+
+    def decided(self, decision: str) -> Decision:
+        """Return the body as a decision."""
+        return Decision(decision, self.meaning, self.comment)
+
+
+class Signing(PlainSigning):
+    """A signature: what it means, and the password again."""
+
     acknowledged: list[Acknowledged] | None = Field(
         None,
         max_length=200,

@@ -73,12 +73,17 @@ def refuse_signer(session: Session, actor: Actor, approval: Approval, policy: Po
     """Refuse whoever is not a second person, with the reason."""
     user_id = refuse_who_never_signs(session, actor)
     own = [part for part in list_parts(session, approval) if part.user_id == user_id] if policy.four_eyes else []
-    if own:
-        raise ForbiddenError(f"You {_listed(own)}; ask another approver to sign.")
+    refuse_own_part(own)
     if (earlier := rows.find_signature(session, approval.id, user_id)) is not None:
         raise ConflictError(
             f"You signed this request already, at {earlier.signed_utc}; ask its submitter to withdraw it if it is wrong."
         )
+
+
+def refuse_own_part(own: Sequence[SetPart]) -> None:
+    """Refuse whoever had a part in what is to be signed."""
+    if own:
+        raise ForbiddenError(f"You {_listed(own)}; ask another approver to sign.")
 
 
 def _listed(parts: Sequence[SetPart]) -> str:

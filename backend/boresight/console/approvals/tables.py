@@ -7,6 +7,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, foreign, mapped_column, relationship
 
+from boresight.console.fleet.tables import SensorDocument
 from boresight.platform.db.declared import STRICT, Base, Sealing, allow_only, only_one
 from boresight.platform.db.documents import JsonText
 
@@ -129,19 +130,11 @@ class Opening(Base):
     opened_utc: Mapped[str] = mapped_column(sa.Text)
 
 
-class GateProfile(Base):
+class GateProfile(SensorDocument, Base):
     """The limits that a sensor's sets are held to; each version is a row, the newest is in force."""
 
     __tablename__ = "gate_profiles"
     __table_args__ = (sa.UniqueConstraint("sensor_id", "number"), STRICT)
-    id: Mapped[int] = mapped_column(primary_key=True)
-    sensor_id: Mapped[int] = mapped_column(sa.ForeignKey("sensors.id"))
-    number: Mapped[int]
-    document: Mapped[dict[str, Any]] = mapped_column(JsonText)
-    sha256: Mapped[str] = mapped_column(sa.Text)
-    reason: Mapped[str] = mapped_column(sa.Text)
-    created_utc: Mapped[str] = mapped_column(sa.Text)
-    created_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
 
 
 class GateReport(Base):

@@ -6,7 +6,6 @@ remembered until a run succeeds, another set becomes the baseline or the sensor'
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -267,9 +266,9 @@ def _run_findings(run: Any) -> Iterator[tuple[str, str]]:
 def _result_finding(run_id: int, summary: RunSummary) -> tuple[str, str]:
     """Return the finding from a finished calibration; critical is reserved for what is on board."""
     level = judge_result(summary)
-    # what was found; how it is known and what to do are on the run's page, and would make ten lines of a row
-    found = re.split(r"[:.;] ", summary.advice or "see its page", maxsplit=1)[0].rstrip(".")
-    status, advice = summary.status or "converged", f"{found}."
+    # how it is known and what to do are on the run's page, and would make ten lines of a row
+    found = summary.finding or summary.advice or "see its page"
+    status, advice = summary.status or "converged", f"{found.rstrip('.')}."
     if level == "normal":
         return level, f"Run {run_id} converged."
     if status == "converged":

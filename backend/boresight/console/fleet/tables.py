@@ -11,6 +11,19 @@ from boresight.platform.db.declared import STRICT, Base
 from boresight.platform.db.documents import JsonText
 
 
+class SensorDocument:
+    """The columns of a document of a sensor that has versions: each is a row, the newest is in force."""
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    sensor_id: Mapped[int] = mapped_column(sa.ForeignKey("sensors.id"))
+    number: Mapped[int]
+    document: Mapped[dict[str, Any]] = mapped_column(JsonText)
+    sha256: Mapped[str] = mapped_column(sa.Text)
+    reason: Mapped[str] = mapped_column(sa.Text)
+    created_utc: Mapped[str] = mapped_column(sa.Text)
+    created_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
+
+
 class Sensor(Base):
     """A star tracker; `document` is the contract's sensor file. `version` counts its edits."""
 

@@ -173,8 +173,8 @@ def _trend(
         sensor=sensor,
         baseline=baseline,
         camera_model=model,
-        points=sorted(_counted_once(judged), key=_place),
-        others=sorted((point for point in found if point.camera_model not in {model, ""}), key=_place),
+        points=sorted(_counted_once(judged), key=_order),
+        others=sorted((point for point in found if point.camera_model not in {model, ""}), key=_order),
         periods=list(_periods([(promotion.at_utc, row) for promotion, row in promoted])),
         on_board=on_board,
         telemetry=telemetry,
@@ -222,7 +222,7 @@ def middle(begins_utc: str, ends_utc: str) -> str:
     return utc_text(begins + timedelta(seconds=(ends - begins).total_seconds() / 2))
 
 
-def _place(point: TrendPoint) -> tuple[str, int]:
+def _order(point: TrendPoint) -> tuple[str, int]:
     return point.at_utc, point.run_id
 
 

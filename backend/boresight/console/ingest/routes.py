@@ -27,7 +27,7 @@ from boresight.console.ingest.service import SentFile
 from boresight.console.ingest.tables import IngestDecision, IngestPolicy
 from boresight.console.list_queries import list_newest
 from boresight.console.operation import operations
-from boresight.console.schemas import Document, Shape
+from boresight.console.schemas import Document, Shape, file_field, multipart
 from boresight.console.telemetry.dependencies import Upload, Uploaded
 from boresight.console.telemetry.service import ImageUpload, PreparedUpload
 from boresight.errors import BoresightError, ConflictError, UnavailableError
@@ -37,25 +37,11 @@ from boresight.platform.web.paging import Id, Listing, Page, Paged
 
 router = operations("/ingest", tags=["ingest"])
 
-FORM = {
-    "required": True,
-    "content": {
-        "multipart/form-data": {
-            "schema": {
-                "type": "object",
-                "required": ["sensor_id", "file"],
-                "properties": {
-                    "sensor_id": {"type": "integer", "description": "The sensor of the telemetry."},
-                    "file": {
-                        "type": "string",
-                        "format": "binary",
-                        "description": "New telemetry, as the mapping profile of the sensor's policy reads it.",
-                    },
-                },
-            }
-        }
-    },
-}
+FORM = multipart(
+    ("sensor_id", "file"),
+    sensor_id={"type": "integer", "description": "The sensor of the telemetry."},
+    file=file_field("New telemetry, as the mapping profile of the sensor's policy reads it."),
+)
 
 
 @dataclass(frozen=True)
@@ -117,7 +103,7 @@ TakenIn = Annotated[Intake, Depends(_take_in, scope="function")]
     summary="Send new telemetry",
     status_code=202,
     response_model=schemas.IngestDecision,
-    openapi_extra={"requestBody": FORM},
+    openapi_extra=FORM,
 )
 def ingest(actor: Who, intake: TakenIn, session: Writing, blobs: Blobs) -> IngestDecision:
     """Have new telemetry imported by the mapping profile of its sensor's policy, checked, calibrated and judged.

@@ -328,7 +328,7 @@ def _join(session: Session, address_id: int, found: Sequence[Message], box: Secr
     tag = "" if outlets.mode == "OPS" else f"[{outlets.mode}] "
     more = f", and {len(found) - 1} more" if len(found) > 1 else ""
     lines = [f"{one.subject}: {one.text}\n{outlets.page_root}{one.path}" for one in found]
-    title = f"{tag}{first.subject}: {first.text.partition(' (by ')[0]}{more}"
+    title = f"{tag}{first.subject}: {first.text}{more}"
     return DueMessages(address_id, tuple(one.id for one in found), title, "\n\n".join(lines), is_mail, address)
 
 

@@ -17,7 +17,7 @@ from boresight.console.notes import attachments, schemas
 from boresight.console.notes import service as notes
 from boresight.console.notes.tables import Annotation, Note, NoteAttachment
 from boresight.console.operation import FORM_CONTENT, operations
-from boresight.console.schemas import Shape
+from boresight.console.schemas import Shape, file_field, multipart
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.platform.blobs import files
 from boresight.platform.web.media import StoredFile
@@ -107,18 +107,7 @@ def add_parameter_set_note(parameter_set_id: Id, new: NewNote, actor: Who, sessi
     return notes.add_note(session, actor, "parameter-sets", parameter_set_id, new.text)
 
 
-FORM = {
-    "required": True,
-    "content": {
-        "multipart/form-data": {
-            "schema": {
-                "type": "object",
-                "required": ["file"],
-                "properties": {"file": {"type": "string", "format": "binary", "description": "At most 5 MB."}},
-            }
-        }
-    },
-}
+FORM = multipart(("file",), file=file_field("At most 5 MB."))
 
 
 async def read_file(request: Request) -> attachments.AttachedFile:
@@ -152,7 +141,7 @@ async def stored_file(
     summary="Attach a file to a note",
     status_code=201,
     response_model=schemas.NoteAttachment,
-    openapi_extra={"requestBody": FORM},
+    openapi_extra=FORM,
 )
 def attach(
     note_id: Id,

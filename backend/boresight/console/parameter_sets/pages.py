@@ -63,6 +63,7 @@ from boresight.errors import RefusedInputError
 from boresight.figures.tables import set_rows
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
+from boresight.verdicts.gates.judgement import GateReport
 
 READ_AT_ONCE = 500
 SETS = Table(
@@ -126,9 +127,11 @@ def _csv_rows(session: Session, view: TableView, names: RunNames) -> Iterator[Be
         yield from (_csv_row(row, names, verdicts.get(row.id)) for row in some)
 
 
-def _csv_row(row: ParameterSet, names: RunNames, verdict: str | None) -> Beside:
+def _csv_row(row: ParameterSet, names: RunNames, judged: GateReport | None) -> Beside:
     sensor, by = names.sensors[row.sensor_id], names.person(row.created_by)
-    return Beside(row, number=row.id, set=row.name, sensor=sensor, run=row.run_id, created_by=by, verdict=verdict)
+    return Beside(
+        row, number=row.id, set=row.name, sensor=sensor, run=row.run_id, created_by=by, verdict=judged and judged.words
+    )
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from boresight.console.access.dependencies import (
 )
 from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import Beside, operations
-from boresight.console.schemas import Document
+from boresight.console.schemas import Document, file_field, multipart
 from boresight.console.telemetry import profiles, schemas
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.telemetry.dependencies import Uploaded, hold_upload
@@ -39,42 +39,27 @@ from boresight.telemetry.imports.builtin import BUILT_IN
 
 router = operations("/telemetry-sets", tags=["telemetry sets"])
 
-FORM = {
-    "required": True,
-    "content": {
-        "multipart/form-data": {
-            "schema": {
-                "type": "object",
-                "required": ["sensor_id", "file"],
-                "properties": {
-                    "sensor_id": {"type": "integer", "description": "The sensor of the telemetry."},
-                    "purpose": {"type": "string", "enum": ["calibration", "validation"], "default": "calibration"},
-                    "file": {
-                        "type": "string",
-                        "format": "binary",
-                        "description": "CSV, JSON Lines or Parquet; or images, one file each (FITS, PNG, TIFF, raw) "
-                        "or packed as ZIP; with a profile, what that profile reads.",
-                    },
-                    "profile": {
-                        "type": "string",
-                        "description": "Mapping profile to import the file with: a built-in name, the key of a saved version, or a "
-                        "saved name. With `validate_only` the answer is the preview.",
-                    },
-                    "time": {
-                        "type": "string",
-                        "description": "When the file was taken, if it does not contain the time (ISO 8601).",
-                    },
-                    "keep_here": {
-                        "type": "string",
-                        "enum": ["1"],
-                        "description": "Keep the set with this sensor although its stars are those of another one's camera.",
-                    },
-                    "elements": {"type": "string", "description": "Two-line elements to compute velocities from."},
-                },
-            }
-        }
+FORM = multipart(
+    ("sensor_id", "file"),
+    sensor_id={"type": "integer", "description": "The sensor of the telemetry."},
+    purpose={"type": "string", "enum": ["calibration", "validation"], "default": "calibration"},
+    file=file_field(
+        "CSV, JSON Lines or Parquet; or images, one file each (FITS, PNG, TIFF, raw) or packed as ZIP; with a profile, what that "
+        "profile reads."
+    ),
+    profile={
+        "type": "string",
+        "description": "Mapping profile to import the file with: a built-in name, the key of a saved version, or a saved name. "
+        "With `validate_only` the answer is the preview.",
     },
-}
+    time={"type": "string", "description": "When the file was taken, if it does not contain the time (ISO 8601)."},
+    keep_here={
+        "type": "string",
+        "enum": ["1"],
+        "description": "Keep the set with this sensor although its stars are those of another one's camera.",
+    },
+    elements={"type": "string", "description": "Two-line elements to compute velocities from."},
+)
 
 
 def _prepare(
@@ -109,7 +94,7 @@ def list_telemetry_sets(
     summary="Upload telemetry",
     status_code=201,
     response_model=schemas.TelemetrySet,
-    openapi_extra={"requestBody": FORM},
+    openapi_extra=FORM,
 )
 def upload_telemetry_set(actor: Who, upload: Uploaded, prepared: Prepared, session: Writing, blobs: Blobs) -> Beside:
     """Store a file with its quality report. Nothing of a refused file is stored; the refusal names row and column.

@@ -203,7 +203,7 @@ def _import(
     source = SourceFile(path, _source_name(images, name))
     beside: dict[str, Any] = {"sensor": sensor, "orbit": orbit, "time": wanted.time, "limits": limits}
     if wanted.profile is None:
-        imported = import_by_likeliest(source, wanted.offers, **beside)[0]
+        imported = import_by_likeliest(source, wanted.offers, **beside)
     else:
         imported = import_files([source], wanted.profile, **beside)
     with (folder / IMPORTED).open("wb") as stream:

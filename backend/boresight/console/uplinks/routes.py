@@ -35,7 +35,7 @@ from boresight.console.change_proposals import service as proposals
 from boresight.console.change_proposals.routes import PROPOSED, in_force_or_proposed
 from boresight.console.operation import FORM_CONTENT, Answer, operations
 from boresight.console.parameter_sets.tables import ParameterSet
-from boresight.console.schemas import Shape
+from boresight.console.schemas import Shape, file_field, multipart
 from boresight.console.uplinks import packages, read_backs, schemas, table_definitions
 from boresight.console.uplinks import service as uplinks
 from boresight.console.uplinks.stations import Workflow, make_workflow
@@ -132,23 +132,13 @@ def get_uplink_dump(uplink_id: Id, session: Reading, blobs: Blobs) -> StoredFile
 onboard_router = operations("/parameter-sets", tags=["uplinks"])
 
 MOST_FIELDS = 10
-FORM = {
-    "required": True,
-    "content": {
-        "multipart/form-data": {
-            "schema": {
-                "type": "object",
-                "required": ["source"],
-                "properties": {
-                    "source": {"type": "string", "description": "The pass, the procedure or the packet."},
-                    "file": {"type": "string", "format": "binary", "description": "The dump of the table."},
-                    "crc": {"type": "string", "description": "Or the CRC that was reported, in hexadecimal."},
-                    "happened_utc": {"type": "string", "description": "When it was read, if earlier than now."},
-                },
-            }
-        }
-    },
-}
+FORM = multipart(
+    ("source",),
+    source={"type": "string", "description": "The pass, the procedure or the packet."},
+    file=file_field("The dump of the table."),
+    crc={"type": "string", "description": "Or the CRC that was reported, in hexadecimal."},
+    happened_utc={"type": "string", "description": "When it was read, if earlier than now."},
+)
 
 
 @dataclass(frozen=True)
@@ -202,7 +192,7 @@ def get_workflow(session: Reading, actor: Who, policy: ServerPolicy, parameter_s
     summary="Compare a dump or a CRC",
     status_code=201,
     response_model=schemas.Uplink,
-    openapi_extra={"requestBody": FORM},
+    openapi_extra=FORM,
 )
 def read_back(
     parameter_set_id: Id,

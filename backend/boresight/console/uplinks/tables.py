@@ -7,6 +7,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
+from boresight.console.fleet.tables import SensorDocument
 from boresight.console.parameter_sets.tables import ONBOARD_STATES
 from boresight.platform.db.declared import STRICT, Base, allow_only
 from boresight.platform.db.documents import JsonText
@@ -30,19 +31,11 @@ class Uplink(Base):
     meaning: Mapped[str | None] = mapped_column(sa.Text)
 
 
-class TableDefinition(Base):
+class TableDefinition(SensorDocument, Base):
     """How a sensor's parameters lie in the table on board; each version is a row, the newest is in force."""
 
     __tablename__ = "table_definitions"
     __table_args__ = (sa.UniqueConstraint("sensor_id", "number"), STRICT)
-    id: Mapped[int] = mapped_column(primary_key=True)
-    sensor_id: Mapped[int] = mapped_column(sa.ForeignKey("sensors.id"))
-    number: Mapped[int]
-    document: Mapped[dict[str, Any]] = mapped_column(JsonText)
-    sha256: Mapped[str] = mapped_column(sa.Text)
-    reason: Mapped[str] = mapped_column(sa.Text)
-    created_utc: Mapped[str] = mapped_column(sa.Text)
-    created_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
 
 
 class Package(Base):

@@ -57,7 +57,7 @@ def _panel(
     known = [(style, bins) for _, style, part in drawn if (bins := part.by_cause[cause]) is not None]
     for style, bins in known:
         figure.add_trace(_means(style, bins), **where)
-        figure.add_trace(_spread(style, bins), **where)
+        figure.add_trace(_rms(style, bins), **where)
     unit = known[0][1].unit if known else UNITS[cause]
     figure.update_xaxes(title_text=f"{TITLES.get(cause, cause)} ({unit})", **where)
     figure.update_yaxes(title_text="residual (px)" if where["col"] == 1 else None, **where)
@@ -109,7 +109,7 @@ def _means(style: theme.RunStyle, bins: ResidualDependence) -> go.Scatter:
     return drawn
 
 
-def _spread(style: theme.RunStyle, bins: ResidualDependence) -> go.Scatter:
+def _rms(style: theme.RunStyle, bins: ResidualDependence) -> go.Scatter:
     hover = f"RMS %{{y:.3f}} px<extra>{style.label}</extra>"
     drawn = theme.line(style, _centres(bins), column(bins.rms_px), hovertemplate=hover)
     drawn.update(line={"dash": "dot", "width": 1.2}, connectgaps=False)

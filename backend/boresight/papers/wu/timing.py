@@ -111,14 +111,14 @@ def timing(catalogue_folder: Path | None) -> dict[str, Any]:
         **head(made, ()),
         "rounds": ROUNDS,
         "stars": stars,
-        "ms_per_frame": {name: [_spread(row) for row in found] for name, found in times.items()},
-        "subsets_ms_per_frame": {name: _spread(row) for name, row in of_subsets.items()},
+        "ms_per_frame": {name: [_summarise(row) for row in found] for name, found in times.items()},
+        "subsets_ms_per_frame": {name: _summarise(row) for name, row in of_subsets.items()},
         "tables": made,
         "sentence": _sentence(times),
     }
 
 
-def _spread(row: FloatArray) -> dict[str, float]:
+def _summarise(row: FloatArray) -> dict[str, float]:
     low, median, high = np.percentile(row, (25, 50, 75)).tolist()
     return {"median": median, "low": low, "high": high}
 

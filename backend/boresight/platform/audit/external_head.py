@@ -31,7 +31,7 @@ class ExternalHead:
     at_utc: str
 
 
-def refuse_place(file: Path, data_folder: Path) -> None:
+def refuse_within_data_folder(file: Path, data_folder: Path) -> None:
     """Refuse a file that would be lost together with the data folder."""
     if file.resolve().is_relative_to(data_folder.resolve()):
         raise RefusedInputError(

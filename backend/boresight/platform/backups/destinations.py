@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, cast
 
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError, StorageError, UnavailableError
+from boresight.platform.backups.encryption import SeekableFile
 from boresight.platform.blobs.locations import parse_address
 
 if TYPE_CHECKING:
@@ -191,29 +192,15 @@ class BucketDestination(Destination):
             ) from error
 
 
-class _RemoteFile(io.RawIOBase):
+class _RemoteFile(SeekableFile):
     """An object that is read by ranges."""
 
     def __init__(self, store: BucketDestination, name: str) -> None:
         self._store, self._name = store, name
-        self._size = store.size(name)
-        self._place = 0
-
-    def readable(self) -> bool:
-        return True
-
-    def seekable(self) -> bool:
-        return True
-
-    def tell(self) -> int:
-        return self._place
-
-    def seek(self, offset: int, whence: int = os.SEEK_SET, /) -> int:
-        self._place = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._place, os.SEEK_END: self._size}[whence]
-        return self._place
+        self.size = store.size(name)
 
     def readinto(self, buffer: bytearray | memoryview, /) -> int:  # type: ignore[override]
-        length = min(len(buffer), self._size - self._place)
+        length = min(len(buffer), self.size - self._place)
         if length <= 0:
             return 0
         buffer[:length] = self._store.fetch(self._name, self._place, length)

@@ -159,36 +159,11 @@ class EncryptingFile(io.RawIOBase):
         self._number += 1
 
 
-class DecryptedFile(io.RawIOBase):
-    """Reads an encrypted file from any place; what is not as it was written is refused."""
+class SeekableFile(io.RawIOBase):
+    """A file of `size` bytes that is read from any place."""
 
-    def __init__(self, source: BinaryIO, keys: KeyFile) -> None:
-        self._source = source
-        source.seek(0)
-        header = bytes(source.read(HEADER_BYTES))
-        if len(header) < HEADER_BYTES or not header.startswith(MAGIC):
-            raise RefusedInputError("This file is not encrypted by Boresight: use it as it was written.")
-        self.key_id = header[len(MAGIC) :][:ID_BYTES].decode("ascii", "replace")
-        self._cipher = _cipher(keys.find(self.key_id), header)
-        stored = source.seek(0, os.SEEK_END) - HEADER_BYTES
-        self._last = max(-(-stored // STORED_BYTES) - 1, 0)
-        self._kept: tuple[int, bytes] = (-1, b"")
-        self._place = 0
-        self.size = stored - (self._last + 1) * TAG_BYTES
-        self._piece(self._last)  # cut off anywhere, it is refused at once
-
-    def _piece(self, number: int) -> bytes:
-        if self._kept[0] != number:
-            self._source.seek(HEADER_BYTES + number * STORED_BYTES)
-            stored = bytes(self._source.read(STORED_BYTES))
-            try:
-                piece = self._cipher.decrypt(_nonce(number, last=number == self._last), stored, None)
-            except InvalidTag as error:
-                raise RefusedInputError(
-                    "The encrypted file was altered, cut off or not written to its end: use another backup."
-                ) from error
-            self._kept = number, piece
-        return self._kept[1]
+    size: int
+    _place = 0
 
     def readable(self) -> bool:
         """It can be read."""
@@ -206,6 +181,37 @@ class DecryptedFile(io.RawIOBase):
         """Go to a place."""
         self._place = max(offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._place, os.SEEK_END: self.size}[whence], 0)
         return self._place
+
+
+class DecryptedFile(SeekableFile):
+    """Reads an encrypted file from any place; what is not as it was written is refused."""
+
+    def __init__(self, source: BinaryIO, keys: KeyFile) -> None:
+        self._source = source
+        source.seek(0)
+        header = bytes(source.read(HEADER_BYTES))
+        if len(header) < HEADER_BYTES or not header.startswith(MAGIC):
+            raise RefusedInputError("This file is not encrypted by Boresight: use it as it was written.")
+        self.key_id = header[len(MAGIC) :][:ID_BYTES].decode("ascii", "replace")
+        self._cipher = _cipher(keys.find(self.key_id), header)
+        stored = source.seek(0, os.SEEK_END) - HEADER_BYTES
+        self._last = max(-(-stored // STORED_BYTES) - 1, 0)
+        self._kept: tuple[int, bytes] = (-1, b"")
+        self.size = stored - (self._last + 1) * TAG_BYTES
+        self._piece(self._last)  # cut off anywhere, it is refused at once
+
+    def _piece(self, number: int) -> bytes:
+        if self._kept[0] != number:
+            self._source.seek(HEADER_BYTES + number * STORED_BYTES)
+            stored = bytes(self._source.read(STORED_BYTES))
+            try:
+                piece = self._cipher.decrypt(_nonce(number, last=number == self._last), stored, None)
+            except InvalidTag as error:
+                raise RefusedInputError(
+                    "The encrypted file was altered, cut off or not written to its end: use another backup."
+                ) from error
+            self._kept = number, piece
+        return self._kept[1]
 
     def readinto(self, buffer: Buffer, /) -> int:
         """Fill a buffer as far as the file goes."""

@@ -59,7 +59,7 @@ def _content(path: Path, changed_ns: int) -> Content:  # noqa: ARG001 - the time
     return Content(plain, compressed, media_type, hashlib.sha256(plain).hexdigest()[:32])
 
 
-def _place(name: str) -> Path:
+def _file_path(name: str) -> Path:
     """Return the file of a name inside the static folder; refuse names outside it."""
     if name in SHIPPED:
         return SHIPPED[name]
@@ -100,7 +100,7 @@ def _inside(top: Path, name: str, otherwise: str) -> Path:
 @router.get("/static/{name:path}", name="static")
 def static_file(name: str, request: Request) -> Response:
     """Send a static file, or 304 if the browser's copy is current."""
-    return _send(_place(name), request)
+    return _send(_file_path(name), request)
 
 
 @router.get("/docs", name="documentation")

@@ -32,6 +32,7 @@ from boresight.errors import RefusedInputError
 from boresight.estimation.attitude import conjugate, product
 from boresight.telemetry.imports.ephemerides import Attitudes, Orbit, is_aem, read_aem, read_orbit
 from boresight.telemetry.imports.profile import Axis, Profile, Quaternion
+from boresight.telemetry.imports.recognition import recognise_table
 from boresight.telemetry.imports.tables import MOST_BYTES, SourceTable, read_source
 from boresight.telemetry.imports.times import read_constant, read_times, tell_leap_seconds
 from boresight.telemetry.read.checks import Checks, Faults, floats, integers, scale_quaternions, texts
@@ -895,11 +896,8 @@ def import_by_likeliest(
     orbit: SourceFile | None = None,
     time: str | None = None,
     limits: Limits = LIMITS,
-) -> list[Imported]:
-    """Import a file by every profile that reads it, the likeliest first.
-
-    A profile that names more of a file's columns says more of what they mean; of two that name as many, the one that finds more of
-    what telemetry has is better, then the one that is offered first.
+) -> Imported:
+    """Import a file by the likeliest profile that reads it, as `Recognised.rank` orders them; then by any other.
 
     Raises
     ------
@@ -911,13 +909,12 @@ def import_by_likeliest(
             f"{file.name} has more than {MOST_BYTES_RECOGNISED / 1e6:.0f} MB, too many to try every mapping profile on: choose its "
             "profile yourself."
         )
-    found = []
-    for profile in profiles:
+    found = recognise_table(file.path, file.name)
+    likely = [] if found is None else found.rank(profiles)
+    for profile in [*likely, *(one for one in profiles if one not in likely)]:
         with suppress(RefusedInputError):
-            found.append(import_files([file], profile, sensor=sensor, orbit=orbit, time=time, limits=limits))
-    if not found:
-        raise RefusedInputError(
-            f"No mapping profile reads {file.name}: save one that names its columns, or upload it without a preview if it has "
-            "Boresight's own columns or is an image."
-        )
-    return sorted(found, key=lambda one: (len(one.unused), -len(one.meanings)))
+            return import_files([file], profile, sensor=sensor, orbit=orbit, time=time, limits=limits)
+    raise RefusedInputError(
+        f"No mapping profile reads {file.name}: save one that names its columns, or upload it without a preview if it has "
+        "Boresight's own columns or is an image."
+    )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -86,9 +86,14 @@ class Recognised:
     @property
     def profile(self) -> Profile | None:
         """The built-in profile that fits best; None where none does."""
-        found = [(score, place, one) for place, one in enumerate(BUILT_IN.values()) if (score := self._score(one)) > 0]
+        return next(iter(self.rank(BUILT_IN.values())), None)
+
+    def rank(self, profiles: Iterable[Profile]) -> list[Profile]:
+        """Return the profiles that fit, the likeliest first: that finds most columns, has the file's suffix, came last."""
+        found = [(score, place, one) for place, one in enumerate(profiles) if (score := self._score(one)) > 0]
         suffix = Path(self.name).suffix.lower().removeprefix(".") or "-"
-        return max(found, key=lambda one: (one[0], one[2].name.endswith(suffix), one[1]))[2] if found else None
+        found.sort(key=lambda one: (one[0], one[2].name.endswith(suffix), one[1]), reverse=True)
+        return [one for _, _, one in found]
 
     def _score(self, profile: Profile) -> int:
         """Count the columns of a profile that are there; 0 where one that it needs is not, or the layout is another."""

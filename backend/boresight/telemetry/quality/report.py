@@ -7,7 +7,7 @@
     warnings            sentences of the findings that are not NORMAL, worst first
     findings            [{code, severity, sentence, count, rows}], worst first; rows are the first 20, as an editor counts
     frames exposures stars matched unmatched unmatched_share usable
-                        counts; usable = can take part in a calibration (`evidence`)
+                        counts; usable = can take part in a calibration
     usable_exposures usable_frames
                         exposures with four usable stars or more, and frames with such an exposure
     time                {start_utc, end_utc, span_s, median_interval_s, gap_count,

@@ -49,13 +49,13 @@ class Faults:
         self._kept: list[Fault] = []
         self._last: int | None = None  # row from which on a fault is none of the first, once there are enough
 
-    def add(self, detail: str, *, column: str | None = None, row: int | None = None) -> None:
-        """Add one fault; `row` as an editor counts."""
+    def add(self, detail: str, *, column: str | None = None, row: int | None = None, name: str = "") -> None:
+        """Add one fault; `row` as an editor counts, `name` of the field that it is about."""
         self.count += 1
         if self.count > MOST_COUNTED:
             self.refuse()
         if self._last is None or (row or 0) < self._last:
-            self._keep([Fault(row, column, detail)])
+            self._keep([Fault(row, column, detail, name)])
 
     def place(self, entry: int, column: str | None = None) -> tuple[int, str | None]:
         """Return row, as an editor counts, and column of an entry."""

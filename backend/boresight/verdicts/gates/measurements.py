@@ -118,14 +118,14 @@ class GateInputs:
 
     def read_covariance(self, document: Document) -> FloatArray:
         """Spread a set's covariance over all parameters, (n_parameters, n_parameters) SI, 0 for those it held fixed."""
-        return self._spread(document["covariance"])
+        return self._fill_in(document["covariance"])
 
     def read_reliable_covariance(self, document: Document) -> FloatArray:
         """The same of the covariance to decide by: with misfit where the set has it, else of noise alone."""
         misfit = document.get("misfit")
-        return self._spread(document["covariance"] if misfit is None else misfit["covariance"])
+        return self._fill_in(document["covariance"] if misfit is None else misfit["covariance"])
 
-    def _spread(self, covariance: Mapping[str, Any]) -> FloatArray:
+    def _fill_in(self, covariance: Mapping[str, Any]) -> FloatArray:
         places = [self.names.index(name) for name in covariance["names"]]
         P = np.zeros((len(self.names),) * 2)
         P[np.ix_(places, places)] = np.array(covariance["matrix"], np.float64).reshape(len(places), len(places))

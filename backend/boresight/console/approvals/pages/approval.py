@@ -61,7 +61,7 @@ from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.answers import make_four_views
-from boresight.verdicts.gates.judgement import STATUSES
+from boresight.verdicts.gates.judgement import STATUSES, GateReport
 
 MEANINGS = {
     "APPROVE": "I reviewed the evidence and approve this set for baseline",
@@ -226,12 +226,12 @@ REQUESTS = Table(
 
 @dataclass(frozen=True)
 class InboxRow:
-    """One row of the inbox: a request, its set, its verdict, and why the reader may not sign it."""
+    """One row of the inbox: a request, its set, its gates, and why the reader may not sign it."""
 
     approval: Approval
     parameter_set: ParameterSet
     submitter: str
-    verdict: str | None
+    gates: GateReport | None
     signed: int
     blocked: str | None
 
@@ -279,7 +279,7 @@ def _csv_row(entry: InboxRow) -> Beside:
         entry.approval,
         request=entry.approval.id,
         set=entry.parameter_set.name,
-        verdict=entry.verdict,
+        verdict=None if entry.gates is None else entry.gates.words,
         submitted_by=entry.submitter,
         signed=entry.signed,
     )

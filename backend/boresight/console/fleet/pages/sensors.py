@@ -198,7 +198,7 @@ class Proposal:
 
     def is_faulty(self, name: str) -> bool:
         """Whether a fault names a field."""
-        return any(str(one).removeprefix("site.").startswith(f"{name} ") for one in self.faults)
+        return any(one.name == name for one in self.faults)
 
     @property
     def on_the_ground(self) -> bool:

@@ -192,13 +192,13 @@ class _Ranks:
 
     def find(self, exposure: IntArray, row_cell: IntArray, col_cell: IntArray) -> tuple[IntArray, IntArray]:
         """First entry of cells (n,), and how many they hold."""
-        (row, row_there), (col, col_there) = _place(self._rows, row_cell), _place(self._cols, col_cell)
-        key, there = _place(self._keys, self._key(exposure, row, col))
+        (row, row_there), (col, col_there) = _look_up(self._rows, row_cell), _look_up(self._cols, col_cell)
+        key, there = _look_up(self._keys, self._key(exposure, row, col))
         there &= row_there & col_there
         return self._begins[key], np.where(there, self.count[key], 0)
 
 
-def _place(known: IntArray, wanted: IntArray) -> tuple[IntArray, BoolArray]:
+def _look_up(known: IntArray, wanted: IntArray) -> tuple[IntArray, BoolArray]:
     """Places of values among sorted ones, and whether they are there."""
     place = np.minimum(np.searchsorted(known, wanted), max(len(known) - 1, 0))
     return place, known[place] == wanted
