@@ -2,6 +2,8 @@
 
 import gc
 import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from itertools import count
 from pathlib import Path
@@ -26,6 +28,8 @@ hypothesis.settings.register_profile("full", hypothesis.settings(), deadline=Non
 hypothesis.settings.register_profile("search", hypothesis.settings(), deadline=None, max_examples=2000)
 _numbers = count(1)
 TESTS = Path(__file__).parent
+OF_RUNS = ("test_every_page.py", "test_figures.py", "test_first_start.py", "test_paper.py", "test_run_page.py")
+OF_THE_SITE = ("tests/browser/test_documentation_pages.py", "tests/test_documentation_site.py")
 FIRST = ("browser", "workers", "test_new_things.py", "benchmarks", "transitions", "test_wheel.py")  # takes longest
 
 
@@ -54,8 +58,15 @@ def product_hashes(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class ByFile(LoadScopeScheduling):
+    """A file in one process; those of the browser in two, each with one installation, and those that need the built site."""
+
     def _split_scope(self, nodeid: str) -> str:
-        return "tests/browser" if nodeid.startswith("tests/browser/") else nodeid.partition("::")[0]
+        file = nodeid.partition("::")[0]
+        if file in OF_THE_SITE:
+            return "the documentation's site"
+        if file.startswith("tests/browser/"):
+            return "tests/browser: of runs" if Path(file).name in OF_RUNS else "tests/browser"
+        return file
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> ByFile:
@@ -105,6 +116,20 @@ def catalogue(catalogue_folder: Path) -> Catalogue:
 @pytest.fixture(scope="session")
 def deep_catalogue() -> Catalogue:
     return load_catalogue(None, magnitude_limit=12.0)
+
+
+@pytest.fixture(scope="session")
+def built_site(tmp_path_factory: pytest.TempPathFactory, pytestconfig: pytest.Config) -> Path:
+    """The site; its notebooks are executed under --full, and by `tests/library/test_documentation.py` always."""
+    place = tmp_path_factory.mktemp("documentation")
+    options = () if pytestconfig.getoption("--full") else ("-D", "execute_notebooks=0")
+    words = [sys.executable, "-m", "sphinx", "--quiet", "--fail-on-warning", "--keep-going", *options]
+    done = subprocess.run(
+        [*words, "-d", str(place / "doctrees"), str(TESTS.parent / "docs"), str(place / "site")],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return place / "site"
 
 
 @pytest.fixture(scope="session")
