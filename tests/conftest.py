@@ -2,6 +2,7 @@
 
 import gc
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -13,11 +14,16 @@ import hypothesis
 import pytest
 from xdist.scheduler import LoadScopeScheduling
 
-from boresight.platform.db.sessions import Engine, open_engine
+from boresight.platform.db.sessions import Engine
 from boresight.sky.catalogue import Catalogue, load_catalogue
 from tests import effort, stores
 from tests import postgresql as postgresql_programs
 from tests.passwords import PRODUCT, use_hasher
+
+# What a test writes need not survive it, and so waits for no disk where the memory has room for it.
+MEMORY, ROOM_BYTES = "/dev/shm", 8 * 2**30  # noqa: S108 - pytest makes a folder of its own in it
+if os.access(MEMORY, os.W_OK) and shutil.disk_usage(MEMORY).free > ROOM_BYTES:
+    os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", MEMORY)
 
 gc.disable()  # until the tests are collected: what is collected stays, and looking through it takes a third of the time
 
@@ -77,10 +83,11 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> ByFile:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     place = {name: number for number, name in enumerate(FIRST)}
     items.sort(key=lambda item: place.get(item.path.relative_to(TESTS).parts[0], len(FIRST)))
-    slow = pytest.mark.skip(reason="takes its time; run it with --full")
-    for item in items:
-        if "full" in item.keywords and not config.getoption("--full"):
+    if not config.getoption("--full"):
+        slow = pytest.mark.skip(reason="takes its time; run it with --full")
+        for item in (*(item for item in items if "full" in item.keywords), *effort.beyond_few(items)):
             item.add_marker(slow)
+    for item in items:
         about = item.get_closest_marker("sqlite")
         if about is not None and stores.on_postgresql():
             item.add_marker(pytest.mark.skip(reason=f"about SQLite itself: {about.args[0]}"))
@@ -143,15 +150,11 @@ def real_sky() -> Path:
 
 @pytest.fixture
 def postgresql() -> Iterator[Engine]:
-    server, name = postgresql_programs.server(), f"of-a-test-{next(_numbers)}"
-    engine = open_engine(server.make(name))
-    yield engine
-    engine.dispose()
-    server.drop(name)
+    with stores.own("postgresql", Path(f"of-a-test-{next(_numbers)}")) as engine:
+        yield engine
 
 
 @pytest.fixture
 def sqlite(tmp_path: Path) -> Iterator[Engine]:
-    engine = stores.open_migrated(f"sqlite:///{tmp_path}/store.sqlite3")
-    yield engine
-    engine.dispose()
+    with stores.own("sqlite", tmp_path) as engine:
+        yield engine

@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from tests.browser.window import SCREENSHOTS, Window
+from tests.browser.window import Window
 from tests.effort import few_of
 
 pytestmark = pytest.mark.browser
@@ -41,7 +41,7 @@ def test_a_page_of_the_documentation_fits_and_keeps_nobody_out(browser, address,
     for name in PAGES:
         answer = window.page.goto(f"{address}/{name}.html")
         assert answer.status == 200, name
-        window.page.screenshot(path=SCREENSHOTS / f"documentation-{name.replace('/', '-')}-{width}.png")
+        window.keep(f"documentation-{name.replace('/', '-')}-{width}", whole=False)
         found[name] = (window.page.evaluate(SIDEWAYS_PX), window.barriers())
     context.close()
     assert found == dict.fromkeys(PAGES, (0, []))
