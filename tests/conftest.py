@@ -2,6 +2,9 @@
 
 import gc
 import os
+import shutil
+import subprocess
+import sys
 from collections.abc import Iterator
 from itertools import count
 from pathlib import Path
@@ -11,11 +14,16 @@ import hypothesis
 import pytest
 from xdist.scheduler import LoadScopeScheduling
 
-from boresight.platform.db.sessions import Engine, open_engine
+from boresight.platform.db.sessions import Engine
 from boresight.sky.catalogue import Catalogue, load_catalogue
 from tests import effort, stores
 from tests import postgresql as postgresql_programs
 from tests.passwords import PRODUCT, use_hasher
+
+# What a test writes need not survive it, and so waits for no disk where the memory has room for it.
+MEMORY, ROOM_BYTES = "/dev/shm", 8 * 2**30  # noqa: S108 - pytest makes a folder of its own in it
+if os.access(MEMORY, os.W_OK) and shutil.disk_usage(MEMORY).free > ROOM_BYTES:
+    os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", MEMORY)
 
 gc.disable()  # until the tests are collected: what is collected stays, and looking through it takes a third of the time
 
@@ -26,6 +34,8 @@ hypothesis.settings.register_profile("full", hypothesis.settings(), deadline=Non
 hypothesis.settings.register_profile("search", hypothesis.settings(), deadline=None, max_examples=2000)
 _numbers = count(1)
 TESTS = Path(__file__).parent
+OF_RUNS = ("test_every_page.py", "test_figures.py", "test_first_start.py", "test_paper.py", "test_run_page.py")
+OF_THE_SITE = ("tests/browser/test_documentation_pages.py", "tests/test_documentation_site.py")
 FIRST = ("browser", "workers", "test_new_things.py", "benchmarks", "transitions", "test_wheel.py")  # takes longest
 
 
@@ -54,8 +64,15 @@ def product_hashes(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class ByFile(LoadScopeScheduling):
+    """A file in one process; those of the browser in two, each with one installation, and those that need the built site."""
+
     def _split_scope(self, nodeid: str) -> str:
-        return "tests/browser" if nodeid.startswith("tests/browser/") else nodeid.partition("::")[0]
+        file = nodeid.partition("::")[0]
+        if file in OF_THE_SITE:
+            return "the documentation's site"
+        if file.startswith("tests/browser/"):
+            return "tests/browser: of runs" if Path(file).name in OF_RUNS else "tests/browser"
+        return file
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> ByFile:
@@ -66,10 +83,11 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> ByFile:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     place = {name: number for number, name in enumerate(FIRST)}
     items.sort(key=lambda item: place.get(item.path.relative_to(TESTS).parts[0], len(FIRST)))
-    slow = pytest.mark.skip(reason="takes its time; run it with --full")
-    for item in items:
-        if "full" in item.keywords and not config.getoption("--full"):
+    if not config.getoption("--full"):
+        slow = pytest.mark.skip(reason="takes its time; run it with --full")
+        for item in (*(item for item in items if "full" in item.keywords), *effort.beyond_few(items)):
             item.add_marker(slow)
+    for item in items:
         about = item.get_closest_marker("sqlite")
         if about is not None and stores.on_postgresql():
             item.add_marker(pytest.mark.skip(reason=f"about SQLite itself: {about.args[0]}"))
@@ -108,6 +126,20 @@ def deep_catalogue() -> Catalogue:
 
 
 @pytest.fixture(scope="session")
+def built_site(tmp_path_factory: pytest.TempPathFactory, pytestconfig: pytest.Config) -> Path:
+    """The site; its notebooks are executed under --full, and by `tests/library/test_documentation.py` always."""
+    place = tmp_path_factory.mktemp("documentation")
+    options = () if pytestconfig.getoption("--full") else ("-D", "execute_notebooks=0")
+    words = [sys.executable, "-m", "sphinx", "--quiet", "--fail-on-warning", "--keep-going", *options]
+    done = subprocess.run(
+        [*words, "-d", str(place / "doctrees"), str(TESTS.parent / "docs"), str(place / "site")],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return place / "site"
+
+
+@pytest.fixture(scope="session")
 def real_sky() -> Path:
     beside = TESTS.parents[1] / "shared/data/real-sky"
     folder = Path(os.environ.get("BORESIGHT_REAL_SKY", beside))
@@ -118,15 +150,11 @@ def real_sky() -> Path:
 
 @pytest.fixture
 def postgresql() -> Iterator[Engine]:
-    server, name = postgresql_programs.server(), f"of-a-test-{next(_numbers)}"
-    engine = open_engine(server.make(name))
-    yield engine
-    engine.dispose()
-    server.drop(name)
+    with stores.own("postgresql", Path(f"of-a-test-{next(_numbers)}")) as engine:
+        yield engine
 
 
 @pytest.fixture
 def sqlite(tmp_path: Path) -> Iterator[Engine]:
-    engine = stores.open_migrated(f"sqlite:///{tmp_path}/store.sqlite3")
-    yield engine
-    engine.dispose()
+    with stores.own("sqlite", tmp_path) as engine:
+        yield engine

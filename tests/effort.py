@@ -1,6 +1,7 @@
 """How much a test tries: enough to fail where something is wrong, and with `--full` what can be waited for once."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import groupby
 from typing import Any
 
 import pytest
@@ -19,3 +20,13 @@ def effort(few: int, many: int) -> int:
 def few_of(values: Sequence[Any], few: int) -> list[Any]:
     """The values of a parametrised test, of which all but the first `few` are tried with `--full`."""
     return [*values[:few], *(pytest.param(value, marks=pytest.mark.full) for value in values[few:])]
+
+
+def beyond_few(items: Sequence[pytest.Item]) -> Iterator[pytest.Item]:
+    """The cases of tests marked `few(count)` that are left to `--full`: what stays is chosen evenly among the others."""
+    marked = [item for item in items if item.get_closest_marker("few") and "full" not in item.keywords]
+    for _, group in groupby(marked, lambda item: item.nodeid.partition("[")[0]):
+        cases = list(group)
+        count = cases[0].get_closest_marker("few").args[0]  # type: ignore[union-attr]  # is marked
+        kept = {place * len(cases) // count for place in range(count)}
+        yield from (case for place, case in enumerate(cases) if place not in kept)

@@ -23,6 +23,7 @@ from sqlalchemy.orm import Session
 
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import CalibrationSettings
+from boresight.console.jobs import alignment_thread
 from boresight.console.runs.queries import Line, write_event
 from boresight.console.runs.tables import Run
 from boresight.platform.actors import SYSTEM
@@ -51,6 +52,7 @@ PEOPLE = {
 }
 SCENARIO = dataclasses.replace(calibration_scenario(1), frames=30)
 _numbers = itertools.count(100)
+alignment_thread.ROUND_S = 0.05  # the tests ask for an alignment and wait for it
 PLAIN = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)  # no TLS here, and reading who is trusted takes 20 ms
 
 

@@ -49,6 +49,17 @@ def open_migrated(url: str) -> Engine:
     return open_engine(url)
 
 
+@contextmanager
+def own(kind: str, folder: Path) -> Iterator[Engine]:
+    """A migrated store on SQLite or PostgreSQL, whichever is asked for and whatever was chosen."""
+    name = _name(folder)
+    engine = open_migrated(f"sqlite:///{folder}/store.sqlite3" if kind == "sqlite" else server().make(name))
+    yield engine
+    engine.dispose()
+    if kind == "postgresql":
+        server().drop(name)
+
+
 @cache
 def _migrated() -> bytes:
     with tempfile.TemporaryDirectory() as folder:

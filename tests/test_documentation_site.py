@@ -54,26 +54,9 @@ class Page(HTMLParser):
             self.images_without_text.append(str(has.get("src")))
 
 
-def build(place: Path, *options: str) -> Path:
-    words = [sys.executable, "-m", "sphinx", "--quiet", "--fail-on-warning", "--keep-going", *options]
-    done = subprocess.run(
-        [*words, "-d", str(place / "doctrees"), str(DOCS), str(place / "site")],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    return place / "site"
-
-
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Path:
-    """The site; its notebooks are executed under --full, and by `tests/library/test_documentation.py` always."""
-    options = () if request.config.getoption("--full") else ("-D", "execute_notebooks=0")
-    return build(tmp_path_factory.mktemp("documentation"), *options)
-
-
-@pytest.fixture(scope="module")
-def pages(site: Path) -> dict[Path, Page]:
-    return {path: Page(path.read_text(encoding="utf-8")) for path in site.rglob("*.html")}
+def pages(built_site: Path) -> dict[Path, Page]:
+    return {path: Page(path.read_text(encoding="utf-8")) for path in built_site.rglob("*.html")}
 
 
 def _local(pages: dict[Path, Page]) -> Iterator[tuple[Path, str, Path, str]]:
@@ -99,11 +82,11 @@ def test_every_link_leads_to_a_file_of_the_site_and_every_place_in_it_stands_the
     assert nowhere == []
 
 
-def test_a_page_loads_nothing_from_elsewhere_and_holds_no_script_or_style_of_its_own(pages, site):
+def test_a_page_loads_nothing_from_elsewhere_and_holds_no_script_or_style_of_its_own(pages, built_site):
     loaded = [
         (path.name, one) for path, page in pages.items() for tag, one in page.addresses if tag != "a" and "//" in one
     ]
-    sheets = "".join(path.read_text(encoding="utf-8") for path in site.rglob("*.css"))
+    sheets = "".join(path.read_text(encoding="utf-8") for path in built_site.rglob("*.css"))
     assert loaded == []
     assert {path.name: page.inline for path, page in pages.items() if page.inline} == {}
     assert re.findall(r"url\(['\"]?(?:https?:)?//", sheets) == []
@@ -113,14 +96,14 @@ def test_every_picture_says_what_it_shows(pages):
     assert {path.name: page.images_without_text for path, page in pages.items() if page.images_without_text} == {}
 
 
-def test_no_formula_is_left_as_it_was_typed(site):
+def test_no_formula_is_left_as_it_was_typed(built_site):
     left = [
         (path.name, found)
-        for path in site.rglob("*.html")
+        for path in built_site.rglob("*.html")
         for found in re.findall(r"\$[^$\n<>]*\\[^$\n<>]*\$", CODE.sub("", path.read_text(encoding="utf-8")))
     ]
     assert left == []
-    assert any('class="katex"' in path.read_text(encoding="utf-8") for path in site.rglob("*.html"))
+    assert any('class="katex"' in path.read_text(encoding="utf-8") for path in built_site.rglob("*.html"))
 
 
 def test_every_picture_of_a_page_is_one_that_the_script_takes_and_every_chart_one_of_the_gallery():
@@ -134,19 +117,19 @@ def test_every_picture_of_a_page_is_one_that_the_script_takes_and_every_chart_on
     assert charts <= set(FIGURES)
 
 
-def test_every_document_of_the_folder_is_a_page(site):
+def test_every_document_of_the_folder_is_a_page(built_site):
     sources = [
         path.relative_to(DOCS).with_suffix(".html") for path in DOCS.rglob("*") if path.suffix in {".md", ".ipynb"}
     ]
-    assert [str(name) for name in sources if not (site / name).is_file()] == []
+    assert [str(name) for name in sources if not (built_site / name).is_file()] == []
 
 
-def test_every_alarm_has_its_place_in_the_guide(pages, site):
-    guide = pages[site / "how-to" / "respond-to-an-alarm.html"]
+def test_every_alarm_has_its_place_in_the_guide(pages, built_site):
+    guide = pages[built_site / "how-to" / "respond-to-an-alarm.html"]
     assert {kind.lower() for kind in ALARM_KINDS} <= guide.names
 
 
-def test_every_gate_and_every_finding_on_telemetry_has_its_place_in_a_guide_and_pages_link_to_it(pages, site):
+def test_every_gate_and_every_finding_on_telemetry_has_its_place_in_a_guide_and_pages_link_to_it(pages, built_site):
     calls = [
         node
         for path in (ROOT / "backend" / "boresight").rglob("*.py")
@@ -157,9 +140,9 @@ def test_every_gate_and_every_finding_on_telemetry_has_its_place_in_a_guide_and_
     words = {str(one.value) for one in within if isinstance(one, ast.Constant)} - set(SEVERITIES)
     codes = {f"finding-{word.lower().replace('_', '-')}" for word in words if word.isupper()}
     assert len(codes) > 30
-    assert codes - pages[site / "how-to" / "respond-to-a-finding.html"].names == set()
+    assert codes - pages[built_site / "how-to" / "respond-to-a-finding.html"].names == set()
     gates = {f"gate-{name}" for name in GATES}
-    assert gates - pages[site / "how-to" / "respond-to-a-gate.html"].names == set()
+    assert gates - pages[built_site / "how-to" / "respond-to-a-gate.html"].names == set()
     templates = ROOT / "frontend" / "templates"
     for name, guide in {
         "approvals/approval.html": "respond-to-a-gate.html#gate-",
@@ -169,7 +152,7 @@ def test_every_gate_and_every_finding_on_telemetry_has_its_place_in_a_guide_and_
         assert f"/docs/how-to/{guide}" in (templates / name).read_text(encoding="utf-8")
 
 
-def test_every_kind_of_advice_is_used_and_has_its_place_in_the_guide(pages, site):
+def test_every_kind_of_advice_is_used_and_has_its_place_in_the_guide(pages, built_site):
     calls = [
         node
         for path in (ROOT / "backend" / "boresight").rglob("*.py")
@@ -180,7 +163,7 @@ def test_every_kind_of_advice_is_used_and_has_its_place_in_the_guide(pages, site
     of_marks = {mark.name for mark in (*make_verdict_marks(EXAMPLE), *trust_marks(EXAMPLE))} - {"fit"}
     assert ADVICE_KINDS.keys() <= used | of_marks | {"running", "ground_calibration"}
     assert of_marks | {status for status, level in LEVEL_OF_STATUS.items() if level != "normal"} <= ADVICE_KINDS.keys()
-    guide = pages[site / "how-to" / "respond-to-advice.html"]
+    guide = pages[built_site / "how-to" / "respond-to-advice.html"]
     codes = [*ADVICE_KINDS, *(f"{CAUSE}{name}" for name in (*CAUSES, UNKNOWN.name))]
     assert {f"advice-{code.replace('_', '-')}" for code in codes} - guide.names == set()
     (linked,) = re.findall(r"/docs/how-to/respond-to-advice.html#advice-{{ ([^}]*) }}", REVIEW)

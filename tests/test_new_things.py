@@ -19,6 +19,8 @@ from numba.core.caching import UserProvidedCacheLocator
 from boresight.cameras import CAMERA_MODELS
 from boresight.kernels import compilation
 
+pytestmark = pytest.mark.full
+
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
 PACKAGE = "backend/boresight"

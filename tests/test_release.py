@@ -140,6 +140,7 @@ def test_a_release_with_a_known_flaw_is_refused(tmp_path):
     assert not (tmp_path / "dist").exists()
 
 
+@pytest.mark.full
 def test_a_release_is_signed_and_its_sums_cover_every_file(tmp_path):
     key, out = SigningKey(tmp_path / "release.key"), tmp_path / "dist"
     key.load()

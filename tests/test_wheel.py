@@ -153,6 +153,7 @@ def test_the_installed_command_helps_and_tells_its_version(installed):
     assert boresight.__version__ in installed.run("boresight", "--version")
 
 
+@pytest.mark.full
 def test_migrations_run_from_the_wheel_up_and_down(installed):
     up = installed.run("boresight", "migrate")
     down = installed.run("boresight", "migrate", "--down", "base")
@@ -167,6 +168,7 @@ def test_figures_come_from_the_wheel(installed):
     assert names.split() == list(FIGURES)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("path", "kind", "least_bytes"),
     [

@@ -23,6 +23,7 @@ CONTRACT = {
 }  # fmt: skip
 
 
+@pytest.mark.full
 def test_the_contract_s_keys_are_there_and_every_ratio_is_a_peer_over_the_loop_that_does_its_work(monkeypatch):
     for name in (
         "EVALUATION_TURNS",

@@ -99,6 +99,7 @@ def test_of_many_runs_what_is_compared_and_the_reference_stay_in_sight_while_the
     people, batch_run, sequential_run
 ):
     with people.seat("analyst") as window:
+        window.leave_figures_out()
         window.open(f"/compare?runs={batch_run},{sequential_run}&overlay=table&all=1")
         window.page.evaluate(WIDEN, COLUMNS)
         for width in (1280, 1920):

@@ -37,6 +37,7 @@ def test_an_operation_is_tried_with_a_log_in_and_its_token(documentation):
     assert headers["x-csrf-token"]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("documentation", [None], indirect=True)
 def test_an_operation_is_tried_with_a_key(documentation, key):
     documentation.page.locator("button.authorize").first.press("Enter")

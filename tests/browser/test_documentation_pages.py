@@ -3,13 +3,11 @@
 import functools
 import http.server
 import threading
-from pathlib import Path
 
 import pytest
 
-from tests.browser.window import SCREENSHOTS, Window
+from tests.browser.window import Window
 from tests.effort import few_of
-from tests.test_documentation_site import build
 
 pytestmark = pytest.mark.browser
 PAGES = (
@@ -26,9 +24,9 @@ class Quiet(http.server.SimpleHTTPRequestHandler):
 
 
 @pytest.fixture(scope="module")
-def address(tmp_path_factory):
-    site: Path = build(tmp_path_factory.mktemp("documentation"), "-D", "execute_notebooks=0")
-    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Quiet, directory=str(site)))
+def address(built_site):
+    quiet = functools.partial(Quiet, directory=str(built_site))
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), quiet)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     yield f"http://127.0.0.1:{server.server_port}"
     server.shutdown()
@@ -43,7 +41,7 @@ def test_a_page_of_the_documentation_fits_and_keeps_nobody_out(browser, address,
     for name in PAGES:
         answer = window.page.goto(f"{address}/{name}.html")
         assert answer.status == 200, name
-        window.page.screenshot(path=SCREENSHOTS / f"documentation-{name.replace('/', '-')}-{width}.png")
+        window.keep(f"documentation-{name.replace('/', '-')}-{width}", whole=False)
         found[name] = (window.page.evaluate(SIDEWAYS_PX), window.barriers())
     context.close()
     assert found == dict.fromkeys(PAGES, (0, []))

@@ -105,7 +105,7 @@ def test_a_live_chart_says_its_frame_and_is_renewed_when_it_or_its_page_comes_in
         bands = [trace["y"] for trace in window.drawn("rms") if trace["fill"] == "toself"]
         assert bands
         assert all(None not in band for band in bands)
-        for part in PARTS:
+        for part in list(PARTS)[: effort(1, None)]:
             window.begins_high(f"/runs/{run_id}?part={part}")
             expect(window.page.locator("#run-head")).to_contain_text("RUNNING")
         window.open(f"/runs/{run_id}?part=convergence")
@@ -119,14 +119,14 @@ def test_a_live_chart_says_its_frame_and_is_renewed_when_it_or_its_page_comes_in
 
 
 A4 = {"width": 718, "height": 1047}  # between margins of 10 mm
-PRINTED = ["/runs/{filter}?part=result", "/runs/{batch}?part=observability", "/runs/{filter}?part=convergence"]
+PRINTED = ["/runs/{batch}?part=observability", "/runs/{filter}?part=result", "/runs/{filter}?part=convergence"]
 PRINTED += ["/runs/{batch}?part=distortion", "/runs/{batch}?part=evidence", "/sensors/{sensor}/trend"]
 WIDTHS = """() => [...document.querySelectorAll("plot-figure .main-svg:first-child")].filter(one => one.checkVisibility())
     .map(one => [one.getBoundingClientRect().width, one.closest("plot-figure").getBoundingClientRect().width])"""
 BEFORE_PRINT = "dispatchEvent(new Event('beforeprint'))"  # as the print dialog does, before the page is laid out
 
 
-@pytest.mark.parametrize("address", few_of(PRINTED, 2))
+@pytest.mark.parametrize("address", few_of(PRINTED, 1))
 def test_figures_fit_a4_black_on_white_with_no_label_over_another(people, numbers, address):
     ink = format_rgb(TOKENS["light"]["ink-2"])
     with people.seat("analyst") as window:
@@ -177,7 +177,7 @@ def main_thread_s(link):
     return next(one["value"] for one in link.send("Performance.getMetrics")["metrics"] if one["name"] == "TaskDuration")
 
 
-@pytest.mark.parametrize("name", few_of(FIRST + OTHERS, len(FIRST)))
+@pytest.mark.parametrize("name", few_of(FIRST + OTHERS, 2))
 def test_a_page_can_be_used_after_a_second_of_its_main_thread(people, numbers, answers, name):
     with people.seat("analyst") as window:
         page = window.page

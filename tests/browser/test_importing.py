@@ -9,6 +9,7 @@ from tests.telemetry.imports.conftest import VECTORS
 pytestmark = pytest.mark.browser
 
 
+@pytest.mark.full
 def test_a_preview_stores_nothing_and_the_upload_that_follows_keeps_the_file_it_came_from(people, sensor_id):
     with people.seat("analyst") as window:
         before = window.read("/api/v1/telemetry-sets?limit=200")["items"]

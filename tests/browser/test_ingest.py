@@ -19,6 +19,7 @@ def register(window, document):
     return int(window.page.url.rpartition("/")[2])
 
 
+@pytest.mark.full
 def test_a_file_in_the_watched_folder_becomes_a_question_that_a_person_answers(people, files, installation):
     telemetry = (files / "calibration.csv").read_bytes()
     with people.seat("analyst") as window:

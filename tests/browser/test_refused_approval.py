@@ -52,6 +52,7 @@ def test_an_administrator_cannot_sign_either(people, request_id):
         expect(window.page.get_by_role("button", name="Approve")).to_be_disabled()
 
 
+@pytest.mark.full
 def test_a_wrong_password_is_refused_in_place_and_what_was_typed_stays(people, request_id):
     with people.seat("approver") as window:
         window.open(f"/approvals/{request_id}")
@@ -66,6 +67,7 @@ def test_a_wrong_password_is_refused_in_place_and_what_was_typed_stays(people, r
         window.forgive("401")
 
 
+@pytest.mark.full
 def test_a_refusal_needs_a_comment(people, request_id):
     with people.seat("approver") as window:
         window.open(f"/approvals/{request_id}")

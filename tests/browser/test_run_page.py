@@ -11,7 +11,7 @@ from boresight.console.runs.pages.run import PARTS
 from boresight.figures import CHAPTERS
 from tests.browser.window import GLANCE, PHONE
 from tests.browser.work import choose_filter, ends_as, queue
-from tests.effort import few_of
+from tests.effort import effort, few_of
 
 pytestmark = pytest.mark.browser
 
@@ -233,6 +233,7 @@ def test_the_page_can_be_read_before_its_figures_are_drawn(people, batch_run):
         window.page.unroute_all(behavior="ignoreErrors")
 
 
+@pytest.mark.full
 def test_figures_far_below_are_drawn_without_being_scrolled_to_and_folded_ones_when_they_are_unfolded(
     people, batch_run
 ):
@@ -304,7 +305,7 @@ def test_trust_appears_by_itself_when_the_run_that_is_watched_ends(people, batch
             clone(window, batch_run, pace, label)
             for pace, label in ((ONE_A_SECOND, "Has the only worker"), (FIFTY_A_SECOND, "Watched for its trust"))
         )
-        for part in PARTS:
+        for part in list(PARTS)[: effort(1, None)]:
             window.begins_high(f"/runs/{run_id}?part={part}")
             expect(window.page.locator("#run-head")).to_contain_text("QUEUED")
         open_part(window, run_id, "Evidence")

@@ -10,6 +10,7 @@ from playwright.sync_api import expect
 from boresight.console.runs.pages.run import PARTS
 from tests.browser.window import WRITES
 from tests.browser.work import choose_filter, ends_as, queue, upload
+from tests.effort import effort
 
 pytestmark = pytest.mark.browser
 
@@ -64,7 +65,7 @@ def test_a_run_whose_data_are_lost_fails_with_its_cause_and_what_to_try(people, 
         expect(window.page.get_by_role("button", name="Create parameter set")).to_have_count(0)
         expect(window.page.locator("plot-figure")).to_have_count(0)
         window.shoot("41-failed", wide=True)
-        for part in PARTS:
+        for part in list(PARTS)[: effort(1, None)]:
             window.begins_high(f"/runs/{run_id}?part={part}")
         window.open(f"/runs/{run_id}")
         head.get_by_role("link", name="Whole log").click()
@@ -154,6 +155,7 @@ def test_a_page_says_that_its_server_is_gone_holds_what_would_write_and_recovers
         window.forgive("ERR_")
 
 
+@pytest.mark.full
 def test_a_run_queued_while_the_server_is_gone_stays_a_form_and_is_queued_when_it_is_back(people, telemetry):
     with people.seat("analyst") as window:
         page = window.page

@@ -203,6 +203,10 @@ class Window:
         self.page.locator(waiting).evaluate_all("all => { for (const one of all) one.begin?.(); }")  # out of turn
         expect(self.page.locator(waiting)).to_have_count(0)
 
+    def leave_figures_out(self) -> None:
+        """Let no figure arrive at this window any more, where they are not what is looked at."""
+        self.page.route("**/figures/*", lambda _: None)
+
     def figure(self, name: str) -> Locator:
         return self.page.locator(f"#figure-{name}")
 

@@ -87,6 +87,7 @@ def by_every_method():
         yield pytest.param(model, method, marks=[] if here else pytest.mark.full)
 
 
+@pytest.mark.few(10)
 @pytest.mark.parametrize(("model", "method"), list(by_every_method()))
 def test_every_camera_by_every_method_ends_at_the_truth_as_its_sigmas_say_and_no_batch_is_called_curved(
     model, method, catalogue
@@ -104,6 +105,7 @@ def test_every_camera_by_every_method_ends_at_the_truth_as_its_sigmas_say_and_no
     assert total < chi2.ppf(0.999, sets * len(truth))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", few_of([1, 2, 3, 4], 2))
 def test_a_covariance_that_does_not_hold_is_said_with_what_to_hold_and_that_mends_it(seed, catalogue):
     model = "inverted_wang_decentred"
@@ -233,6 +235,7 @@ def real_calibrated(real_sky, catalogue):
     return lambda free, method="batch": in_memory(telemetry, sensor, catalogue, method=method, free=free)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("method", METHODS)
 def test_the_real_focal_length_is_known_to_a_pixel_and_distortion_lowers_the_rms(real_calibrated, real_sky, method):
     alone, both = (real_calibrated(free, method) for free in (("f_m",), ("f_m", "b2_per_m2")))

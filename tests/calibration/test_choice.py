@@ -143,6 +143,7 @@ OWN = (
 )
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     "place", few_of(range(len(OWN)), 5), ids=lambda place: f"{OWN[place][0]}: {', '.join(OWN[place][2])}"
 )

@@ -101,6 +101,7 @@ def test_how_centroids_are_counted_is_named_and_mended(sets, catalogue, catalogu
     np.testing.assert_allclose(mended.row_px, one.telemetry.row_px, atol=1e-6)
 
 
+@pytest.mark.full
 def test_the_real_field_from_its_middle_is_not_taken_for_a_match(sets, catalogue, catalogue_folder, real_sky):
     assert real_sky
     one = sets["real field"]
@@ -120,6 +121,7 @@ def test_centroids_off_the_detector_are_never_said_to_match(sets, catalogue, cat
     assert found.off_detector > 0.2
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("ratio", [0.5, 2.0])
 def test_a_focal_length_of_half_or_double_is_found(sets, catalogue, catalogue_folder, ratio):
     one = sets[ORBIT]

@@ -48,6 +48,7 @@ def test_stars_of_nobody_knows_where_are_recognised_through_the_air(catalogue, c
     assert found.chi2_per_dof < 1.3
 
 
+@pytest.mark.full
 def test_a_large_file_is_seen_through_the_air_as_a_set_in_memory_is(catalogue, tmp_path):
     scenario = scene(20, 60, 40, 2)
     telemetry = simulate(scenario, np.random.default_rng(2), catalogue)

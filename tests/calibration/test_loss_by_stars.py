@@ -44,6 +44,7 @@ def test_the_order_of_the_rows_does_not_matter(catalogue, stars):
         assert abs(one.parameters[name] - other.parameters[name]) < 1e-6 * one.sigma[name]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("sets", [pytest.param(5), pytest.param(200, marks=pytest.mark.full)])
 @pytest.mark.parametrize("spoil", ["nothing", "gross", "names"])
 def test_the_covariance_is_honest_on_clean_sets_and_with_every_tenth_star_wrong(catalogue, sets, spoil):
@@ -126,6 +127,7 @@ def test_the_loss_is_of_the_batch():
         CalibrationSettings.parse({"method": "sqrf", "robust": "stars"})
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("frames", "stars"), [(1, 12), (1, 30), (5, 100)])
 def test_few_exposures_reach_their_fixed_point_though_rounding_hides_the_last_of_the_way(catalogue, frames, stars):
     for seed in range(4):

@@ -101,6 +101,7 @@ def centroids(catalogue):
     return replace(stars, star_id=None, time_utc=None, ra_rad=None, dec_rad=None, quaternion=None), scenario.sensor
 
 
+@pytest.mark.full
 def test_telemetry_alone_tells_a_sensor_and_what_is_given_scales_it(centroids, catalogue, catalogue_folder):
     stars, truth = centroids
     true_px = truth.initial[0] / truth.pixel_pitch_m

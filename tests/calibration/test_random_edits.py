@@ -45,6 +45,7 @@ def test_two_thousand_edits_end_in_a_result_or_a_sentence(bases, catalogue, fold
     assert defects(range(ALL), bases, catalogue, folder) == []
 
 
+@pytest.mark.full
 def test_edits_through_the_command_line_end_with_a_result_or_a_line(bases, folder, monkeypatch):
     monkeypatch.setenv("BORESIGHT_DATA_FOLDER", str(folder))
     monkeypatch.setenv("NUMBA_CACHE_DIR", "")  # the compiled loops stay where they are

@@ -48,6 +48,7 @@ def patterns(tmp_path_factory):
     return tmp_path_factory.mktemp("patterns")
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("start", "least", "most_wrong"), [("ground", 0.97, 0.002), ("refined", 0.99, 0.001)], ids=["ground", "refined"]
 )

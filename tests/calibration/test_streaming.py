@@ -63,6 +63,7 @@ def unjudged():
         yield
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(
     ("choices", "frames"),
     [
@@ -126,6 +127,7 @@ def odd_sets():
     }
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", odd_sets())
 def test_odd_sets_give_the_same_document(name, sensor, catalogue, tmp_path):
     same_in_pieces(*written(odd_sets()[name], tmp_path), sensor, catalogue, 5, match="given")
@@ -154,6 +156,7 @@ def test_a_file_that_cannot_be_read_apart_gives_the_same_bits(sensor, catalogue,
     same_in_pieces(*whole, sensor, catalogue, 4, match="given")
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("match", ["given", "rematch"])
 @pytest.mark.parametrize("method", ["batch", "sqrf"])
 @pytest.mark.usefixtures("unjudged")
@@ -226,6 +229,7 @@ def refusals():
     }
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("rows_a_group", [100, 10_000], ids=["read apart", "read from its start"])
 @pytest.mark.parametrize("name", refusals())
 def test_what_is_refused_in_memory_is_refused_in_the_same_words(name, rows_a_group, sensor, catalogue, tmp_path):
@@ -295,6 +299,7 @@ def test_six_times_the_frames_take_no_more_memory(tmp_path):
     assert peaks[LARGE] - peaks[SMALL] < WOULD_TAKE_MB / 2
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("large_rows", [0, 10**9])
 @pytest.mark.parametrize("shared", [True, False])
 def test_a_calibration_of_a_stored_table_parses_checks_and_converts_nothing(tmp_path, catalogue, large_rows, shared):

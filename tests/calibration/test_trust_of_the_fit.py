@@ -335,7 +335,7 @@ def test_a_good_batch_is_outside_its_bounds_as_often_as_chance_and_corrected_for
     share = np.mean([part["outside_share"] for part in parts])
     assert share == pytest.approx(0.05, abs=4 * np.sqrt(0.05 * 0.95 / (60 * sets)))
     assert sum(part["consistent"] for part in parts) >= 0.75 * sets
-    grounds = [case(field(seed, frames=3), sensor, catalogue).ground for seed in range(effort(15, 40))]
+    grounds = [case(field(seed, frames=3), sensor, catalogue).ground for seed in range(effort(8, 40))]
     ground = grounds[0]
     dof = ground.sums.dof
     assert ground.sums.leverage.sum() == pytest.approx(8, rel=1e-9)

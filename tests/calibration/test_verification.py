@@ -301,6 +301,7 @@ def test_a_star_named_twice_is_found_where_it_is_in_files_too(catalogue, tmp_pat
     assert differences(one["removed"], other["removed"]) == []
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("stars", few_of([12, 4], 1))
 def test_a_set_of_wrong_identities_alone_ends_with_a_status_and_advice(catalogue, method, stars):

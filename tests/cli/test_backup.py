@@ -308,6 +308,7 @@ def _altered(archive: Path, changes: dict[str, Any]) -> bytes:
     return written.getvalue()
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(
     "changes",
     [

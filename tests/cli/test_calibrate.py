@@ -484,6 +484,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_work(match, half, 
     assert_refused(match(half[0], tmp_path / name), sentence, lines=1)
 
 
+@pytest.mark.full
 def test_telemetry_of_another_camera_is_said_to_be_that(boresight, simulated, half, tmp_path):
     document = json.loads((simulated / "sensor.json").read_text())
     document["initial"]["f_m"] *= 1.6

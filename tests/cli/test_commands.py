@@ -101,6 +101,7 @@ def test_report_of_a_run_that_is_not_stored_is_refused(store, tmp_path):
     assert_refused(store("report", "12", "--out", tmp_path / "report.html"), "12")
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("setting", "said"), [("1", False), ("0", True)])
 def test_the_report_of_a_stored_run_says_where_one_person_works_alone(
     store, calibration_result, tmp_path, monkeypatch, setting, said

@@ -220,6 +220,7 @@ def told(tmp_path_factory):
     return demonstration
 
 
+@pytest.mark.full
 def test_one_set_waits_for_a_signature_that_the_approver_may_give(told):
     with open_reading(told.engine) as session:
         (request,) = lists.list_newest(session, Approval, state="OPEN")
@@ -229,6 +230,7 @@ def test_one_set_waits_for_a_signature_that_the_approver_may_give(told):
     assert (signer.user.name, signer.refusal) == ("approver", None)
 
 
+@pytest.mark.full
 def test_one_set_is_sent_and_nothing_was_read_back(told):
     with open_reading(told.engine) as session:
         row = parameter_set_rows.find_baseline(session, told.sensor(session, 3).id)
@@ -237,6 +239,7 @@ def test_one_set_is_sent_and_nothing_was_read_back(told):
         assert session.get_known(Package, record.evidence["package"]["id"]).parameter_set_id == row.id
 
 
+@pytest.mark.full
 def test_a_year_of_passes_since_the_baseline_raised_a_drift_alarm(told):
     with open_reading(told.engine) as session:
         sensor = told.sensor(session, 4)
@@ -255,6 +258,7 @@ def test_a_year_of_passes_since_the_baseline_raised_a_drift_alarm(told):
     assert abs(slope + 3.5e-8) < 4 * sigma < 2e-8
 
 
+@pytest.mark.full
 def test_a_new_pass_of_two_sensors_is_judged_by_policies_that_were_rehearsed(told):
     with open_reading(told.engine) as session:
         found = {row.sensor_id: row for row in lists.list_newest(session, IngestDecision)}
@@ -265,6 +269,7 @@ def test_a_new_pass_of_two_sensors_is_judged_by_policies_that_were_rehearsed(tol
     assert 1 <= rehearsed["asked"] < rehearsed["sets"]
 
 
+@pytest.mark.full
 def test_one_run_failed_and_says_why(told):
     with open_reading(told.engine) as session:
         (run,) = runs.list_runs(session, state="FAILED")
@@ -272,6 +277,7 @@ def test_one_run_failed_and_says_why(told):
     assert "add a time_utc column" in run.reason
 
 
+@pytest.mark.full
 def test_what_the_people_did_is_on_record_and_holds_together(told):
     with open_reading(told.engine) as session:
         assert audit.verify(session).ok
@@ -280,6 +286,7 @@ def test_what_the_people_did_is_on_record_and_holds_together(told):
     assert ("Olga Operator", "recorded SENT for") in made
 
 
+@pytest.mark.full
 def test_a_second_start_finds_everything_done(told):
     before = told.content()
     told.create(watched=0)
@@ -287,6 +294,7 @@ def test_a_second_start_finds_everything_done(told):
     assert told.content() == before
 
 
+@pytest.mark.full
 def test_a_filter_that_was_watched_to_its_end_is_followed_by_another(told):
     told.create(watched=1)
     with open_reading(told.engine) as session:

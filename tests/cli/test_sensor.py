@@ -79,6 +79,7 @@ def test_the_real_field_calibrates_by_a_data_sheet_alone(boresight, real_sky, tm
     assert abs(document["parameters"]["f_m"] - 0.0353) < 2e-5
 
 
+@pytest.mark.full
 def test_images_alone_make_a_sensor_file_that_calibrates(boresight, folder, night, tmp_path):  # noqa: F811 - a fixture
     images, out, found = sorted(folder.glob("*.fits")), tmp_path / "sensor.json", tmp_path / "found.json"
     done = boresight("sensor", "new", "--images", *images, "--processes", "1", "--out", out)

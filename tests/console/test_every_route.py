@@ -39,6 +39,9 @@ def test_every_operation_succeeds_as_documented(name, house):
     answer = ask(client, name, options)
     documented = [int(status) for status in OPERATIONS[name]["responses"] if status.startswith("2")]
     assert answer.status_code in documented, answer.read()
+    content = OPERATIONS[name]["responses"][str(answer.status_code)].get("content", {})
+    media_type = answer.headers.get("content-type", "").partition(";")[0]
+    assert media_type in {one.partition(";")[0] for one in content} or (answer.status_code, content) == (204, {})
     if (shape := documented_shape(name, answer.status_code)) is not None:
         written = shape.model_validate(answer.json()).model_dump(mode="json", by_alias=True, exclude_unset=True)
         assert written == answer.json()

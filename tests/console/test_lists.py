@@ -24,6 +24,7 @@ from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.audit.chain import append_own
 from boresight.platform.blobs.tables import Blob
 from boresight.platform.db.sessions import open_reading, open_writing
+from tests import stores
 
 NOW = "2026-11-21T00:00:00.000000Z"
 MANY = 50_000
@@ -68,10 +69,15 @@ def run(number):
     )
 
 
-@pytest.fixture(params=["sqlite", "postgresql"])
-def store(request):
-    """Each engine in turn, with 23 rows of each kind that repeats."""
-    engine = request.getfixturevalue(request.param)
+@pytest.fixture(params=["sqlite", "postgresql"], scope="module")
+def store(request, tmp_path_factory):
+    """Each engine in turn, with 23 rows of each kind that repeats, which the tests only read."""
+    with stores.own(request.param, tmp_path_factory.mktemp("lists")) as engine:
+        _fill(engine)
+        yield engine
+
+
+def _fill(engine):
     with open_writing(engine) as session:
         furnish(session)
         for number in range(23):
@@ -85,7 +91,6 @@ def store(request):
             columns = {"reason": "because", "bound": {}, "submitted_utc": NOW, "submitted_by": 1, "needed": 1}
             session.add(Approval(parameter_set_id=made.id, state="OPEN", **columns))
             append_own(session, ("began", "ended")[number % 2], f"runs/{number + 1}")
-    return engine
 
 
 def values(session, name, key):

@@ -88,6 +88,7 @@ TIMES = (
 )
 
 
+@pytest.mark.few(12)
 @pytest.mark.parametrize("time", [*ENDS, "9" * 400, "\ud7ff", "10000-01-01", "0000-01-01"])
 @pytest.mark.parametrize("address", TIMES)
 def test_a_time_beyond_the_calendar_is_no_time(house, address, time):
@@ -120,6 +121,7 @@ def test_a_run_that_none_can_be_is_compared_with_nothing(house, part, other):
     assert house.person("ada").get(path, params={"compare": other}).status_code == 404
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("window", [("0", "1"), ("-1e308", "1e308"), ("-inf", "inf"), ("nan", "1"), ("1", "0")])
 def test_every_figure_takes_a_window_or_refuses_it(house, window):
     run_id, client = house.finished(), house.person("ada")
@@ -172,6 +174,7 @@ PAGES = (
 )
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("value", [HUGE, "9" * 5000, "--5", "%00", "%ED%A0%80", "٣", "-1", "1e5", "²"])
 def test_no_page_fails_for_what_stands_in_its_address(house, value):
     client = house.person("adele")
@@ -219,6 +222,7 @@ def _with_result(house: House, content: bytes) -> int:
     return run_id
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("what", [*NONSENSE, "numbers that are words", "a course of words"])
 def test_a_stored_result_that_is_no_calibration_is_refused_everywhere(house, what):
     wrong = {"parameters": {"f_m": "long"}} if what == "numbers that are words" else {"history": {"frame": ["first"]}}

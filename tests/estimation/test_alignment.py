@@ -236,7 +236,7 @@ def test_its_covariance_is_right_on_two_hundred_sets(choices):
 def test_the_rotation_to_load_is_that_between_the_reported_attitudes():
     """Its errors are chi-square with the cameras' error on board, where each exposure feels that error a little otherwise."""
     nees, of_frames = [], []
-    for seed in range(150):
+    for seed in range(effort(50, 150)):
         body, _, found = run(seed, n=40, per_pass=3e-5)
         M = body.M.as_matrix()
         reported = Rotation.from_rotvec(body.common[1] - M @ body.common[0]).as_matrix() @ M
@@ -252,7 +252,7 @@ def test_the_rotation_to_load_is_that_between_the_reported_attitudes():
 def test_what_the_cameras_share_does_not_average_down():
     """With four hundred pairs the sigma stays that of the cameras; without it the errors are several sigmas."""
     naive = []
-    for seed in range(25):
+    for seed in range(effort(8, 25)):
         body, _, found = run(seed, n=400)
         floor = np.sqrt(np.diag(found.fit.covariance - found.fit.covariance_of_noise))[:3]
         assert (np.sqrt(np.diag(found.fit.covariance))[:3] < 1.1 * floor).all()

@@ -5,6 +5,7 @@ import pytest
 
 from boresight.estimation.pass_forecast import FEWEST, OPEN, PassForecaster
 from boresight.estimation.statistics.drift import Epoch
+from tests.effort import effort
 
 P = np.array([[1.0, 0.6], [0.6, 2.0]]) * 0.01
 L = np.linalg.cholesky(P)
@@ -45,7 +46,7 @@ def test_the_forecast_is_that_of_dense_conditioning_on_all_passes():
 
 
 def test_false_jumps_are_as_many_as_the_level_says_at_most_and_come_by_themselves():
-    rng, alpha, passes, trials = np.random.default_rng(11), 0.02, 80, 60
+    rng, alpha, passes, trials = np.random.default_rng(11), 0.02, 80, effort(20, 60)
     told = []
     for _ in range(trials):
         forecaster = PassForecaster(alpha)

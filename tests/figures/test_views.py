@@ -61,6 +61,7 @@ def test_updates_are_counted_over_all_and_a_run_without_times_says_what_else_the
         aligned([Trace("Run 7", sequential(20))], "moon")
 
 
+@pytest.mark.few(20)
 @pytest.mark.parametrize("along", ["time", "update"])
 @pytest.mark.parametrize("name", FIGURES)
 def test_a_figure_names_the_axis_that_its_runs_were_moved_to_and_no_other_does(name, along):
@@ -160,6 +161,7 @@ def test_putting_thinning_off_ends_with_the_block_and_an_empty_window_is_refused
         focus(go.Figure(), 3, 3)
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize("name", FIGURES)
 def test_no_figure_of_twenty_long_runs_is_over_500_kb(name, long_result):
     alone, many = ([Trace(f"Run {k} · ST-1", long_result) for k in range(n_runs)] for n_runs in (1, 20))

@@ -44,6 +44,7 @@ def normalised(found, row, col):
     return (errors**2 / found.covariance[:, :2])[near], int((~near).sum())
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("optics", "gain"),
     [

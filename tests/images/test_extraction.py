@@ -43,6 +43,7 @@ def test_each_image_is_a_frame_in_the_order_of_time_and_keeps_its_hash(folder, i
     assert "stars" in repr(found)
 
 
+@pytest.mark.full
 def test_several_processes_say_what_one_says(folder, images):
     one, two = (bs.extract(images[:3], folder / "camera.json", processes=n, progress=False) for n in (1, 2))
     assert one.to_dict() == two.to_dict()
@@ -76,6 +77,7 @@ def test_images_without_a_time_keep_their_order_and_say_so(folder, hard_images, 
     assert any("--times" in sentence for sentence in found.sentences)
 
 
+@pytest.mark.full
 def test_one_command_leads_from_a_hard_night_to_a_calibration(boresight, folder, images, night, tmp_path):  # noqa: F811 - a fixture
     out = tmp_path / "c.json"
     done = boresight("calibrate", *images, "--sensor", folder / "camera.json", "--processes", 1, "--json", out)

@@ -404,6 +404,7 @@ def test_stars_in_one_direction_give_no_attitude(apart):
 NO_AIR = np.zeros(5)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("date", ["1991-04-02T13:30", "2018-07-20", "2026-11-21T06:00", "2049-02-01"])
 def test_the_short_form_of_apparent_place_agrees_with_the_standard_one(date):
     catalogue = load_catalogue(None)

@@ -73,6 +73,7 @@ def test_a_camera_is_chosen_for_a_run_or_for_telemetry(client, house, tmp_path):
     assert asyncio.run(choose()) == (chosen, chosen)
 
 
+@pytest.mark.full
 def test_a_set_is_diagnosed_with_or_without_async_and_keeps_the_answer(client, house, exchanged):
     sensor = client.sensor(house.sensor_file())
     found = client.diagnose(exchanged, sensor)

@@ -70,6 +70,7 @@ def test_every_method_of_the_client_is_in_the_reference():
     assert [name for name in public if not any(f".{name}(" in block for block in BLOCKS)] == []
 
 
+@pytest.mark.full
 @pytest.mark.usefixtures("computing")
 def test_the_examples_of_the_reference_run(place):
     names = {"__name__": "reference"}
@@ -104,6 +105,7 @@ def test_the_script_over_rest_runs(place, house):
     assert done.stdout.split()[0] == "SUCCEEDED"
 
 
+@pytest.mark.full
 def test_the_examples_are_of_the_types_that_the_library_promises(tmp_path):
     (tmp_path / "program.py").write_text("\n".join(BLOCKS) + TYPES)
     words = (

@@ -49,6 +49,7 @@ def test_a_camera_is_chosen_on_a_server(run, files):
     assert bs.read_sensor(sensor).free == tuple(made_choice().chosen.free)
 
 
+@pytest.mark.full
 def test_a_set_is_diagnosed_on_a_server_and_the_files_are_mended_here(run, files, exchanged):
     out, right, told = files / "mended.json", files / "right.csv", files / "diagnosis.json"
     exchanged.replace(files / "telemetry.csv")

@@ -221,6 +221,7 @@ def test_a_plan_chooses_among_the_attitudes_of_a_list_only(catalogue):
     assert {round(one.ra_deg) for one in plan.pointings} <= {10, 120, 200}
 
 
+@pytest.mark.full
 def test_a_plan_passes_the_gate_before_chance_and_the_paper_s_set_do():
     (row,) = pointings.measure(lambda *_: None, sensors=(6,), draws=3)["sensors"]
     assert row["plan"]["minutes"] < min(row["chance_best"]["minutes"], row["paper"]["minutes"])

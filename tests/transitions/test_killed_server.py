@@ -29,7 +29,7 @@ from tests.served import settings_in
 from tests.stores import environment_in
 from tests.transitions.installation import WORDS, ExampleRun, Installation, tag
 
-TRANSITIONS, KILLS, DRIVERS = effort(40, 200), effort(1, 3), 4
+TRANSITIONS, KILLS, DRIVERS = effort(24, 200), effort(1, 3), 4
 SENSORS, SETS = 2, 6
 PEOPLE = {"ana": ("analyst",), "cy": ("approver",), "di": ("approver",), "olga": ("operator",)}
 REASON = {"reason": "It moved."}

@@ -27,6 +27,7 @@ def store(make_store, start_dispatcher):
     return made
 
 
+@pytest.mark.full
 def test_a_worker_chooses_as_the_library_does(store, catalogue, tmp_path):
     table = tmp_path / "table.parquet"
     write_parquet(simulate(SCENARIO, np.random.default_rng(1), catalogue), table)

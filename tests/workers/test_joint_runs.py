@@ -82,6 +82,7 @@ def joint(server, sets):
     return found(server, sets[:2])
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("vary", [{}, {"vary": ["f_m"], "vary_as": "walk"}], ids=["alike", "walk"])
 def test_several_sets_are_calibrated_on_a_worker_as_they_are_here(server, sets, files, vary):
     run, there = found(server, sets[:3], **vary)

@@ -82,6 +82,7 @@ def test_a_piece_whose_worker_is_killed_is_computed_by_the_run_with_the_same_res
     assert len(processes(start.folder)) > piecework.COUNT  # what it had begun was begun again
 
 
+@pytest.mark.full
 def test_a_run_alone_with_a_worker_that_is_busy_computes_everything_itself(start):
     occupied = start(piecework.occupy, start.folder, 3.0, worker=1)
     wait_for(lambda: list(start.folder.glob("occupied-*")))
@@ -203,6 +204,7 @@ class _Client:
         return {workers[0]: function(SimpleNamespace(state=state))}
 
 
+@pytest.mark.full
 def test_a_worker_is_killed_once_at_its_time_and_what_it_had_is_told(monkeypatch):
     killed = []
     monkeypatch.setattr(spread.os, "kill", lambda pid, signal: killed.append((pid, signal)))

@@ -20,6 +20,7 @@ from tests.served import PASSWORD, House
 Made = tuple[str, dict[str, Any]]
 TURN = np.radians([20.0, 60.0, -30.0])
 FRAMES = 30
+_aligned: dict[str, int] = {}  # by server: one is enough for all who only read it
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,7 +78,7 @@ def ended(house: House, alignment_id: int, seconds: float = 60.0) -> dict[str, A
     until_s = time.monotonic() + seconds
     while (row := read(house, alignment_id))["state"] in {"QUEUED", "RUNNING"}:
         assert time.monotonic() < until_s, row
-        time.sleep(0.1)
+        time.sleep(0.02)
     return row
 
 
@@ -91,7 +92,9 @@ def aligned(house: House) -> dict[str, Any]:
 
 
 def _good(house: House) -> Made:
-    return "victor", {"alignment_id": aligned(house)["id"]}
+    if house.address not in _aligned:
+        _aligned[house.address] = aligned(house)["id"]
+    return "victor", {"alignment_id": _aligned[house.address]}
 
 
 def submitted(house: House) -> dict[str, Any]:

@@ -43,6 +43,7 @@ from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.declared import Base
 from boresight.platform.db.secret_box import SecretBox
 from boresight.platform.db.sessions import Engine, Session, open_engine, open_reading, open_writing, utc_now
+from tests.effort import effort
 
 pytestmark = pytest.mark.sqlite(
     "its owner edits the file; tests/platform/audit/test_verification.py has both engines edited"
@@ -210,7 +211,8 @@ def test_any_lasting_column_of_a_sealed_row_edited_by_hand_is_found(store, attac
     with attacker as connection:
         row_id = _last(connection, table)
         record_id = _sealing_record(connection, f"{table}/{row_id}")
-        for column in reversed(seals.lasting(SEALED[table])):  # the key last: the row is another one then
+        lasting = seals.lasting(SEALED[table])
+        for column in reversed(lasting[: effort(3, len(lasting))]):  # the key last: the row is another one then
             before = connection.execute(f'SELECT "{column}" FROM {table} WHERE id = ?', (row_id,)).fetchone()[0]  # noqa: S608 - names of our own
             write = f'UPDATE {table} SET "{column}" = ? WHERE id = ?'  # noqa: S608 - names of our own
             connection.execute(write, (_another(before), row_id))
@@ -229,6 +231,7 @@ def _another(value: int | str | None) -> int | str:
     return 1 if value is None else f"{value} "
 
 
+@pytest.mark.few(15)
 @pytest.mark.parametrize("table", SEALED)
 def test_any_sealed_row_removed_by_hand_is_found(store, attacker, table):
     with attacker as connection:
@@ -240,6 +243,7 @@ def test_any_sealed_row_removed_by_hand_is_found(store, attacker, table):
     assert f"{table}/{row_id} was removed outside Boresight" in report.sentence
 
 
+@pytest.mark.few(15)
 @pytest.mark.parametrize("table", SEALED)
 def test_any_row_inserted_by_hand_is_found(store, attacker, table):
     with attacker as connection:

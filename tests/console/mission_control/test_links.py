@@ -165,6 +165,7 @@ def test_a_pass_without_an_end_is_cut_and_an_outage_is_made_up_for_piece_by_piec
     assert sorted(chain(*ground.taken())) == list(range(0, 300, 5))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", few_of(range(2), 1))
 def test_each_row_is_taken_once_by_two_servers_over_an_archive_that_fails_and_fills_late(ground, seed, monkeypatch):
     ground.enable()

@@ -107,6 +107,7 @@ def test_every_open_request_is_counted_in_the_top_bar(full):
     assert shown(full.visitor("victor").get("/audit")) == MANY
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("name", ["alan", "both", "ada", "adele", "olga"])
 @pytest.mark.parametrize("four_eyes", [True, False])
 def test_the_requests_open_to_somebody_are_those_that_they_may_sign_one_by_one(full, name, four_eyes):

@@ -48,6 +48,7 @@ from boresight.platform.db.data_version import DataVersionReader
 from boresight.platform.db.sessions import migrate, open_writing
 from boresight.platform.web.problems import KINDS
 from boresight.verdicts.verdict import LEVEL_OF_STATUS
+from tests.effort import effort
 from tests.passwords import add_person
 from tests.stores import url_in
 
@@ -388,12 +389,17 @@ PATHS = _paths()
 assert len(PATHS) > 30
 
 
+@pytest.fixture(scope="module")
+def finished(house):
+    return house.finished()
+
+
+@pytest.mark.usefixtures("finished")
 @pytest.mark.parametrize("path", PATHS)
 def test_no_page_ends_in_a_server_error_whatever_its_address_says(path, house):
     client = house.person("adele")
-    house.finished()
 
-    @hypothesis.settings(max_examples=4, database=None, suppress_health_check=list(hypothesis.HealthCheck))
+    @hypothesis.settings(max_examples=effort(2, 4), database=None, suppress_health_check=list(hypothesis.HealthCheck))
     @hypothesis.given(query=QUERY, number=st.sampled_from((1, 1, 1, 2, 10**30, "x")))
     def ask(query: list[Any], number: Any) -> None:
         address = re.sub(r"{[^}]+}", str(number), path)

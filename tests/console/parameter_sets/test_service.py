@@ -244,6 +244,7 @@ def office(site, results):
     return site
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("name", FORMS)
 def test_a_refused_form_comes_back_with_what_was_typed(office, name):
     who, address, form, kept = FORMS[name]

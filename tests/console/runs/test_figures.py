@@ -17,6 +17,7 @@ from boresight.figures.charts.methods import method_scores
 from boresight.verdicts.verdict import make_verdict_marks
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("name", FIGURES)
 def test_every_figure_is_drawn_alone_compared_and_with_nothing_to_draw(house, name):
     client, waiting = house.person("victor"), house.launched()["id"]
@@ -33,6 +34,7 @@ def test_every_figure_is_drawn_alone_compared_and_with_nothing_to_draw(house, na
     assert "layout" in nothing.json()
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("name", FIGURES)
 def test_the_numbers_behind_every_figure_come_as_csv_and_of_several_runs_below_one_another(house, name):
     run_id, second, waiting = house.finished(), house.finished(), house.launched()["id"]

@@ -121,6 +121,7 @@ def symbols(page):
     return found
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("parity", few_of([1, -1], 1))
 def test_a_frame_s_stars_and_matches_lie_where_its_picture_shows_them(house, parity, catalogue, tmp_path):
     dusk = of_parity(small_night(2), parity)

@@ -69,6 +69,7 @@ def folder(sets, catalogue, catalogue_folder):
     return catalogue_folder
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("of", CAMERAS)
 @pytest.mark.parametrize("sent_to", CAMERAS)
 @pytest.mark.parametrize("are_named", [True, False])
@@ -135,6 +136,7 @@ def registered(house):
     return made
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("are_named", [True, False])
 def test_rest_refuses_a_set_of_another_camera_and_names_the_sensor(house, sets, registered, write, are_named):
     wide, long = registered["WIDE"]["id"], registered["LONG"]["id"]

@@ -200,6 +200,7 @@ def test_a_refused_file_shows_row_and_column_and_keeps_the_choices(site, table, 
         assert len(telemetry_sets.list_telemetry_sets(session)) == 2
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("content", "name", "fields", "sentence"),
     [

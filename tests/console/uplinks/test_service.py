@@ -325,6 +325,7 @@ def _table() -> Iterator[tuple[str, str]]:
     yield from itertools.product(ONBOARD_STATES, MOVES)
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("name", PERSONS)
 def test_a_move_succeeds_where_person_and_state_allow_it_and_nowhere_else(engine, people, blobs, name):
     define(engine, people["ana"])

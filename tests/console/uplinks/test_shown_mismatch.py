@@ -85,6 +85,7 @@ def defined(engine, people) -> None:
     define(engine, people["ana"])
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("between", [("UNKNOWN",), ("UNKNOWN", "MISMATCH"), ("UNKNOWN", "MISMATCH", "UNKNOWN")])
 @pytest.mark.parametrize("attempt", ["good crc", "bad crc", "LOADED", "VERIFIED", "ACTIVE", "sign"])
 def test_what_is_said_in_between_does_not_open_the_way_round_the_bytes(engine, people, blobs, between, attempt):

@@ -109,6 +109,7 @@ def test_anybody_verifies_an_anchor_with_its_public_key_and_ed25519_alone(store,
     public.verify(base64.b64decode(anchor.signature), statement.encode())
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(
     ("statement", "words"),
     [
@@ -198,6 +199,7 @@ def _rehashed(folder: Path, changed: int, count: int) -> None:
     (folder / "audit.jsonl").write_bytes(body + f"{canonical(last)}\n".encode())
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(("changed", "count", "is_found"), [(0, 5, True), (2, 5, True), (3, 5, False), (9, 2, True)])
 def test_an_export_that_was_rewritten_or_cut_before_its_anchor_is_found_elsewhere(exported, changed, count, is_found):
     assert len((exported / "audit.jsonl").read_bytes().splitlines()) == 6

@@ -49,6 +49,7 @@ def test_what_nobody_touched_is_as_it_was_written(store: Engine) -> None:
     assert (found.records, found.rows, found.misfits, found.misfit, found.broken_id) == (4, 4, 0, None, None)
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize(
     ("statement", "misfit"),
     [
@@ -67,6 +68,7 @@ def test_an_edit_by_hand_is_named_with_its_record(store: Engine, statement: str,
     assert _found(store).misfit == misfit
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize(
     ("statements", "broken_id"),
     [

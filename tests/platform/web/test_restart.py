@@ -115,6 +115,7 @@ def _wait_for(truth: Any) -> None:
         time.sleep(0.01)
 
 
+@pytest.mark.full
 def test_two_servers_are_restarted_one_after_the_other_and_no_request_fails(settings, house):
     sensor_file, telemetry = house.sensor_file(), house.telemetry_csv
     failed: list[str] = []
