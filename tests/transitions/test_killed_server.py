@@ -24,12 +24,11 @@ from boresight.console.parameter_sets.tables import ParameterSet, Promotion
 from boresight.platform.audit import log as audit
 from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.db.sessions import Session, open_reading
-from tests.effort import effort
 from tests.served import settings_in
 from tests.stores import environment_in
 from tests.transitions.installation import WORDS, ExampleRun, Installation, tag
 
-TRANSITIONS, KILLS, DRIVERS = effort(24, 200), effort(1, 3), 4
+TRANSITIONS, KILLS, DRIVERS = 200, 3, 4
 SENSORS, SETS = 2, 6
 PEOPLE = {"ana": ("analyst",), "cy": ("approver",), "di": ("approver",), "olga": ("operator",)}
 REASON = {"reason": "It moved."}
@@ -144,6 +143,7 @@ class Traffic:
         return person, f"/api/v1/parameter-sets/{row.id}:{name}", row.version, None if name == "promote" else REASON
 
 
+@pytest.mark.full
 def test_a_server_killed_in_the_middle_of_transitions_leaves_each_done_or_not_begun(
     server: Comings, example_run: ExampleRun
 ) -> None:

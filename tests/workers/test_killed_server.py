@@ -30,7 +30,6 @@ def start_server():
         process.wait()
 
 
-@pytest.mark.full
 def test_every_run_survives_a_killed_worker_and_then_a_killed_server(make_store, start_server):
     store, some = make_store(lease_s="2"), effort(5, 99)
     (first,), early, (middle,), late = (
