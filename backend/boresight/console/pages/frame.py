@@ -14,7 +14,7 @@ import threading
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 from urllib.parse import unquote
@@ -43,11 +43,12 @@ LARGE, REST = 200, 5.0
 
 @dataclass(frozen=True)
 class FleetStatus:
-    """A consolidated status: colour and shape, a word, and why."""
+    """A consolidated status: colour and shape, a word, and why; and each sensor's, of which it is the worst."""
 
     level: str
     word: str
     sentence: str
+    standings: Sequence[fleet.SensorStatus] = field(default=(), compare=False, repr=False)
 
 
 def find_worst_status(standings: Sequence[fleet.SensorStatus]) -> FleetStatus:
@@ -57,7 +58,7 @@ def find_worst_status(standings: Sequence[fleet.SensorStatus]) -> FleetStatus:
     worst = max(standings, key=lambda one: LEVELS.index(one.status))
     alike = sum(one.status == worst.status for one in standings)
     more = f" {alike - 1} more like this." if alike > 1 else ""
-    return FleetStatus(worst.status, sensor_word(worst.status), f"{worst.name}: {worst.sentence}{more}")
+    return FleetStatus(worst.status, sensor_word(worst.status), f"{worst.name}: {worst.sentence}{more}", standings)
 
 
 def read_fleet_status(session: Session) -> tuple[FleetStatus, int, int]:
@@ -100,6 +101,13 @@ class FleetStatusCache:
         if data_version == of_version or now_s < self._resting_until_s:
             return FleetReading(found)
         return FleetReading(found, is_older=True) if began_s > asked_s else None
+
+    def known_standings(self) -> Sequence[fleet.SensorStatus] | None:
+        """Return each sensor's status where it was read since the newest commit; None where it must be read."""
+        with self._looking:
+            data_version, known, now_s = self._data_versions.look(), self._known, time.monotonic()
+        is_known = known is not None and known[0] == data_version and now_s - known[2] < HELD_S
+        return (known[3][0].standings or None) if known is not None and is_known else None
 
     def standing(self, asked_s: float) -> FleetReading:
         """Return `read_fleet_status` as of the request or the newest commit; in a large fleet possibly an older reading."""

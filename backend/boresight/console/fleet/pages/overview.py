@@ -30,6 +30,7 @@ from boresight.console.fleet.status import SensorStatus, SensorTile
 from boresight.console.ingest import queries as ingest_queries
 from boresight.console.pages.drawings import Sparkline, sparkline
 from boresight.console.pages.formats import LEVELS
+from boresight.console.pages.frame import FleetStatusCache
 from boresight.console.pages.rendering import render
 from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.runs import service as runs
@@ -316,8 +317,8 @@ def _events(session: Session, standings: Sequence[SensorStatus]) -> list[RecentE
     return sorted(found, key=lambda event: event.at_utc, reverse=True)[:RECENT_EVENTS]
 
 
-def _fleet(session: Session) -> FleetView:
-    standings = fleet.list_sensor_statuses(session)
+def _fleet(session: Session, memory: FleetStatusCache) -> FleetView:
+    standings = memory.known_standings() or fleet.list_sensor_statuses(session)
     tiles = fleet.list_tiles(session, choose_drawn_sensors(standings), documents=False)
     return FleetView(
         standings,
@@ -367,7 +368,8 @@ OverviewCache = Annotated[VersionedCache[FleetView], depend_on_server("overview"
 def _look(request: Request, session: Session, cache: VersionedCache[FleetView]) -> FleetView:
     """Return the fleet as of the newest commit, before anything else is read."""
     ages = time.monotonic() // HELD_S  # times in the rows are recomputed when this changes
-    overview, is_older = cache.answer_to(ages, partial(_fleet, session), request.state.came_s)
+    read = partial(_fleet, session, request.app.state.fleet_status)
+    overview, is_older = cache.answer_to(ages, read, request.state.came_s)
     if is_older:
         mark_outdated(request)
     return overview
