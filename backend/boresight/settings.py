@@ -57,6 +57,13 @@ def _site(text: str) -> str:
     return text
 
 
+def _bucket(text: str) -> str:
+    """Read the address of a place in an object store: empty, or a URL without credentials."""
+    if text and "://" not in text:
+        raise ValueError(text)
+    return parse_address(text, "BORESIGHT_WATCH_BUCKET") if text else text
+
+
 def _words(text: str) -> tuple[str, ...]:
     """Read words separated by commas or spaces."""
     return tuple(dict.fromkeys(text.lower().replace(",", " ").split()))
@@ -216,6 +223,13 @@ class Settings:
         "", "path", "Folder watched for new telemetry, with a sub-folder for each sensor, named as it; empty = none."
     )
     watch_settle_s: float = _setting("10", "s", "A file there is taken once it has not changed for this time.")
+    watch_bucket: str = _setting(
+        "",
+        "URL",
+        "Bucket watched for new telemetry, s3://bucket/prefix, with a folder for each sensor, named as it; empty = none.",
+        read=_bucket,
+    )
+    watch_bucket_s: float = _setting("30", "s", "How often the watched bucket is listed.")
     yamcs_url: str = _setting("", "URL", "Yamcs server that telemetry is pulled from; empty = none.", read=_site)
     yamcs_instance: str = _setting("", "", "Instance of that Yamcs server.")
     yamcs_credentials: str = _setting(

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from itertools import combinations_with_replacement
 
 import numpy as np
 import pytest
@@ -141,6 +142,42 @@ def test_a_plan_is_better_than_chance_by_both_measures(sky):
     volume, variance = (lambda p: np.linalg.slogdet(p.A[-1])[1]), (lambda p: np.square(p.sigma[-1]).sum())
     assert volume(by_d) > max(map(volume, drawn))
     assert variance(by_a) < min(map(variance, drawn)) / 2.0
+
+
+def _value(A, criterion):
+    """The measure of a criterion, by eigenvalues."""
+    e = np.linalg.eigvalsh(A)
+    return np.log(e).sum() if criterion == "D" else -(1.0 / e).sum()
+
+
+@pytest.mark.parametrize("criterion", ["A", "D"])
+def test_exchange_is_no_worse_than_greedy_choice_and_within_a_thousandth_of_every_plan_there_is(sky, criterion):
+    candidates, A_1, _ = sky
+    wanted = replace(HALF_HOUR, minutes=4.5, slew_deg_s=1e9, settle_s=0.0, sun_deg=0.0, moon_deg=0.0, orbit=None)
+    all_plans = [
+        list(one) for one in combinations_with_replacement(range(12), 4) if np.bincount(one).max() <= wanted.visits
+    ]
+    shares = []
+    for seed in range(20):
+        chosen = np.random.default_rng(seed).choice(len(candidates), 12, replace=False)
+        few = Candidates(*(one[chosen] for one in (candidates.ra_rad, candidates.dec_rad, candidates.roll_rad)))
+        A = wanted.exposures * A_1[chosen]
+        greedy = []
+        for _ in range(4):
+            rest = [one for one in range(12) if greedy.count(one) < wanted.visits]
+            greedy.append(max(rest, key=lambda one: _value(KNOWN + A[[*greedy, one]].sum(axis=0), criterion)))
+        plan = plan_pointings(few, A_1[chosen], KNOWN, wanted, criterion)
+        assert len(plan.place) == 4
+        found, by_greed = (_value(KNOWN + A[one].sum(axis=0), criterion) for one in (plan.place, greedy))
+        assert found >= by_greed - 1e-9
+        best = max(_value(KNOWN + A[one].sum(axis=0), criterion) for one in all_plans)
+        # as a share of the information a parameter: D by the root of the determinant, A by the sum of variances
+        shares.append(
+            [np.exp((one - best) / len(FREE)) if criterion == "D" else best / one for one in (found, by_greed)]
+        )
+    share, of_greed = np.min(shares, axis=0)
+    assert share >= 0.999
+    assert of_greed < 0.996  # greedy choice alone is not enough
 
 
 def test_without_slews_a_plan_is_never_worse_than_the_best_pointing_held(sky):

@@ -36,5 +36,12 @@ def test_a_package_lays_the_approved_alignment_into_the_table_and_is_refused_wit
     assert (told["id"], told["request"]["signed_by"], told["parameter_set"]) == (7, "Cy Approver", "PS-FM1-2")
     assert "backout/table.bin" not in files
     assert b"PS-FM1-1" in files["backout/table_missing.txt"]
+    sheet, of_backout = (files[f"{place}verification_sheet.html"].decode() for place in ("", "backout/"))
+    assert sheet.index("Keep the image on board") < sheet.index("inactive image")  # before anything is loaded
+    assert "kept in step 2" in sheet
+    assert "table_missing.txt" in of_backout
+    assert "no table definition" not in of_backout
     inputs["backout"]["alignment"] = APPROVED
-    assert "backout/table.bin" in make_files(inputs, signed=False)
+    files = make_files(inputs, signed=False)
+    assert "backout/table.bin" in files
+    assert b"Keep the image" not in files["verification_sheet.html"]

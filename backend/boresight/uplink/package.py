@@ -77,7 +77,8 @@ def make_files(inputs: Inputs, *, signed: bool) -> dict[str, bytes]:
     files: dict[str, bytes] = {}
     for place, made in tables.items():
         before = None if alone else backout if place == "" else subject
-        said = _said(inputs, place) | {"back_to": tables["backout/"].facts}
+        way_back = tables["backout/"]
+        said = _said(inputs, place) | {"back_to": way_back.facts, "keeps_image": way_back.missing is not None}
         held = _files(sensor, definition, sets[place], before, made, said)
         files |= {f"{place}{name}": content for name, content in held.items()}
     if definition is not None:
@@ -95,11 +96,15 @@ def _definition(inputs: Inputs, sensor: Sensor) -> TableDefinition | None:
 
 @dataclass(frozen=True)
 class _Tables:
-    """The files of a set's table, what to compare of it, and what its number format does; empty without a definition."""
+    """The files of a set's table, what to compare of it, and what its number format does; empty without a definition.
+
+    `missing`: why there is none although there is a definition.
+    """
 
     files: Mapping[str, bytes]
     facts: Mapping[str, Any] | None = None
     rounding: Mapping[str, Any] | None = None
+    missing: str | None = None
 
 
 def _tables(definition: TableDefinition | None, sensor: Sensor, subject: Mapping[str, Any], place: str) -> _Tables:
@@ -112,7 +117,8 @@ def _tables(definition: TableDefinition | None, sensor: Sensor, subject: Mapping
             raise RefusedInputError(
                 f"{said}: align its run, submit the alignment and have it approved, or set a definition without alignment fields."
             )
-        return _Tables({"table_missing.txt": f"{said}: keep the image that is on board before loading.\n".encode()})
+        missing = f"{said}: keep the image that is on board before loading, and load that one to go back."
+        return _Tables({"table_missing.txt": f"{missing}\n".encode()}, missing=missing)
     numbers = None if alignment is None else alignment_numbers(alignment["quaternion"])
     try:
         files = table_files(definition, parameters, name, numbers)
@@ -139,7 +145,7 @@ def _files(
         "c_sd.json": alignment_json(subject, before),
         **approved_alignment(subject),
         "verification_sheet.html": verification_sheet(
-            subject, before, definition if tables.facts else None, tables.facts, tables.rounding, said=said
+            subject, before, definition if tables.facts else None, tables, said=said
         ),
         **camera_files(sensor, parameters, subject["name"]),
         **correction_files(subject),
@@ -237,8 +243,7 @@ def verification_sheet(
     subject: Mapping[str, Any],
     before: Mapping[str, Any] | None,
     definition: TableDefinition | None,
-    facts: Mapping[str, Any] | None,
-    quantisation: Mapping[str, Any] | None,
+    tables: _Tables,
     *,
     said: Mapping[str, Any],
 ) -> bytes:
@@ -253,9 +258,9 @@ def verification_sheet(
             before=before,
             rows=changes(subject, before),
             definition=definition,
-            facts=facts,
-            quantisation=quantisation,
-            steps=_steps(definition, facts),
+            facts=tables.facts,
+            quantisation=tables.rounding,
+            steps=_steps(definition, tables, keeps_image=said["keeps_image"]),
             number=_number,
             **said,
         )
@@ -268,12 +273,16 @@ def _number(value: Any) -> str:
     return "–" if value is None else f"{value:.10g}" if isinstance(value, int | float) else str(value)
 
 
-def _steps(definition: TableDefinition | None, facts: Mapping[str, Any] | None) -> list[Step]:
+def _steps(definition: TableDefinition | None, tables: _Tables, *, keeps_image: bool) -> list[Step]:
     steps: list[Step] = [("Check the package", "sha256sum -c SHA256SUMS", "every file OK")]
+    facts = tables.facts
     if definition is None or facts is None:
+        load = "by the mission's own procedure: no table definition is configured here"
+        if tables.missing is not None:
+            load = "the image that was kept before loading: table_missing.txt says why there is none here"
         return [
             *steps,
-            ("Load", "by the mission's own procedure: no table definition is configured here", "accepted"),
+            ("Load", load, "accepted"),
             ("Check", "by the mission's own procedure, before it is used", "agrees with parameters.json"),
             ("Activate", "command by the mission's own procedure", "accepted"),
             ("Dump and compare", "read the parameters back and compare each", "agrees with parameters.json"),
@@ -282,6 +291,9 @@ def _steps(definition: TableDefinition | None, facts: Mapping[str, Any] | None) 
     file = "table.bin" if definition.cfe is None else "table.tbl"
     told = facts["crc_told"]
     check = f"{told['name']} as under Expected values" if told else "agrees with the mission's own check"
+    if keeps_image:
+        kept = f"dump the active image of {name} to a file: backout/ has no table to go back to"
+        steps.append(("Keep the image on board", kept, f"{facts['bytes']} bytes"))
     return [
         *steps,
         ("Check the software", "flight software version in telemetry", definition.flight_software_version),

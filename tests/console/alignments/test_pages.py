@@ -4,7 +4,10 @@ import re
 
 import pytest
 
-from tests.console.alignments.pairs import aligned, ask, ended
+from boresight.console.alignments import queries
+from boresight.platform.db.sessions import open_reading
+from tests.console.alignments.pairs import aligned, ask, ended, run_of, trackers
+from tests.served import PASSWORD
 
 
 @pytest.fixture(scope="module")
@@ -18,10 +21,10 @@ def _read(house, who, address):
     return answer.text
 
 
-def _post(house, who, **form):
+def _post(house, who, address="/alignments/new", **form):
     client = house.person(who)
     data = {"csrf_token": client.headers["X-CSRF-Token"], **form}
-    return client.post("/alignments/new", data=data, headers={"Accept": "text/html"}, follow_redirects=False)
+    return client.post(address, data=data, headers={"Accept": "text/html"}, follow_redirects=False)
 
 
 def test_the_page_of_one_has_verdict_rotations_gates_and_figure_and_says_how_to_load_it(house, row):
@@ -71,3 +74,88 @@ def test_one_that_waits_or_failed_says_so(house, row):
     assert "QUEUED" in page
     assert "plot-figure src" not in page
     assert ended(house, number)["state"] == "SUCCEEDED"
+
+
+@pytest.fixture(scope="module")
+def good(house, tmp_path_factory):
+    """An alignment that no gate blocks."""
+    made = [run_of(house, one) for one in trackers(tmp_path_factory.getbasetemp())]
+    return ended(house, ask(house, *made).json()["id"])
+
+
+def _requests(house, row):
+    with open_reading(house.app.state.engine) as session:
+        return [(one.id, one.state, one.version) for one in queries.list_requests(session, row["id"])]
+
+
+def _dialogs(page):
+    return re.findall(r'<dialog id="([^"]*)" class="panel act-dialog"', page)
+
+
+def test_one_is_submitted_on_its_page_and_withdrawn_by_the_same_person(house, good):
+    place = f"/alignments/{good['id']}"
+    assert _dialogs(_read(house, "ada", place)) == ["submit"]
+    assert _dialogs(_read(house, "victor", place)) == []
+    assert _post(house, "victor", f"{place}/submit", reason="Mine.").status_code == 403
+    refused = _post(house, "ada", f"{place}/submit", reason=" ")
+    assert refused.status_code == 422
+    assert re.search(r'<dialog id="submit"[^>]* open>', refused.text)
+    answer = _post(house, "ada", f"{place}/submit", reason="Calibrated anew.")
+    assert (answer.status_code, answer.headers["location"]) == (303, f"{place}#approval")
+    ((number, state, version),) = _requests(house, good)
+    assert (state, version) == ("OPEN", 1)
+    assert _dialogs(_read(house, "ada", place)) == ["withdraw"]
+    sent = {"version": "1", "reason": "A later one."}
+    assert _post(house, "alan", f"/alignment-requests/{number}/withdraw", **sent).status_code == 403
+    assert _post(house, "ada", f"/alignment-requests/{number}/withdraw", **sent).status_code == 303
+    assert [one[1] for one in _requests(house, good)] == ["WITHDRAWN"]
+    assert _dialogs(_read(house, "ada", place)) == ["submit"]
+
+
+def test_the_inbox_leads_an_approver_to_the_page_where_it_is_signed_or_refused(house, good):
+    place = f"/alignments/{good['id']}"
+    before = int(re.search(r'waiting</span></span><b class="badge[^>]*>(\d+)', _read(house, "alan", "/approvals"))[1])
+    _post(house, "ada", f"{place}/submit", reason="First.")
+    number = _requests(house, good)[0][0]
+    line = f'href="{place}#approval">Review and sign</a>'
+    for view in ("", "?show=mine", "?show=all"):
+        assert line in _read(house, "alan", f"/approvals{view}")
+    assert line not in _read(house, "ada", "/approvals")
+    assert f'href="{place}"' in _read(house, "ada", "/approvals?show=submitted")
+    assert f'href="{place}"' not in _read(house, "ada", "/approvals?show=mine")
+    assert f'"{place}#approval"' in house.person("alan").get("/waiting").text
+    assert f'waiting</span></span><b class="badge badge-some">{before + 1}</b>' in _read(house, "alan", "/approvals")
+    led = house.person("alan").get(
+        f"/alignment-requests/{number}", headers={"Accept": "text/html"}, follow_redirects=False
+    )
+    assert (led.status_code, led.headers["location"]) == (303, f"{place}#approval")
+
+    assert _dialogs(_read(house, "alan", place)) == ["approve", "refuse"]
+    sign, sent = f"/alignment-requests/{number}/sign", {"version": "1", "password": PASSWORD}
+    assert _post(house, "ada", sign, **sent, decision="APPROVE").status_code == 403
+    assert _post(house, "alan", sign, **sent, decision="LATER").status_code == 422
+    refused = _post(house, "alan", sign, **sent, decision="REFUSE", meaning="Not like this")
+    assert refused.status_code == 422
+    assert re.search(r'<dialog id="refuse"[^>]* open>', refused.text)
+    assert ('value="Not like this"' in refused.text, PASSWORD in refused.text) == (True, False)
+    wrong = {**sent, "password": "guess"}
+    assert _post(house, "alan", sign, **wrong, decision="APPROVE").status_code in {401, 403}
+    assert _post(house, "alan", sign, **sent, decision="REFUSE", comment="Too few pairs.").status_code == 303
+    assert _requests(house, good)[0] == (number, "REJECTED", 2)
+    assert "Too few pairs." in _read(house, "ada", place)
+
+    _post(house, "ada", f"{place}/submit", reason="Again.")
+    number = _requests(house, good)[0][0]
+    approved = _post(house, "alan", f"/alignment-requests/{number}/sign", **sent, decision="APPROVE")
+    assert (approved.status_code, approved.headers["location"]) == (303, f"{place}#approval")
+    assert _requests(house, good)[0] == (number, "APPROVED", 2)
+    assert _dialogs(_read(house, "ada", place)) == _dialogs(_read(house, "alan", place)) == []
+    assert line not in _read(house, "alan", "/approvals")
+
+
+def test_one_that_a_gate_blocks_offers_no_submission(house, row):
+    page = _read(house, "ada", f"/alignments/{row['id']}")
+    assert 'disabled aria-describedby="submit-blocked"' in page
+    assert 'id="submit-blocked"' in page
+    assert _dialogs(page) == []
+    assert _post(house, "ada", f"/alignments/{row['id']}/submit", reason="All the same.").status_code == 409

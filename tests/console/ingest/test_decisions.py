@@ -37,7 +37,12 @@ class Pipeline:
     def __init__(self, engine, blobs, people, tmp_path):
         self.engine, self.blobs, self.people = engine, blobs, people
         settings = SimpleNamespace(
-            watched_folder=None, watch_settle_s=1.0, data_folder=tmp_path, upload_limit_mb=1.0, telemetry_limits=None
+            watched_folder=None,
+            watch_settle_s=1.0,
+            watch_bucket="",
+            data_folder=tmp_path,
+            upload_limit_mb=1.0,
+            telemetry_limits=None,
         )
         sources = ForecastSources(blobs, lambda: None, tmp_path / "catalogue")
         self.watcher = IngestWatcher(engine, sources, settings, lambda: None)

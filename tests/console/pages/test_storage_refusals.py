@@ -7,6 +7,7 @@ import pytest
 from fastapi.routing import APIRoute
 
 from boresight.console import pages
+from boresight.console.alignments.tables import Alignment, AlignmentRequest
 from boresight.console.approvals.pages import gates as gate_report
 from boresight.console.fleet.pages import new_sensor
 from boresight.console.ingest import policies
@@ -18,6 +19,7 @@ from boresight.console.webhooks import service as webhooks
 from boresight.disks import full
 from boresight.errors import StorageError
 from boresight.platform.actors import INGEST
+from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import open_writing
 from boresight.platform.jobs.message_transport import CheckedAddress
 from tests.console.alarms.test_pages import drifting  # noqa: F401 - a fixture
@@ -78,6 +80,9 @@ FORMS = {  # who sends which form to which page
     "/sensors/{sensor_id:int}/ingest/{step}": ("ada", {"reason": "x", "version": "1", "policy_id": "1"}),
     "/ingest/{decision_id:int}/answer": ("ada", {"answer": "WAIT", "reason": "x", "version": "1"}),
     "/alignments/new": ("ada", {"run_a_id": "1", "run_b_id": "2"}),
+    "/alignments/{alignment_id:int}/submit": ("ada", {"reason": "x"}),
+    "/alignment-requests/{request_id:int}/sign": ("alan", SIGNED),
+    "/alignment-requests/{request_id:int}/withdraw": ("ada", {"reason": "x", "version": "1"}),
     "/campaigns/{campaign_id:int}/cancel": ("ada", {"reason": "x"}),
     "/campaigns/{campaign_id:int}/launch-failed": ("ada", {}),
     "/approvals/{approval_id:int}/threads": ("alan", {"kind": "gate", "name": "coverage", "text": "Why?"}),
@@ -115,7 +120,13 @@ FORMS = {  # who sends which form to which page
 }
 
 
-NEEDED = {"/alarms/{alarm_id:int}/{step}": "drifting", "/ingest/{decision_id:int}/answer": "decided"}  # fixtures
+NEEDED = {  # fixtures
+    "/alarms/{alarm_id:int}/{step}": "drifting",
+    "/ingest/{decision_id:int}/answer": "decided",
+    "/alignments/{alignment_id:int}/submit": "asked",
+    "/alignment-requests/{request_id:int}/sign": "asked",
+    "/alignment-requests/{request_id:int}/withdraw": "asked",
+}
 
 
 @pytest.fixture
@@ -124,6 +135,24 @@ def decided(site):
         policy = policies.draft(session, site.actor("ada"), 1, {}, "x")
         sent = ingest.SentFile("FOLDER", "pass.csv", None, 1)
         ingest.refuse(session, INGEST, policy.id, sent, "No telemetry.")
+
+
+@pytest.fixture
+def asked(site):
+    made = {
+        "sensor_a_id": 1,
+        "sensor_b_id": 1,
+        "run_a_id": 1,
+        "run_b_id": 1,
+        "options": {},
+        "created_utc": "2026-11-01",
+    }
+    with open_writing(site.engine) as session:
+        row = session.put(Alignment(**made, created_by=None, state="QUEUED"))
+        audit.append(session, INGEST, "requested", f"alignments/{row.id}")
+        request = {"result_sha256": "0", "reason": "x", "submitted_utc": "2026-11-01", "submitted_by": 1}
+        session.put(AlignmentRequest(alignment_id=row.id, state="OPEN", **request))
+        audit.append(session, INGEST, "submitted", "alignment-requests/1")
 
 
 def _forms() -> set[str]:

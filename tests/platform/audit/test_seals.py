@@ -6,6 +6,7 @@ import sqlalchemy as sa
 from boresight.console.access.tables import ApiKey, FactorChallenge, LoginSession, User, UserPreference
 from boresight.console.approvals.tables import FigureDelivery, Opening
 from boresight.console.fleet.tables import Sensor
+from boresight.console.ingest.tables import TakenObject
 from boresight.console.messages.tables import Message
 from boresight.console.mission_control.tables import MissionControlLink
 from boresight.console.runs.queries import finish
@@ -50,6 +51,7 @@ def test_every_table_is_sealed_or_says_why_not() -> None:
     tables = {mapper.class_ for mapper in Base.registry.mappers}
     unsealed = {LoginSession, Opening, RunEvent, WebhookDelivery, AuditAnchor, AuditRecord, IdempotentResponse, Blob}
     unsealed |= {ArchivedRun, UserPreference, SavedView, FigureDelivery, Message, FactorChallenge, MissionControlLink}
+    unsealed |= {TakenObject}
     assert {*seals.list_sealed()} == tables - unsealed
     assert all(model.sealing.unsealed for model in unsealed)
 

@@ -19,6 +19,7 @@ from prometheus_client.registry import Collector
 import boresight
 from boresight.console.administration import queries as rows
 from boresight.console.alarms.tables import ALARM_KINDS, ALARM_LEVELS
+from boresight.console.alignments import queries as alignment_rows
 from boresight.console.backups import queries as backup_rows
 from boresight.console.backups.service import find_schedule
 from boresight.console.fleet import queries as fleet_rows
@@ -151,6 +152,8 @@ def read_store(session: Session) -> dict[str, Values]:
     """Return the metrics that are read from the store, by name; the value of each by its labels."""
     statuses = [one.status for one in list_sensor_statuses(session)]
     waiting, since_utc = rows.read_open_approvals(session)
+    of_alignments, asked_utc = alignment_rows.read_open_requests(session)
+    oldest = (since_utc, asked_utc)
     alarms = rows.count_open_alarms(session)
     backup = backup_rows.find_newest(session, "SUCCEEDED")
     every = ((kind, level, state) for kind in ALARM_KINDS for level in ALARM_LEVELS for state in ALARM_STATES)
@@ -161,8 +164,8 @@ def read_store(session: Session) -> dict[str, Values]:
             ((name,), at_utc) for name, at_utc in rows.list_oldest_baselines(session, MOST)
         ),
         "drift_p_value": _smallest_p(session),
-        "approvals_waiting": {(): float(waiting)},
-        "approvals_oldest_timestamp_seconds": _at([((), since_utc)]),
+        "approvals_waiting": {(): float(waiting + of_alignments)},
+        "approvals_oldest_timestamp_seconds": _at([((), min(filter(None, oldest), default=None))]),
         "ingest_decisions_waiting": {(): float(rows.count_asked_decisions(session))},
         "alarms": {labels: float(alarms.get(labels, 0)) for labels in every},
         "queue_oldest_timestamp_seconds": _at([((), rows.read_queue(session))]),

@@ -1,9 +1,12 @@
-"""Alignments: the list, the form that starts one, and one with its verdict, both rotations, gates, figure and history."""
+"""Alignments: the list, the form that starts one, and one with its verdict, approval, rotations, gates, figure and history.
+
+A request that an alignment goes on board is signed on the page of the alignment, and the inbox of approvals leads there.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -14,12 +17,29 @@ from fastapi.responses import HTMLResponse, Response
 from boresight.calibration.alignment.align import AlignmentOptions
 from boresight.calibration.alignment.result import AXES
 from boresight.calibration.alignment.result import Alignment as AlignmentResult
-from boresight.console.access.dependencies import Blobs, Reading, Who, csrf
-from boresight.console.alignments import queries, service
-from boresight.console.alignments.tables import ALIGNMENT_STATES, Alignment, AlignmentSummary, parse_summary
+from boresight.console.access.dependencies import Reading, Who, csrf, get_needed, get_server
+from boresight.console.access.passwords import PasswordProof
+from boresight.console.alignments import approval, queries, service
+from boresight.console.alignments.tables import (
+    ALIGNMENT_STATES,
+    Alignment,
+    AlignmentRequest,
+    AlignmentSummary,
+    parse_summary,
+)
+from boresight.console.approvals.service import Decision
 from boresight.console.fleet import queries as sensor_rows
 from boresight.console.fleet import service as sensors
-from boresight.console.pages.rendering import RefusalContext, attempt, read_again, read_texts, redirect, render
+from boresight.console.pages.rendering import (
+    RefusalContext,
+    attempt,
+    proof_of_own,
+    read_again,
+    read_texts,
+    redirect,
+    render,
+    seen_version,
+)
 from boresight.console.pages.tables import (
     Table,
     TableColumn,
@@ -67,6 +87,10 @@ BETWEEN = (
     "The rotation between the two trackers as they are mounted: it holds whatever parameters are on board, and carries the error "
     "of both cameras, which more pairs do not lower."
 )
+MEANINGS = {
+    "APPROVE": "I reviewed the evidence and approve this alignment for upload",
+    "REFUSE": "I reviewed the evidence and refuse this alignment",
+}
 LOADED = (
     "The rotation between the attitudes that the trackers report with the parameters of these two runs: load it together with "
     "them and with no others."
@@ -91,6 +115,15 @@ class OfferedRun:
     run: Run
     sensor: str
     data: str
+
+
+@dataclass(frozen=True)
+class RefusedForm:
+    """A form of the page that was refused: which dialog it is of, why, and what was typed, without its password."""
+
+    act: str = ""
+    refusal: RefusalContext | None = None
+    typed: Mapping[str, str] = field(default_factory=dict)
 
 
 def _view_rotation(name: str, title: str, sentence: str, q: Sequence[float], sigma: Sequence[float]) -> RotationView:
@@ -201,33 +234,117 @@ def _read_number(name: str, text: str) -> float:
 
 
 @router.get("/alignments/{alignment_id:int}", response_class=HTMLResponse)
-def alignment_page(request: Request, session: Reading, blobs: Blobs, alignment_id: int) -> HTMLResponse:
-    """Show an alignment: its verdict, both rotations, its gates, its figure, and how former ones of the pair differ from it."""
+def alignment_page(request: Request, session: Reading, actor: Who, alignment_id: int) -> HTMLResponse:
+    """Show an alignment: its verdict, approval, both rotations, gates, figure, and how former ones of the pair differ from it."""
+    return _page(request, actor, alignment_id, RefusedForm(), session)
+
+
+def _page(request: Request, actor: Actor, alignment_id: int, refused: RefusedForm, session: Session) -> HTMLResponse:
     row = session.get_known(Alignment, alignment_id)
     found: AlignmentResult | None = None
-    gates, damage = [], ""
+    gates, damage, blocking = [], "", ""
     if row.state == "SUCCEEDED":
         try:
-            found, report = service.read_result(session, blobs, alignment_id)
+            found, report = service.read_result(session, get_server(request).blobs, alignment_id)
             gates = gate_rows(report.gates, report.blocking)
+            blocking = ", ".join(one.title for one in gates if one.name in report.blocking)
         except ConflictError as error:
             damage = str(error)
-    names = _sensor_names(session, [row])
+    names, policy = _sensor_names(session, [row]), get_server(request).policy
     summary = parse_summary(row.summary) if row.summary else None
+    requests = queries.list_requests(session, row.id)
+    asked = next((one for one in requests if one.state == "OPEN"), None)
     return render(
         request,
         "alignments/alignment.html",
+        refused=refused.refusal,
         alignment=row,
         found=found,
         damage=damage,
         summary=summary,
         rotations=_rotations(summary) if summary else [],
         gates=gates,
+        blocking=blocking,
         a=names[row.sensor_a_id],
         b=names[row.sensor_b_id],
         history=service.list_history(session, row),
-        requests=queries.list_requests(session, row.id),
+        requests=requests,
+        asked=asked,
+        blocked=asked and approval.explain_why_not_sign(session, actor, asked, policy),
+        is_in_force=any(one.state in {"OPEN", "APPROVED"} for one in requests),
+        form=refused,
+        meanings=MEANINGS,
+        needed=get_needed(request, session, actor),
         chart=chart,
         axes=AXES,
         names=read_names(session),
     )
+
+
+@router.post("/alignments/{alignment_id:int}/submit", response_class=HTMLResponse)
+async def submit_alignment(request: Request, actor: Who, alignment_id: int) -> Response:
+    """Ask that an alignment go on board with the parameters of its runs."""
+    typed, blobs = await read_texts(request), get_server(request).blobs
+
+    def change(session: Session) -> AlignmentRequest:
+        return approval.submit(session, actor, blobs, alignment_id, typed.get("reason", ""))
+
+    outcome = await attempt(request, change)
+    if outcome.refusal is not None:
+        refused = RefusedForm("submit", outcome.refusal, typed)
+        return await read_again(request, partial(_page, request, actor, alignment_id, refused))
+    return redirect(f"/alignments/{alignment_id}#approval", flash=f"Request {outcome.made.id} waits for an approver.")
+
+
+@router.get("/alignment-requests/{request_id:int}")
+def alignment_request_page(session: Reading, request_id: int) -> Response:
+    """Lead to the alignment of a request, where it is signed."""
+    return redirect(f"/alignments/{session.get_known(AlignmentRequest, request_id).alignment_id}#approval")
+
+
+@router.post("/alignment-requests/{request_id:int}/sign", response_class=HTMLResponse)
+async def sign_alignment(request: Request, actor: Who, request_id: int) -> Response:
+    """Approve a request, or refuse it, as a second person."""
+    typed = await read_texts(request)
+    decision, policy = typed.get("decision", ""), get_server(request).policy
+    decided = Decision(
+        decision, typed.get("meaning", "").strip() or MEANINGS.get(decision, ""), typed.get("comment", "")
+    )
+
+    def change(session: Session, proof: PasswordProof) -> AlignmentRequest:
+        return approval.sign(session, actor, request_id, decided, proof, seen_version(typed), policy=policy)
+
+    prove = proof_of_own(request, actor, typed)
+    return await _closed(request, actor, request_id, change, prove, RefusedForm(decision.lower(), None, typed))
+
+
+@router.post("/alignment-requests/{request_id:int}/withdraw", response_class=HTMLResponse)
+async def withdraw_alignment(request: Request, actor: Who, request_id: int) -> Response:
+    """Take an open request back."""
+    typed = await read_texts(request)
+
+    def change(session: Session) -> AlignmentRequest:
+        return approval.withdraw(session, actor, request_id, typed.get("reason", ""), seen_version(typed))
+
+    return await _closed(request, actor, request_id, change, None, RefusedForm("withdraw", None, typed))
+
+
+async def _closed(
+    request: Request,
+    actor: Actor,
+    request_id: int,
+    change: Callable[..., AlignmentRequest],
+    prove: Callable[[], Awaitable[Sequence[object]]] | None,
+    form: RefusedForm,
+) -> Response:
+    """Close a request as a form says, and lead to its alignment, or show the form again with its refusal."""
+    outcome = await attempt(request, change, prove)
+    if outcome.refusal is None:
+        said = f"Request {request_id} is {outcome.made.state}."
+        return redirect(f"/alignments/{outcome.made.alignment_id}#approval", flash=said)
+
+    def again(session: Session) -> HTMLResponse:
+        number = session.get_known(AlignmentRequest, request_id).alignment_id
+        return _page(request, actor, number, replace(form, refusal=outcome.refusal), session)
+
+    return await read_again(request, again)

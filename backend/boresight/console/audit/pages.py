@@ -198,6 +198,8 @@ PAGE_OF_NOUN = {
     "runs": "runs",
     "parameter-sets": "parameter-sets",
     "approvals": "approvals",
+    "alignments": "alignments",
+    "alignment-requests": "alignment-requests",
     "alarms": "alarms",
 }
 

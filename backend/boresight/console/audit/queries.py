@@ -30,6 +30,7 @@ NAMED: dict[str, Callable[[Session, Collection[int]], dict[int, str]]] = {
 #: Words before the number of a row that has no name.
 NUMBERED = {
     "alarms": "Alarm",
+    "alignment-requests": "Request for an alignment",
     "alignments": "Alignment",
     "approvals": "Request",
     "campaigns": "Campaign",

@@ -91,11 +91,7 @@ class WatchedFolder:
             raise RefusedInputError(
                 f"{arrival.name} is no plain file but a link, folder or device; send the file itself."
             )
-        if arrival.size_bytes > most_bytes:
-            raise RefusedInputError(
-                f"{arrival.name} has {arrival.size_bytes / 1e6:.0f} MB and {most_bytes / 1e6:.0f} MB are allowed: split it, or "
-                "have an administrator raise BORESIGHT_UPLOAD_LIMIT_MB."
-            )
+        refuse_too_large(arrival.name, arrival.size_bytes, most_bytes)
         with self._of_sensor(arrival.sensor) as place, _opened(arrival.name, FILE_FLAGS, place) as file:
             if _described(arrival, os.fstat(file)) != arrival:
                 return None
@@ -128,6 +124,15 @@ class WatchedFolder:
     def _of_sensor(self, sensor: str) -> Iterator[int]:
         with _opened(self.folder) as root, _opened(sensor, FOLDER_FLAGS, root) as place:
             yield place
+
+
+def refuse_too_large(name: str, size_bytes: int, most_bytes: int) -> None:
+    """Refuse a file that has more bytes than an upload may have."""
+    if size_bytes > most_bytes:
+        raise RefusedInputError(
+            f"{name} has {size_bytes / 1e6:.0f} MB and {most_bytes / 1e6:.0f} MB are allowed: split it, or "
+            "have an administrator raise BORESIGHT_UPLOAD_LIMIT_MB."
+        )
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any, Protocol
@@ -103,16 +103,18 @@ STEPS = {
 
 
 class Watcher(Protocol):
-    """What pages read of the watcher of this server; `fault`: what is wrong with its folder."""
-
-    fault: str
+    """What pages read of the watcher of this server."""
 
     @property
-    def folder(self) -> str | None:
-        """Address of the watched folder."""
+    def fault(self) -> str:
+        """What is wrong with the watched folder or bucket."""
+
+    @property
+    def places(self) -> Sequence[str]:
+        """Addresses of the watched folder and bucket."""
 
     def count_waiting(self, sensor: str) -> int:
-        """Count the files that lie in a sensor's sub-folder."""
+        """Count the files of a sensor that were not taken yet."""
 
 
 ServerWatcher = Annotated[Watcher, depend_on_server("ingest_watcher")]
@@ -152,7 +154,7 @@ def ingest_page(request: Request, session: Reading, watcher: ServerWatcher) -> H
         decisions=found.rows,
         last=found.last,
         lines=lines,
-        folder=watcher.folder,
+        places=watcher.places,
         fault=watcher.fault,
         sensor=sensor,
         choices=sensors.list_choices(session, keep=[sensor] if sensor else []),
@@ -267,7 +269,7 @@ def _policy(
         profiles=profiles.list_offers(session),
         presets=presets.list_offers(session),
         decisions=list_newest(session, IngestDecision, sensor=sensor_id, limit=RECENT),
-        folder=watcher.folder,
+        places=watcher.places,
         waiting=watcher.count_waiting(sensor.name),
         archives=systems.TITLES,
         linked=request.app.state.mission_control.links,

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import sqlalchemy as sa
 
-from boresight.console.ingest.tables import FAILED_STATES, IngestDecision, IngestPolicy
+from boresight.console.ingest.tables import FAILED_STATES, IngestDecision, IngestPolicy, TakenObject
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
-from boresight.platform.db.sessions import Session
+from boresight.platform.db.sessions import Session, utc_now
 
 IN_FORCE = ("ACTIVE", "PAUSED")
 
@@ -100,3 +100,21 @@ def list_due(session: Session) -> Sequence[int]:
     query = sa.select(IngestDecision.id).join(Run, Run.id == IngestDecision.run_id)
     query = query.where(IngestDecision.state == "CALIBRATING", Run.state.in_(TERMINAL_RUN_STATES))
     return session.scalars(query.order_by(IngestDecision.id)).all()
+
+
+IN_QUERY = 500  # addresses in one query
+
+
+def find_taken_objects(session: Session, addresses: Collection[str]) -> set[tuple[str, str]]:
+    """Return the versions of objects of the watched bucket that were taken, by address and ETag."""
+    asked, found, row = sorted(addresses), set(), TakenObject
+    for begin in range(0, len(asked), IN_QUERY):
+        query = sa.select(row.address, row.version).where(row.address.in_(asked[begin : begin + IN_QUERY]))
+        found |= {(address, version) for address, version in session.execute(query)}
+    return found
+
+
+def note_taken_object(session: Session, address: str, version: str) -> None:
+    """Write down that a version of an object was taken."""
+    if not find_taken_objects(session, [address]) & {(address, version)}:
+        session.put(TakenObject(address=address, version=version, taken_utc=utc_now()))

@@ -48,7 +48,7 @@ class IngestDecision(Row):
     id: int
     sensor_id: int
     policy_id: int
-    source: Literal["FOLDER", "REST", "ARCHIVE"]
+    source: Literal["FOLDER", "REST", "ARCHIVE", "BUCKET"]
     file_name: str
     file_sha256: str | None
     size_bytes: int

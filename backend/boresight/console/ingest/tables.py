@@ -7,7 +7,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
-from boresight.platform.db.declared import STRICT, Base, allow_only, only_one
+from boresight.platform.db.declared import STRICT, Base, Sealing, allow_only, only_one
 from boresight.platform.db.documents import JsonText
 
 POLICY_STATES = ("DRAFT", "ACTIVE", "PAUSED", "OFF")
@@ -23,7 +23,7 @@ DECISION_STATES = (
     "REFUSED",
 )
 FAILED_STATES = ("NOT JUDGED", "REFUSED")
-SOURCES = ("FOLDER", "REST", "ARCHIVE")
+SOURCES = ("FOLDER", "REST", "ARCHIVE", "BUCKET")
 ANSWERS = ("SUBMIT", "WAIT", "MORE DATA", "RECALIBRATE")
 
 
@@ -82,7 +82,7 @@ class IngestDecision(Base):
     received_utc: Mapped[str] = mapped_column(sa.Text)
     received_by: Mapped[int | None] = mapped_column(
         sa.ForeignKey("users.id")
-    )  # None: the watched folder, or an archive
+    )  # None: the watched folder or bucket, or an archive
     telemetry_set_id: Mapped[int | None] = mapped_column(sa.ForeignKey("telemetry_sets.id"))
     run_id: Mapped[int | None] = mapped_column(sa.ForeignKey("runs.id"), index=True)
     parameter_set_id: Mapped[int | None] = mapped_column(sa.ForeignKey("parameter_sets.id"))
@@ -97,3 +97,16 @@ class IngestDecision(Base):
     answered_utc: Mapped[str | None] = mapped_column(sa.Text)
     answered_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
     quiet_until_utc: Mapped[str | None] = mapped_column(sa.Text)  # of WAIT: how long the same change is not asked again
+
+
+class TakenObject(Base):
+    """A version of an object in the watched bucket that was taken, so that it is taken once; a decision says what came of it."""
+
+    __tablename__ = "taken_objects"
+    noun = "object of the watched bucket"
+    __table_args__ = (sa.UniqueConstraint("address", "version"), STRICT)
+    sealing = Sealing(unsealed="is which objects were taken; what they brought is sealed")
+    id: Mapped[int] = mapped_column(primary_key=True)
+    address: Mapped[str] = mapped_column(sa.Text)
+    version: Mapped[str] = mapped_column(sa.Text)  # its ETag
+    taken_utc: Mapped[str] = mapped_column(sa.Text)

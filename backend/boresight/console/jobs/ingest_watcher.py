@@ -1,7 +1,8 @@
-"""The ingest watcher: takes files from the watched folder, and decides on what was calibrated; see `console.ingest.service`.
+"""The ingest watcher: takes files from the watched folder and bucket, and decides on what was calibrated.
 
-Reading, checking and judging happen outside transactions, each write is one. Every step may be repeated: what was received is known
-by its bytes, a decision is written only while it is CALIBRATING, and several servers may watch the same folder.
+`console.ingest.service` says what a file goes through. Reading, checking and judging happen outside transactions, and each write is
+one. Every step may be repeated: what was received is known by its bytes, a decision is written only while it is CALIBRATING, and
+several servers may watch the same places.
 """
 
 from __future__ import annotations
@@ -9,8 +10,10 @@ from __future__ import annotations
 import logging
 import tempfile
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
 
 from boresight.console.approvals import gates
 from boresight.console.fleet import queries as sensor_rows
@@ -19,20 +22,46 @@ from boresight.console.ingest import queries as rows
 from boresight.console.ingest.folder import DONE, REFUSED, Arrival, TakenFile, WatchedFolder
 from boresight.console.ingest.service import SentFile
 from boresight.console.ingest.tables import IngestPolicy
-from boresight.console.jobs.intake import Intake
-from boresight.errors import BoresightError, ConflictError, UnavailableError
-from boresight.platform.db.sessions import Engine, open_reading, open_writing
+from boresight.console.jobs.intake import Intake, write_nothing
+from boresight.errors import BoresightError, ConflictError, RefusedInputError, UnavailableError
+from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing
 from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.jobs.periodic_thread import PeriodicThread
 from boresight.settings import Settings
 
+if TYPE_CHECKING:
+    from boresight.console.ingest.bucket import ArrivedObject, WatchedBucket
+
 log = logging.getLogger(__name__)
 
 ROUND_S = 2.0
+T = TypeVar("T")
+
+
+def open_watched_bucket(settings: Settings) -> WatchedBucket | None:
+    """Return the bucket that is watched; None where none is."""
+    if not settings.watch_bucket:
+        return None
+    try:
+        from boresight.console.ingest.bucket import WatchedBucket  # noqa: PLC0415 - an optional part
+    except ImportError as error:
+        raise RefusedInputError(
+            "A watched bucket needs the object store's library: pip install 'boresight[object-store]'."
+        ) from error
+    return WatchedBucket(settings.watch_bucket, settings.watch_bucket_s)
+
+
+@dataclass(frozen=True)
+class FoundFile:
+    """A file in a watched place: how it is copied, what follows once it is decided on, and what is written with the decision."""
+
+    take: Callable[[Path, int], TakenFile | None]
+    settle: Callable[[IngestPolicy, str, str], None]
+    beside: Callable[[Session], None] = write_nothing
 
 
 class IngestWatcher:
-    """The watcher of one server; without a folder it only decides on what was calibrated."""
+    """The watcher of one server; without a folder or bucket it only decides on what was calibrated."""
 
     def __init__(
         self, database: Engine, sources: ForecastSources, settings: Settings, tell: Callable[[], None]
@@ -44,8 +73,9 @@ class IngestWatcher:
         self._tell = tell
         watched = settings.watched_folder
         self._folder = None if watched is None else WatchedFolder(watched, settings.watch_settle_s)
-        self.fault = ""  # what is wrong with the watched folder
-        self._thread = PeriodicThread("ingest", [self.look, self.decide], lambda: ROUND_S)
+        self._bucket = open_watched_bucket(settings)
+        self._faults = {"folder": "", "bucket": ""}
+        self._thread = PeriodicThread("ingest", [self.look, self.look_into_bucket, self.decide], lambda: ROUND_S)
 
     def start(self) -> None:
         """Start the thread."""
@@ -56,42 +86,74 @@ class IngestWatcher:
         self._thread.close()
 
     @property
-    def folder(self) -> str | None:
-        """Address of the watched folder; None where none is watched."""
-        return None if self._folder is None else str(self._folder.folder)
+    def places(self) -> list[str]:
+        """Addresses of the watched folder and bucket."""
+        folder = [] if self._folder is None else [str(self._folder.folder)]
+        return folder + ([] if self._bucket is None else [self._bucket.address])
+
+    @property
+    def fault(self) -> str:
+        """What is wrong with the watched folder or bucket."""
+        return " ".join(filter(None, self._faults.values()))
 
     def count_waiting(self, sensor: str) -> int:
-        """Count the files that lie in a sensor's sub-folder."""
-        return 0 if self._folder is None else self._folder.count_waiting(sensor)
+        """Count the files of a sensor that were not taken yet."""
+        watched = (self._folder, self._bucket)
+        return sum(place.count_waiting(sensor) for place in watched if place is not None)
 
     def look(self) -> None:
         """Take in the files that are complete, of sensors whose policy is active."""
-        if self._folder is None or not (complete := self._list_complete(self._folder)):
+        if self._folder is None or not (complete := self._list(self._folder.list_complete, "folder")):
             return
-        with open_reading(self._database) as session:
-            active = {row.sensor_id for row in rows.list_policies_in_force(session) if row.state == "ACTIVE"}
-            sensors = (
-                {name: number for number, name in sensor_rows.read_names(session, active).items()} if active else {}
-            )
+        sensors = self._read_active()
         for arrival in complete:
             if self._thread.closing:
                 return
             if arrival.sensor in sensors:
-                self._thread.take(partial(self._take, self._folder, arrival, sensors[arrival.sensor]))
+                sent = SentFile("FOLDER", arrival.name, None, arrival.size_bytes)
+                settle = partial(self._settle, self._folder, arrival)
+                found = FoundFile(partial(self._folder.take, arrival), settle)
+                self._thread.take(partial(self._take, sensors[arrival.sensor], sent, found))
 
-    def _list_complete(self, folder: WatchedFolder) -> list[Arrival]:
-        """Look into the folder; what is wrong with it is logged once and shown on the page until it is mended."""
+    def look_into_bucket(self) -> None:
+        """Take in the objects that are new, of sensors whose policy is active."""
+        if self._bucket is None or not (sensors := self._read_active()):
+            return
+        arrived = self._list(partial(self._bucket.list_new, sorted(sensors)), "bucket")
+        if not arrived:
+            return
+        with open_reading(self._database) as session:
+            taken = rows.find_taken_objects(session, {one.address for one in arrived})
+        for one in arrived:
+            if self._thread.closing:
+                return
+            if one.key in taken:
+                self._bucket.note_known(one)
+                continue
+            sent = SentFile("BUCKET", one.name, None, one.size_bytes)
+            beside = partial(rows.note_taken_object, address=one.address, version=one.version)
+            found = FoundFile(partial(self._bucket.take, one), partial(self._know, one), beside)
+            self._thread.take(partial(self._take, sensors[one.sensor], sent, found))
+
+    def _read_active(self) -> dict[str, int]:
+        """Return the sensors whose policy is active, by their names."""
+        with open_reading(self._database) as session:
+            active = {row.sensor_id for row in rows.list_policies_in_force(session) if row.state == "ACTIVE"}
+            return {name: number for number, name in sensor_rows.read_names(session, active).items()} if active else {}
+
+    def _list(self, look: Callable[[], list[T]], place: str) -> list[T]:
+        """Look into a place; what is wrong with it is logged once and shown on the page until it is mended."""
         try:
-            complete = folder.list_complete()
-        except UnavailableError as error:
-            if str(error) != self.fault:
+            found = look()
+        except BoresightError as error:
+            if str(error) != self._faults[place]:
                 log.warning("%s", error)
-            self.fault = str(error)
+            self._faults[place] = str(error)
             return []
-        self.fault = ""
-        return complete
+        self._faults[place] = ""
+        return found
 
-    def _take(self, folder: WatchedFolder, arrival: Arrival, sensor_id: int) -> None:
+    def _take(self, sensor_id: int, sent: SentFile, found: FoundFile) -> None:
         """Take one file in; what stops the policy leaves the file where it is."""
         with open_reading(self._database) as session:
             try:
@@ -104,27 +166,27 @@ class IngestWatcher:
             return
         uploads = self._settings.data_folder / "uploads"
         uploads.mkdir(exist_ok=True)
-        sent = SentFile("FOLDER", arrival.name, None, arrival.size_bytes)
         try:
             with tempfile.TemporaryDirectory(dir=uploads) as place:
                 most_bytes = int(self._settings.upload_limit_mb * 1e6)
-                taken = folder.take(arrival, Path(place) / "file", most_bytes)
+                taken = found.take(Path(place) / "file", most_bytes)
                 if taken is None:
                     return  # it is still written
-                sent = SentFile("FOLDER", arrival.name, taken.sha256, taken.size_bytes)
-                to, reason = self._read(policy, taken, sent)
+                sent = replace(sent, sha256=taken.sha256, size_bytes=taken.size_bytes)
+                to, reason = self._read(policy, taken, sent, found)
         except FileNotFoundError:
             return  # another server took it
         except (UnavailableError, ConflictError):
             raise  # it is tried again, and the file is where it was
         except BoresightError as error:
-            to, reason = REFUSED, f"Decision {self._intake.refuse(policy, sent, error).id}: {error}"
-        self._settle(folder, arrival, policy, to, reason)
+            decision = self._intake.refuse(policy, sent, error, found.beside)
+            to, reason = REFUSED, f"Decision {decision.id}: {error}"
+        found.settle(policy, to, reason)
         self._tell()
 
-    def _read(self, policy: IngestPolicy, taken: TakenFile, sent: SentFile) -> tuple[str, str]:
+    def _read(self, policy: IngestPolicy, taken: TakenFile, sent: SentFile, found: FoundFile) -> tuple[str, str]:
         """Read, check and receive a file; returns where it goes, and why."""
-        row, came_before = self._intake.receive(policy, taken, sent)
+        row, came_before = self._intake.receive(policy, taken, sent, found.beside)
         to = REFUSED if row.state == "REFUSED" else DONE
         if came_before:
             return to, f"These bytes came before, decision {row.id}: {row.sentence}"
@@ -140,6 +202,11 @@ class IngestWatcher:
                 f"{arrival.name} cannot be moved to {to} ({error.strerror}): give the server the right to write there."
             )
             self._pause(policy, "FOLDER", said)
+
+    def _know(self, arrived: ArrivedObject, _policy: IngestPolicy, _to: str, _reason: str) -> None:
+        """Leave an object as it is, and remember it."""
+        if self._bucket is not None:
+            self._bucket.note_known(arrived)
 
     def _pause(self, policy: IngestPolicy, code: str, reason: str) -> None:
         log.warning("Ingest of sensor %d is paused: %s", policy.sensor_id, reason)

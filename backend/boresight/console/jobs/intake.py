@@ -17,8 +17,8 @@ from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.settings import Settings
 
 
-def _nothing(_: Session) -> None:
-    pass
+def write_nothing(_: Session) -> None:
+    """Write nothing beside a decision."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Intake:
     settings: Settings
 
     def receive(
-        self, policy: IngestPolicy, taken: TakenFile, sent: SentFile, beside: Callable[[Session], None] = _nothing
+        self, policy: IngestPolicy, taken: TakenFile, sent: SentFile, beside: Callable[[Session], None] = write_nothing
     ) -> tuple[IngestDecision, bool]:
         """Read, check and receive a file; return its decision, and whether that is one on the same bytes before."""
         with open_reading(self.database) as session:
@@ -51,7 +51,11 @@ class Intake:
         return row, False
 
     def refuse(
-        self, policy: IngestPolicy, sent: SentFile, error: BoresightError, beside: Callable[[Session], None] = _nothing
+        self,
+        policy: IngestPolicy,
+        sent: SentFile,
+        error: BoresightError,
+        beside: Callable[[Session], None] = write_nothing,
     ) -> IngestDecision:
         """Put on record that a file was refused, and why."""
         with open_writing(self.database) as session:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from boresight.console.access import queries as user_rows
 from boresight.console.access.tables import User
 from boresight.console.alarms.tables import Alarm
+from boresight.console.alignments.tables import Alignment, AlignmentRequest
 from boresight.console.approvals.signers import list_parts, list_signers
 from boresight.console.approvals.tables import Approval, Remark
 from boresight.console.change_proposals.service import MAY_CONFIRM, TITLES
@@ -79,9 +80,31 @@ DECIDED = {
     "approved": "is approved",
     "refused": "is refused",
     "withdrew": "was withdrawn",
+    "withdrawn": "was withdrawn",
     "made stale": "is stale",
     "let expire": "has expired",
 }
+
+
+def _signature_of_alignment_waits(of: Source) -> News | None:
+    row = of.session.get_one(AlignmentRequest, of.number)
+    if row.state != "OPEN":
+        return None
+    made = of.session.get_one(Alignment, row.alignment_id)
+    runs = [of.session.get_one(Run, number) for number in (made.run_a_id, made.run_b_id)]
+    own = {row.submitted_by, made.created_by, *(run.launched_by for run in runs)} if of.policy.four_eyes else set()
+    people = user_rows.list_users(of.session)
+    able = [one.id for one in people if "approver" in one.roles and "administrator" not in one.roles]
+    said = f"alignment {made.id} waits for your signature"
+    return News(made.sensor_a_id, said, f"/alignment-requests/{row.id}", set(able) - own)
+
+
+def _alignment_decided(of: Source) -> News:
+    row = of.session.get_one(AlignmentRequest, of.number)
+    made = of.session.get_one(Alignment, row.alignment_id)
+    said = f"request {row.id} for alignment {made.id} {DECIDED[of.record.action]}"
+    concerned = {one for one in (row.submitted_by, made.created_by) if one is not None}
+    return News(made.sensor_a_id, said, f"/alignment-requests/{row.id}", concerned - {of.record.actor_id})
 
 
 def _decided(of: Source) -> News | None:
@@ -191,6 +214,10 @@ KINDS: Mapping[str, MessageKind] = {
         _kind("ingest-asks", "New telemetry needs an answer", r"ingest-decisions/(\d+) decided", _ingest_asks),
         _kind("change-waits", "New limits or table layouts wait for a second person",
               r"change-proposals/(\d+) proposed", _change_waits),
+        _kind("alignment-waits", "An alignment waits for my signature",
+              r"alignment-requests/(\d+) submitted", _signature_of_alignment_waits),
+        _kind("alignment-decided", "A request for an alignment that I have a part in is decided",
+              rf"alignment-requests/(\d+) (?:{'|'.join(DECIDED)})", _alignment_decided),
         _kind("account", "Somebody else changes my account", r"users/(\d+) .+", _account),
     )
 }  # fmt: skip

@@ -32,6 +32,7 @@ ROWS_A_PAGE = 50
 #: Of a new address, until its person chooses otherwise.
 FIRST_KINDS = (
     "signature-waits",
+    "alignment-waits",
     "request-decided",
     "mention",
     "alarm-assigned",

@@ -26,6 +26,7 @@ from boresight.console import list_queries as lists
 from boresight.console.access.credentials import get_actor, get_times
 from boresight.console.access.dependencies import get_server
 from boresight.console.alarms import service as alarms
+from boresight.console.alignments import queries as alignment_rows
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet import status as fleet
 from boresight.console.jobs.maintenance import ChainStatus
@@ -63,7 +64,7 @@ def find_worst_status(standings: Sequence[fleet.SensorStatus]) -> FleetStatus:
 
 def read_fleet_status(session: Session) -> tuple[FleetStatus, int, int]:
     """Return the fleet's worst status, the number of requests that wait for a signature, and of unacknowledged alarms."""
-    waiting = lists.count(session, "approvals", {"state": "OPEN"})
+    waiting = lists.count(session, "approvals", {"state": "OPEN"}) + alignment_rows.read_open_requests(session)[0]
     return find_worst_status(fleet.list_sensor_statuses(session)), waiting, alarms.count_unacknowledged(session)
 
 

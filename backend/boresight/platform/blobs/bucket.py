@@ -18,7 +18,7 @@ import os
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from datetime import timedelta
 from functools import cache
 from pathlib import Path
@@ -188,22 +188,26 @@ class BucketBlobStore(BlobStore):
             path.unlink(missing_ok=True)
             too_much -= size
 
-    @contextmanager
-    def _asking(self, missing: str) -> Iterator[None]:
-        """Turn the store's errors into one sentence, without its message, which may contain addresses and headers."""
-        try:
-            yield
-        except FileNotFoundError as error:
-            raise NotFoundError(missing) from error
-        except (PermissionDeniedError, UnauthenticatedError) as error:
-            raise ForbiddenError(
-                f"The object store lets nobody read or write {self.address} with the credentials of this process; "
-                "check the key and its permissions."
-            ) from error
-        except BaseError as error:
-            raise UnavailableError(
-                f"The object store at {self.address} does not answer; check its address and the network, and try again."
-            ) from error
+    def _asking(self, missing: str) -> AbstractContextManager[None]:
+        return asking(self.address, missing)
+
+
+@contextmanager
+def asking(address: str, missing: str) -> Iterator[None]:
+    """Turn an object store's errors into one sentence, without its message, which may contain addresses and headers."""
+    try:
+        yield
+    except FileNotFoundError as error:
+        raise NotFoundError(missing) from error
+    except (PermissionDeniedError, UnauthenticatedError) as error:
+        raise ForbiddenError(
+            f"The object store lets nobody read or write {address} with the credentials of this process; "
+            "check the key and its permissions."
+        ) from error
+    except BaseError as error:
+        raise UnavailableError(
+            f"The object store at {address} does not answer; check its address and the network, and try again."
+        ) from error
 
 
 def _key(sha256: str) -> str:
@@ -224,14 +228,18 @@ def _files(folder: Path) -> Iterator[tuple[float, int, Path]]:
 @cache
 def open_bucket(place: BlobLocation) -> BucketBlobStore:
     """Open a bucket, once per process, because its connections are kept."""
-    store = from_url(  # an endpoint without TLS is used only where the environment names one
-        place.address,
-        client_options={"allow_http": True, "connect_timeout": ANSWERS_WITHIN, "timeout": ENDS_WITHIN},
-        retry_config={"max_retries": 4, "retry_timeout": TRIED_FOR},
-    )
     looking = from_url(
         place.address,
         client_options={"allow_http": True, "connect_timeout": LOOKS_FOR, "timeout": LOOKS_FOR},
         retry_config={"max_retries": 0, "retry_timeout": LOOKS_FOR},
     )
-    return BucketBlobStore(place, store, looking)
+    return BucketBlobStore(place, connect(place.address), looking)
+
+
+def connect(address: str) -> ObjectStore:
+    """Return the client of a place in an object store, with the credentials of the environment."""
+    return from_url(  # an endpoint without TLS is used only where the environment names one
+        address,
+        client_options={"allow_http": True, "connect_timeout": ANSWERS_WITHIN, "timeout": ENDS_WITHIN},
+        retry_config={"max_retries": 4, "retry_timeout": TRIED_FOR},
+    )

@@ -1,6 +1,7 @@
 """The inbox of requests, one request as a review beside the panel where it is signed, and the page that confirms a decision.
 
-A refused form comes back in its place with everything typed but the password.
+Requests for alignments stand in the inbox too, and are signed on the page of their alignment. A refused form comes back in its
+place with everything typed but the password.
 """
 
 from __future__ import annotations
@@ -18,6 +19,9 @@ from boresight.calibration.calibration import Calibration
 from boresight.console.access.dependencies import Reading, Who, check_own, csrf, get_client, get_needed, get_server
 from boresight.console.access.password_checks import PasswordWorker
 from boresight.console.access.passwords import PasswordProof
+from boresight.console.alignments import approval as alignment_approval
+from boresight.console.alignments import queries as alignment_rows
+from boresight.console.alignments.tables import Alignment, AlignmentRequest
 from boresight.console.approvals import gates, review, threads
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
@@ -26,6 +30,7 @@ from boresight.console.approvals.review import Acknowledgement, Point
 from boresight.console.approvals.tables import Approval, Remark, Signature, Thread
 from boresight.console.approvals.threads import MENTION
 from boresight.console.change_proposals import service as proposals
+from boresight.console.fleet import queries as sensor_rows
 from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import Beside
 from boresight.console.pages.rendering import (
@@ -236,6 +241,31 @@ class InboxRow:
     blocked: str | None
 
 
+@dataclass(frozen=True)
+class AlignmentRow:
+    """A request for an alignment in the inbox, and why the reader may not sign it."""
+
+    asked: AlignmentRequest
+    alignment: Alignment
+    sensors: str
+    blocked: str | None
+
+
+def _list_alignments(request: Request, session: Session, actor: Actor, show: str) -> list[AlignmentRow]:
+    """Return the newest requests for alignments of an inbox view; each alignment's page has all of its own."""
+    where = _narrowed(show, actor)
+    found = alignment_rows.list_newest_requests(
+        session, REQUESTS.rows_a_page, state=where["state"], submitted_by=where["submitted_by"]
+    )
+    policy, listed = get_server(request).policy, []
+    for one in found:
+        row = session.get_known(Alignment, one.alignment_id)
+        names = sensor_rows.read_names(session, {row.sensor_a_id, row.sensor_b_id})
+        blocked = alignment_approval.explain_why_not_sign(session, actor, one, policy)
+        listed.append(AlignmentRow(one, row, f"{names[row.sensor_a_id]} to {names[row.sensor_b_id]}", blocked))
+    return [one for one in listed if show != "mine" or one.blocked is None]
+
+
 @router.get("/approvals", response_class=HTMLResponse)
 def approvals_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
     """Show the inbox: what waits for a signature, for one's own, what one submitted, or everything."""
@@ -243,10 +273,12 @@ def approvals_page(request: Request, session: Reading, actor: Who) -> HTMLRespon
     show = view.where.get("show", "waiting")
     found = read_page(session, view, **_narrowed(show, actor))
     entries = _entries(request, session, actor, found.rows)
+    alignments = [] if view.before or view.where.get("q") else _list_alignments(request, session, actor, show)
     return render(
         request,
         "approvals/approvals.html",
         view=view,
+        alignments=alignments,
         entries=[entry for entry in entries if show != "mine" or entry.blocked is None],
         last=found.last,
         names=read_names(session, sensors_of=[entry.parameter_set for entry in entries]),

@@ -15,6 +15,8 @@ from boresight.console import list_queries as lists
 from boresight.console.access.dependencies import Reading, ServerPolicy, Who, Workers, depend_on_server, same_for_one
 from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import Alarm
+from boresight.console.alignments import approval as alignment_approval
+from boresight.console.alignments import queries as alignment_queries
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals import threads
@@ -46,6 +48,7 @@ from boresight.verdicts.verdict import RunSummary, parse_run_summary
 
 RECENT_EVENTS = 12
 MOST_ACTIONS = 8
+MOST_ALIGNMENTS = 100  # open requests that are looked through
 MOST_TILES = 120
 MOST_FAVOURITES = 12
 RUNS_IN_A_SPARKLINE = 16
@@ -119,6 +122,24 @@ def _proposals(session: Session, actor: Actor) -> WaitingItems:
             "standby",
             f"A change of the {proposals.TITLES[row.kind]} waits for a second person.",
             f"/change-proposals/{row.id}",
+            "Review",
+        )
+        for row in able[:MOST_ACTIONS]
+    ]
+    return WaitingItems(len(able), first)
+
+
+def _alignments(session: Session, actor: Actor, policy: Policy) -> WaitingItems:
+    able = [
+        row
+        for row in alignment_queries.list_newest_requests(session, MOST_ALIGNMENTS, state="OPEN")
+        if alignment_approval.explain_why_not_sign(session, actor, row, policy) is None
+    ]
+    first = [
+        WaitingAction(
+            "standby",
+            f"Alignment {row.alignment_id} waits for your signature.",
+            f"/alignments/{row.alignment_id}#approval",
             "Review",
         )
         for row in able[:MOST_ACTIONS]
@@ -242,6 +263,7 @@ class FleetView:
     events: Sequence[RecentEvent]
     open_requests: int = 0
     open_proposals: int = 0
+    open_alignments: int = 0
     submitters: Collection[int] = ()
     mentions: Mapping[str, Sequence[Remark]] = field(default_factory=dict)
     by_roles: dict[frozenset[str], tuple[WaitingItems, Sequence[WaitingItems]]] = field(default_factory=dict)
@@ -329,6 +351,7 @@ def _fleet(session: Session, memory: FleetStatusCache) -> FleetView:
         _events(session, standings),
         lists.count(session, "approvals", {"state": "OPEN"}),
         proposal_queries.count_open_proposals(session),
+        alignment_queries.read_open_requests(session)[0],
         approval_queries.list_submitter_ids(session, CAME_BACK),
         threads.find_open_mentions(session),
     )
@@ -350,9 +373,10 @@ def _mine(session: Session, actor: Actor, policy: Policy, overview: FleetView) -
     signatures = _signatures(session, actor, policy) if overview.open_requests else NOTHING
     own = _own_requests(session, actor) if actor.user_id in overview.submitters else ()
     decisions = _proposals(session, actor) if overview.open_proposals else NOTHING
+    alignments = _alignments(session, actor, policy) if overview.open_alignments else NOTHING
     alarming, (*promotions, calibrations) = _ours(session, actor, overview)
     mentions = _mentions(overview.mentions.get(actor.name, ()))
-    kinds = [alarming, signatures, mentions, decisions, *promotions, *own, calibrations]
+    kinds = [alarming, signatures, alignments, mentions, decisions, *promotions, *own, calibrations]
     first = [action for kind in kinds for action in kind.first][:MOST_ACTIONS]
     return signatures, WaitingItems(sum(kind.count for kind in kinds), first)
 
