@@ -58,9 +58,9 @@ def test_the_reference_says_from_where_on_a_change_is_far():
     assert f"Beyond {FAR_TYPICAL_SIGMAS:g}:" in row
 
 
-def test_no_page_names_a_setting_that_does_not_exist():
-    pages = "".join(path.read_text() for path in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md")))
-    named = set(re.findall(r"(?<!_)BORESIGHT_[A-Z0-9_]+", pages))  # a shell's completion has _BORESIGHT_COMPLETE
+def test_the_reference_names_no_setting_that_does_not_exist():
+    told = README + "".join(REFERENCE.values())
+    named = set(re.findall(r"(?<!_)BORESIGHT_[A-Z0-9_]+", told))  # a shell's completion has _BORESIGHT_COMPLETE
     assert named <= {API_KEY, *(setting.variable for setting in SETTINGS)}
 
 
