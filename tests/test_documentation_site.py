@@ -167,7 +167,11 @@ def test_every_kind_of_advice_is_used_and_has_its_place_in_the_guide(pages, buil
     codes = [*ADVICE_KINDS, *(f"{CAUSE}{name}" for name in (*CAUSES, UNKNOWN.name))]
     assert {f"advice-{code.replace('_', '-')}" for code in codes} - guide.names == set()
     (linked,) = re.findall(r"/docs/how-to/respond-to-advice.html#advice-{{ ([^}]*) }}", REVIEW)
-    assert linked == 'sentence.code | replace("_", "-")'
+    assert linked == 'code | replace("_", "-")'
+    templates = ROOT / "frontend" / "templates"
+    for name in ("campaigns/campaign.html", "alignments/alignment.html", "fleet/advice_panel.html"):
+        assert "what_to_do(" in (templates / name).read_text(encoding="utf-8")
+    assert "advice_list(choice.found.advice)" in (templates / "runs" / "choice.html").read_text(encoding="utf-8")
 
 
 def test_the_words_are_spelled_as_they_are():

@@ -149,15 +149,3 @@ def test_a_page_runs_from_top_to_bottom(page):
             exports += "".join(f"{line}\n" for line in block.text.splitlines() if line.startswith("export "))
         elif block.language == "python":
             exec(compile(block.text, f"{page}, line {block.line}", "exec"), names)  # noqa: S102 - they are ours
-
-
-@pytest.mark.full
-def test_the_two_examples_of_the_readme_run(folder, monkeypatch):
-    text = PAGES["README.md"]
-    (first,) = [block for block in blocks(text) if block.text.startswith("boresight simulate")]
-    (library,) = [block for block in blocks(text) if block.language == "python"]
-    _run_shell(first)
-    assert (folder / "result.html").is_file()
-    monkeypatch.chdir(folder / "fleet")
-    exec(compile(library.text, "README.md", "exec"), {"__name__": "page"})  # noqa: S102 - it is ours
-    assert Path("cal.json").is_file()

@@ -421,6 +421,7 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "get_uplink": onboard.uplink,
     "get_uplink_dump": onboard.uplink,
     "get_workflow": lambda house: ("victor", {"parameter_set_id": house.candidate()["id"]}),
+    "hand_over_parameter_set": onboard.hand_over,
     "read_back": onboard.read_back,
     "activate_parameter_set": onboard.activate,
     "stream_events": lambda _: ("victor", {}),

@@ -6,11 +6,16 @@ A sentence says what a person should know of these data; its code says to code a
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Self
+from typing import Protocol, Self
 
 #: A sentence on a cause has the code `CAUSE` with the cause's name.
 CAUSE = "cause_"
 ADVICE_KINDS = {
+    "alignment_covariance": "a side of an alignment whose parameters have no covariance",
+    "alignment_parameters": "a side of an alignment without a calibration",
+    "alignment_removed": "pairs of an alignment that were left out",
+    "alignment_scatter": "pairs of an alignment that scatter",
+    "alignment_temperature": "an alignment of which nothing is known at other temperatures",
     "chi_square": "residuals that are larger or smaller than the noise says",
     "cosine": "what the cosine error costs",
     "coverage": "parts of the detector without stars",
@@ -48,6 +53,17 @@ ADVICE_KINDS = {
     "tests": "tests that noticed something",
     "too_few_arcs": "no more arcs than parameters",
     "too_few_stars": "a set from which nothing could be estimated",
+    "trend_coarse": "newer data that are too few",
+    "trend_drift": "a baseline that is no longer valid",
+    "trend_ground": "a baseline that was made on the ground",
+    "trend_ground_shift": "calibrations that agree with one another and not with the ground's",
+    "trend_halved": "newer data that would halve every sigma",
+    "trend_jump": "a calibration that agrees with none before it",
+    "trend_no_baseline": "a sensor without a baseline",
+    "trend_no_data": "a baseline with no telemetry after it",
+    "trend_old": "an old baseline",
+    "trend_untested": "telemetry that was not calibrated yet",
+    "trend_valid": "a baseline that is still valid",
     "two_halves": "halves of the set that differ",
     "validation_rms": "a validation set on which nothing improved",
     "variation": "parameters that vary between passes",
@@ -99,3 +115,22 @@ def with_codes(sentences: Iterable[str], codes: list[str]) -> list[Advice]:
 def codes_of(sentences: Iterable[str]) -> list[str]:
     """Return the code of each sentence."""
     return [one.code if isinstance(one, Advice) else "" for one in sentences]
+
+
+class Advised(Protocol):
+    """A result with advice, and the code of each sentence."""
+
+    @property
+    def advice(self) -> list[str]:
+        """The sentences."""
+
+    @property
+    def advice_codes(self) -> list[str]:
+        """The code of each."""
+
+
+def join_codes(result: Advised) -> None:
+    """Put what was read of a result's advice beside its codes; the result is frozen to everybody else."""
+    said = with_codes(result.advice, result.advice_codes)
+    object.__setattr__(result, "advice", said)
+    object.__setattr__(result, "advice_codes", codes_of(said))

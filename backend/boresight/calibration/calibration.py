@@ -17,7 +17,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
-from boresight.calibration.advice_kinds import codes_of, with_codes
+from boresight.calibration.advice_kinds import join_codes
 from boresight.disks import writing
 from boresight.errors import RefusedInputError
 
@@ -1327,9 +1327,7 @@ class Calibration:
 
     def __post_init__(self) -> None:
         """Put what was read of the advice beside its codes."""
-        said = with_codes(self.advice, self.advice_codes)
-        object.__setattr__(self, "advice", said)
-        object.__setattr__(self, "advice_codes", codes_of(said))
+        join_codes(self)
 
     @property
     def reliable_covariance(self) -> Covariance:

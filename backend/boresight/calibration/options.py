@@ -1,4 +1,4 @@
-"""Every choice of a calibration, declared once: command line, form, REST schema, run summary and the README's list come from here.
+"""Every choice of a calibration, declared once: command line, form, REST schema, run summary and the site's list come from here.
 
 A field of `CalibrationSettings` is an `Option`: its name, default, kind of value, bounds or words, unit, title, sentence, and the
 methods that have it. A method is a row of `METHODS`. Nothing here loads an estimator, so that a command's help stays quick.

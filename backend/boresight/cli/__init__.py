@@ -46,7 +46,7 @@ LASTING = ("serve", "demo", "worker", "scheduler")
 def main(*, debug: bool) -> None:  # noqa: ARG001 - the group asks for it itself
     """Recalibrate star trackers on orbit from downlinked star centroids.
 
-    Every setting is an environment variable BORESIGHT_<NAME>; the README lists them.
+    Every setting is an environment variable BORESIGHT_<NAME>; the documentation lists them, under `/docs` of every console.
     """
     # threads of our own share the work out; OpenBLAS's beside them wait for one another, and round by how many they are
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

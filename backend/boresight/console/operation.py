@@ -37,7 +37,7 @@ from boresight.errors import RefusedInputError
 from boresight.platform.actors import Actor
 from boresight.platform.audit.queries import find_response, forget_responses
 from boresight.platform.audit.tables import IdempotentResponse
-from boresight.platform.db.sessions import Session, utc_after, utc_now
+from boresight.platform.db.sessions import Engine, Session, open_reading, utc_after, utc_now
 from boresight.platform.web.openapi import dependency_refusals, refusals
 
 PREFIX = "/api/v1"
@@ -131,6 +131,13 @@ class Idempotency:
                 )
             )
         return json_response(made.body, made.status, made.headers)
+
+    def is_answered(self, engine: Engine) -> bool:
+        """Whether the answer is stored already, for what is done before the transaction."""
+        if self.key is None:
+            return False
+        with open_reading(engine) as session:
+            return find_response(session, self.key, f"{self.actor.name} {self.actor.credential}") is not None
 
     def _replay(self, known: IdempotentResponse) -> Response:
         if known.request_sha256 != self.request_sha256:

@@ -206,7 +206,7 @@ def _check_keys(document: Mapping[str, Any], faults: Faults) -> None:
             faults.add(f"{key} is missing: add it")
     if len(document) > _MOST_FIELDS:
         faults.add(
-            f"there are {len(document):,} fields, at most {_MOST_FIELDS} are read: keep those that the README lists"
+            f"there are {len(document):,} fields, at most {_MOST_FIELDS} are read: keep those that the documentation lists"
         )
         return
     known = (*_REQUIRED, *_OPTIONAL)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from boresight.calibration.advice_kinds import ADVICE_KINDS, CAUSE, Advice
+from boresight.calibration.advice_kinds import ADVICE_KINDS, CAUSE, Advice, codes_of
 from boresight.calibration.calibration import (
     Calibration,
     ChiSquareTest,
@@ -409,6 +409,7 @@ class RunSummary:
     level: str | None = None
     advice: str | None = None
     finding: str | None = None
+    advice_code: str | None = None
     chi2_consistent: bool | None = None
     weak_directions: int | None = None
     rms_initial_arc_rad: float | None = None
@@ -447,8 +448,9 @@ def summarise_run(result: Calibration) -> RunSummary:
     return RunSummary(
         status=result.status,
         level=judged.level,
-        advice=advice[0] if advice else None,
+        advice=str(advice[0]) if advice else None,
         finding=name_finding(advice[0], result) if advice else None,
+        advice_code=next(iter(codes_of(advice)), None),
         chi2_consistent=not is_doubted(result, "chi_square", result.chi2.consistent) if result.chi2 else None,
         weak_directions=count_weak(seen) if seen else None,
         rms_initial_arc_rad=result.rms_arc_rad.initial,

@@ -1,6 +1,7 @@
 """Single sign-on against a stand-in provider: what an ID token must be, whose account it opens, and how people sign."""
 
 import re
+import time
 from collections.abc import Iterator
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -18,6 +19,7 @@ from tests.console.access.authenticators import App
 from tests.console.access.provider import (
     CLIENT_ID,
     CLIENT_SECRET,
+    LOG_OUT,
     Provider,
     other_key,
     providing,
@@ -331,6 +333,81 @@ def test_logging_out_at_the_provider_too_is_a_link_that_leads_there(right):
     assert there.startswith(f"{provider.issuer}/log-out?client_id={CLIENT_ID}&post_logout_redirect_uri=")
 
 
+BACK_CHANNEL = "/login/single-sign-on/back-channel-log-out"
+
+
+def test_whom_the_provider_logs_out_is_out_everywhere_and_nobody_else_is(right):
+    house, provider = right
+    clients = [_come(house)[0] for _ in range(2)]
+    user_id = clients[0].get("/api/v1/sessions/current").json()["user_id"]
+    token = provider.make_log_out_token(iat=int(time.time()) - 5)
+    provider.person = {**provider.person, "sub": "another", "preferred_username": f"sam-{user_id}-other"}
+    other, _ = _come(house)
+    answer = house.anybody().post(BACK_CHANNEL, data={"logout_token": token})
+    assert (answer.status_code, answer.content, answer.headers["cache-control"]) == (200, b"", "no-store")
+    assert [one.get("/api/v1/runs").status_code for one in (*clients, other)] == [401, 401, 200]
+    with open_reading(house.app.state.engine) as session:
+        records = [one for one in audit.list_records(session, subject=f"users/{user_id}") if "provider" in one.action]
+        assert [(one.action, one.after) for one in records] == [("logged out at the provider", {"log_ins": 2})]
+        ended = session.scalars(sa.select(LoginSession.ended_because).where(LoginSession.user_id == user_id))
+        assert set(ended) == {"logged_out"}
+
+
+def test_a_log_out_token_that_comes_again_ends_no_later_log_in(right):
+    house, provider = right
+    client, _ = _come(house)
+    token = provider.make_log_out_token(iat=int(time.time()) - 3600)
+    assert house.anybody().post(BACK_CHANNEL, data={"logout_token": token}).status_code == 200
+    assert client.get("/api/v1/runs").status_code == 200
+
+
+def test_a_log_out_of_somebody_who_never_came_is_done_at_once(right):
+    house, provider = right
+    assert house.anybody().post(BACK_CHANNEL, data={"logout_token": provider.make_log_out_token()}).status_code == 200
+
+
+@pytest.mark.parametrize(
+    "claims",
+    [
+        {"iss": "https://other.example"},
+        {"aud": "another-program"},
+        {"exp": 1_600_000_000},
+        {"exp": None},
+        {"iat": 4_000_000_000},
+        {"iat": None},
+        {"jti": None},
+        {"sub": None},
+        {"sub": 7},
+        {"nonce": "of an ID token"},
+        {"events": None},
+        {"events": {}},
+        {"events": {LOG_OUT: True}},
+        {"events": [LOG_OUT]},
+    ],
+    ids=str,
+)
+def test_a_log_out_token_that_does_not_fit_logs_nobody_out(right, claims):
+    house, provider = right
+    client, _ = _come(house)
+    answer = house.anybody().post(BACK_CHANNEL, data={"logout_token": provider.make_log_out_token(**claims)})
+    assert (answer.status_code, answer.json()["error"]) == (400, "invalid_request")
+    assert client.get("/api/v1/runs").status_code == 200
+
+
+def test_a_log_out_token_of_another_key_or_none_at_all_logs_nobody_out(right):
+    house, provider = right
+    client, _ = _come(house)
+    published = provider.published[0]
+    forged = []
+    for key, algorithm in ((other_key(), "ES256"), (symmetric_key(published), "HS256")):
+        provider.key, provider.algorithm = key, algorithm
+        forged.append(provider.make_log_out_token())
+    for token in (*forged, "", "no token", "a" * 20_000):
+        assert house.anybody().post(BACK_CHANNEL, data={"logout_token": token}).status_code == 400
+    assert house.anybody().post(BACK_CHANNEL).status_code == 400
+    assert client.get("/api/v1/runs").status_code == 200
+
+
 @pytest.mark.parametrize(
     "given",
     [
@@ -366,3 +443,4 @@ def test_the_client_secret_is_in_no_printed_setting(tmp_path):
 def test_without_a_provider_there_is_neither_button_nor_way(house):
     assert "single-sign-on" not in house.anybody().get("/login").text
     assert house.anybody().get("/login/single-sign-on").status_code == 404
+    assert house.anybody().post(BACK_CHANNEL, data={"logout_token": "any"}).status_code == 404

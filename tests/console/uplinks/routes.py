@@ -1,9 +1,11 @@
 """Sets on their way to the spacecraft, for requests about what is on board."""
 
 import struct
+from collections.abc import Mapping
 from typing import Any
 
 from boresight.console.uplinks import table_definitions
+from boresight.mission_control.systems import IMAGE, Link
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.db.sessions import open_writing
 from tests.served import PASSWORD, House
@@ -35,6 +37,22 @@ def table(house: House, row: dict[str, Any]) -> bytes:
     with open_writing(house.app.state.engine) as session:
         table_definitions.set_definition(session, COMMAND_LINE, row["sensor_id"], document, "As flown.", 0)
     return struct.pack(f">{len(names)}d", *row["document"]["parameters"].values())
+
+
+class KeptLink(Link):
+    """A link that keeps nothing, and says where a table would lie."""
+
+    def hand_over(self, name: str, sha256: str, files: Mapping[str, bytes]) -> tuple[str, ...]:
+        assert IMAGE in files
+        return (f"{self.store}/{name}/{sha256[:12]}/{IMAGE}",)
+
+
+def hand_over(house: House) -> Made:
+    row = at(house)
+    table(house, row)
+    assert house.person("olga").post(f"/api/v1/parameter-sets/{row['id']}:export").status_code == 201
+    house.app.state.mission_control.links = {"yamcs": KeptLink("yamcs", "http://yamcs.invalid", "sat", "tables")}
+    return "olga", {"parameter_set_id": row["id"], "json": {"system": "yamcs"}, "headers": _versioned(row)}
 
 
 def read_back(house: House) -> Made:

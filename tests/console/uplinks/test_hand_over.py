@@ -100,3 +100,27 @@ def test_openc3_gets_image_and_definition_where_table_manager_looks(site, olga):
     assert places[1].removesuffix("_def.txt").rpartition("/")[2] == places[0].removesuffix(".bin").rpartition("/")[2]
     assert openc3.files[places[0]] == table(site)
     assert openc3.files[places[1]].lstrip().startswith(b"#")
+
+
+def test_over_rest_it_is_the_same_act_once_a_key_and_a_dry_run_sends_nothing(site, olga, yamcs):
+    seen = {"If-Match": f'"v{version(site)}"', "X-CSRF-Token": olga.csrf_token}
+    keyed = {**seen, "Idempotency-Key": "pass-4711"}
+
+    def ask(headers, query="", system="yamcs"):
+        return olga.send("POST", f"/api/v1/parameter-sets/1:hand-over{query}", json={"system": system}, headers=headers)
+
+    trial = ask(keyed, "?validate_only=true")
+    assert (trial.status_code, trial.json()["places"]) == (200, [])
+    assert (yamcs.objects, _records(site, hand_over.BEGAN, hand_over.ENDED)) == ({}, [])
+    answers = [ask(keyed) for _ in range(2)]
+    (name,) = yamcs.objects
+    assert [(one.status_code, one.json()["places"]) for one in answers] == [(200, [f"{BUCKET}/{name}"])] * 2
+    assert yamcs.objects[name] == table(site)
+    assert [one.action for one in _records(site, hand_over.BEGAN, hand_over.ENDED)] == [
+        hand_over.BEGAN,
+        hand_over.ENDED,
+    ]
+    assert ask(seen, system="openc3").status_code == 409
+    yamcs.status = 503
+    failed = ask(seen)
+    assert (failed.status_code, failed.headers["content-type"]) == (503, "application/problem+json")

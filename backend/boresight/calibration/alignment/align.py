@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from boresight.arrays import BoolArray, FloatArray, IntArray
+from boresight.calibration.advice_kinds import Advice
 from boresight.calibration.alignment.result import (
     AXES,
     AlignedSide,
@@ -282,28 +283,37 @@ def _sentence(a: Side, b: Side, found: Estimate, P: FloatArray) -> str:
     return f"{words}{with_terms}."
 
 
-def _advice(a: Side, b: Side, found: Estimate) -> Iterator[str]:
+def _advice(a: Side, b: Side, found: Estimate) -> Iterator[Advice]:
     """Say what to know and do."""
     for side in (a, b):
         if side.parameters == "typical":
-            yield (
+            yield Advice(
                 f"No calibration of {side.name} was given: its camera is taken to be off by the typical spread; give one, and the "
-                "sigmas shrink."
+                "sigmas shrink.",
+                "alignment_parameters",
             )
         if side.parameters == "none":
-            yield f"The parameters of {side.name} have no covariance, so its share is missing in the sigmas: give a calibration."
+            yield Advice(
+                f"The parameters of {side.name} have no covariance, so its share is missing in the sigmas: give a calibration.",
+                "alignment_covariance",
+            )
     removed = int((~found.keep).sum())
     if removed:
-        yield (
+        yield Advice(
             f"{removed:,} of {len(found.keep):,} pairs were left out as too far off: look at their times and frames; matches, time "
-            "stamps or a fast turn cause that."
+            "stamps or a fast turn cause that.",
+            "alignment_removed",
         )
     fit = found.fit
     if fit.dof > 0 and fit.ratio > float(chdtri(fit.dof, 0.025)) / fit.dof:
-        yield (
+        yield Advice(
             f"The pairs scatter {np.sqrt(fit.ratio):.3g} times as much as stars and reference say, and the sigmas were widened: "
-            "check time stamps, the reference's sigma, and jitter between the frames."
+            "check time stamps, the reference's sigma, and jitter between the frames.",
+            "alignment_scatter",
         )
     names = {one.term.kind for one in found.tests}
     if "temperature" not in names and not any(one.kind == "temperature" for one in fit.terms):
-        yield "Temperature is unknown or hardly changed, so nothing is known of its effect: include passes at other temperatures."
+        yield Advice(
+            "Temperature is unknown or hardly changed, so nothing is known of its effect: include passes at other temperatures.",
+            "alignment_temperature",
+        )

@@ -9,6 +9,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from boresight.arrays import FloatArray
+from boresight.calibration.advice_kinds import join_codes
 from boresight.calibration.alignment.sides import Knowledge
 from boresight.calibration.calibration import Matrix, Numbers, parse_part, schema_of
 from boresight.calibration.evaluation.alignment import ARCSEC_PER_RAD
@@ -147,6 +148,11 @@ class Alignment:
     residuals: PairResiduals
     sentence: str
     advice: list[str]
+    advice_codes: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Put what was read of the advice beside its codes."""
+        join_codes(self)
 
     def at(self, temperature_c: float | None = None, days: float = 0.0) -> tuple[FloatArray, FloatArray]:
         """Return quaternion (4,) and covariance (3, 3), rad², at a temperature and so many days from `reference_utc`."""

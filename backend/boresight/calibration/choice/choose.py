@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from boresight.arrays import FloatArray
+from boresight.calibration.advice_kinds import Advice, of_kind
 from boresight.calibration.calibrate import CalibrationContext, choose_match_mode, open_validation_set
 from boresight.calibration.calibration import Values
 from boresight.calibration.choice.cross_validation import HeldOutScores, cross_validate, validate
@@ -238,15 +239,16 @@ class _CandidateTables:
         return (None, None) if found is None else found.largest
 
 
-def _read(telemetry: TelemetryInput, sensor: Sensor, catalogue: Catalogue, which: str) -> tuple[Telemetry, list[str]]:
+def _read(
+    telemetry: TelemetryInput, sensor: Sensor, catalogue: Catalogue, which: str
+) -> tuple[Telemetry, list[Advice]]:
     """Read a set, of a large one stretches that are evenly spread over it, with what to say of it."""
     inside, off = open_validation_set(telemetry, sensor, JUDGED_STARS)
     inside = put_right(inside, sensor, catalogue)
-    words = off.sentences(which)
+    words = of_kind("off_detector", off.sentences(which))
     if is_large(telemetry):
-        words.append(
-            f"The set{which} is large: {len(np.unique(inside.frame)):,} of its frames, evenly spread, were used."
-        )
+        said = f"The set{which} is large: {len(np.unique(inside.frame)):,} of its frames, evenly spread, were used."
+        words.append(Advice(said, "judged_on"))
     return inside, words
 
 
@@ -321,11 +323,12 @@ def _score_held_out(
     validation: TelemetryInput | None, fits: Fits, candidates: list[FittedSubset],
     richest: FittedSubset, catalogue: Catalogue, settings: CalibrationSettings, context: CalibrationContext,
     rng: np.random.Generator,
-) -> tuple[HeldOutScores | None, list[str]]:  # fmt: skip
+) -> tuple[HeldOutScores | None, list[Advice]]:  # fmt: skip
     """Score every candidate on a validation set, matched under the richest camera, or by cross-validation."""
     if validation is None:
         found = cross_validate(fits, candidates, rng)
-        return found, [] if found else ["With one frame alone nothing can be held out: give a validation set."]
+        alone = Advice("With one frame alone nothing can be held out: give a validation set.", "few_frames")
+        return found, [] if found else [alone]
     inside, words = _read(validation, fits.sensor, catalogue, " in the validation set")
     matched = _matched_under(inside, fits, richest, catalogue, settings, context)
     if matched.problem.arcs.n_exposures == 0:

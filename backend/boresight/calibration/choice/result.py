@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
+from boresight.calibration.advice_kinds import join_codes
 from boresight.calibration.calibration import Numbers, Values, to_plain
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
@@ -170,6 +171,11 @@ class Choice:
     stars: int
     arcs: int
     advice: list[str] = field(default_factory=list)
+    advice_codes: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Put what was read of the advice beside its codes."""
+        join_codes(self)
 
     @property
     def model(self) -> Candidate:
@@ -187,7 +193,7 @@ class Choice:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON of the contract as plain lists, numbers and None."""
-        document: dict[str, Any] = to_plain(self)
+        document: dict[str, Any] = to_plain(self) | {"advice": list(map(str, self.advice))}
         return document
 
     def to_json(self) -> str:

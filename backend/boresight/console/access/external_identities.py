@@ -6,16 +6,17 @@ refused, and gets no account of theirs.
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 from boresight.console.access import queries as rows
 from boresight.console.access import sessions, users
-from boresight.console.access.openid_connect import Attempt, ProviderAnswer
+from boresight.console.access.openid_connect import Attempt, ProviderAnswer, ProviderLogOut
 from boresight.console.access.tables import ExternalIdentity, User
 from boresight.errors import ConflictError, RefusedInputError, SingleSignOnError
 from boresight.platform.actors import SYSTEM, Actor
 from boresight.platform.audit import log as audit
-from boresight.platform.db.sessions import Session, keep_despite_refusal, utc_now
+from boresight.platform.db.sessions import Session, keep_despite_refusal, utc_after, utc_now
 from boresight.platform.web.text_validation import comparison_key
 
 LONGEST_SUBJECT = 255  # OpenID Connect Core, 2
@@ -93,3 +94,12 @@ def confirm(session: Session, actor: Actor, person: ProviderAnswer, attempt: Att
             "auth_time",
         )
     sessions.confirm(session, actor)
+
+
+def log_out(session: Session, told: ProviderLogOut) -> int:
+    """End the log-ins of whom the provider logged out, those that began before it said so: a token sent again ends no later one."""
+    known = rows.find_identity(session, told.issuer, told.subject)
+    if known is None:
+        return 0
+    before_utc = utc_after(told.issued_s - time.time() + CLOCKS_DIFFER_S)
+    return users.log_out_at_provider(session, session.get_one(User, known.user_id), before_utc)

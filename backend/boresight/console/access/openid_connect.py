@@ -10,6 +10,9 @@
 The ID token counts when its signature is by a key of the provider's discovery document, in an asymmetric algorithm, its
 issuer and audience are those of the settings, it has not expired, and its nonce is that of this browser's cookie. Nothing is
 asked of the provider before somebody logs in, and no redirect is followed.
+
+Whom the provider logs out, it names to this server by a log-out token (Back-Channel Logout 1.0), which is verified in the same
+way and must say that it is one.
 """
 
 from __future__ import annotations
@@ -47,6 +50,8 @@ KEPT_FOR_S = 3600.0
 KEYS_AGAIN_S = 60.0  # at the earliest, for a key that is not known
 LONGEST_ANSWER = 1_000_000  # bytes
 LONGEST_CODE = 4_096
+LONGEST_TOKEN = 16_384
+LOG_OUT = "http://schemas.openid.net/event/backchannel-logout"  # the event of a log-out token
 MOST_GROUPS = 2_000
 
 
@@ -142,6 +147,15 @@ class ProviderAnswer:
 
 
 @dataclass(frozen=True)
+class ProviderLogOut:
+    """Whom a provider logged out, and when it said so."""
+
+    issuer: str
+    subject: str
+    issued_s: float
+
+
+@dataclass(frozen=True)
 class _Discovered:
     """The provider's discovery document and keys, and when they were read."""
 
@@ -231,17 +245,7 @@ class IdentityProvider:
 
     async def _check(self, found: _Discovered, token: Mapping[str, Any], attempt: Attempt) -> CodeIDToken:
         """Verify signature and claims of an ID token."""
-        given = str(token["id_token"])
-        try:
-            try:
-                read = jwt.decode(given, found.keys, algorithms=ALGORITHMS)
-            except (InvalidKeyIdError, ValueError):  # a key that is newer than what was read
-                read = jwt.decode(given, (await self._discover(newer_than_s=found.read_s)).keys, algorithms=ALGORITHMS)
-        except (JoseError, ValueError, TypeError) as error:
-            raise SingleSignOnError(
-                "The provider's token is not signed by a key of the provider; log in again, or tell an administrator.",
-                "signature",
-            ) from error
+        read = await self._decode(found, str(token["id_token"]))
         expected = {
             "iss": {"essential": True, "value": self.settings.issuer},
             "aud": {"essential": True, "value": self.settings.client_id},
@@ -263,6 +267,44 @@ class IdentityProvider:
             claim = getattr(error, "claim", None) or "claims"
             raise SingleSignOnError(SENTENCES.get(claim, INCOMPLETE), REASONS.get(claim, "claims")) from error
         return claims
+
+    async def read_log_out(self, given: str) -> ProviderLogOut:
+        """Verify a log-out token as Back-Channel Logout 1.0, 2.6, has it, and return whom it names."""
+        if not given or len(given) > LONGEST_TOKEN:
+            raise SingleSignOnError("The request has no log-out token; send one as logout_token.", "claims")
+        claims = (await self._decode(await self._discover(), given)).claims
+        needed = jwt.ClaimsOption(essential=True)
+        registry = jwt.JWTClaimsRegistry(
+            leeway=CLOCKS_DIFFER_S,
+            iss=jwt.ClaimsOption(essential=True, value=self.settings.issuer),
+            aud=jwt.ClaimsOption(essential=True, value=self.settings.client_id),
+            sub=needed,
+            iat=needed,
+            exp=needed,
+            jti=needed,
+        )
+        try:
+            registry.validate(claims)
+        except (JoseError, ValueError, TypeError) as error:
+            claim = getattr(error, "claim", None) or "claims"
+            raise SingleSignOnError(SENTENCES.get(claim, INCOMPLETE), REASONS.get(claim, "claims")) from error
+        events = claims.get("events")
+        if "nonce" in claims or not isinstance(events, dict) or not isinstance(events.get(LOG_OUT), dict):
+            raise SingleSignOnError("The token is no log-out token; send one as logout_token.", "claims")
+        return ProviderLogOut(self.settings.issuer, claims["sub"], max(0.0, float(claims["iat"])))
+
+    async def _decode(self, found: _Discovered, given: str) -> jwt.Token:
+        """Verify the signature of a token."""
+        try:
+            try:
+                return jwt.decode(given, found.keys, algorithms=ALGORITHMS)
+            except (InvalidKeyIdError, ValueError):  # a key that is newer than what was read
+                return jwt.decode(given, (await self._discover(newer_than_s=found.read_s)).keys, algorithms=ALGORITHMS)
+        except (JoseError, ValueError, TypeError) as error:
+            raise SingleSignOnError(
+                "The provider's token is not signed by a key of the provider; log in again, or tell an administrator.",
+                "signature",
+            ) from error
 
     def _read(self, claims: CodeIDToken) -> ProviderAnswer:
         """Return whom an ID token names, and the roles of their groups."""

@@ -63,12 +63,20 @@ def list_addresses(session: Session, user_id: int) -> Sequence[str]:
 
 
 def end_open_log_ins(
-    session: Session, user_id: int, ended_utc: str, because: str, *, spare_id: int | None = None
+    session: Session,
+    user_id: int,
+    ended_utc: str,
+    because: str,
+    *,
+    spare_id: int | None = None,
+    created_before_utc: str | None = None,
 ) -> int:
-    """End the open log-ins of a person except one; returns how many were ended."""
+    """End the open log-ins of a person except one, or those begun before a time; returns how many were ended."""
     change = sa.update(LoginSession).where(LoginSession.user_id == user_id, LoginSession.ended_utc.is_(None))
     if spare_id is not None:
         change = change.where(LoginSession.id != spare_id)
+    if created_before_utc is not None:
+        change = change.where(LoginSession.created_utc < created_before_utc)
     ended = session.execute(change.values(ended_utc=ended_utc, ended_because=because))
     return int(ended.rowcount)  # type: ignore[attr-defined]  # an UPDATE's result has it
 

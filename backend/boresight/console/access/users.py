@@ -233,6 +233,16 @@ def follow_groups(session: Session, user: User, roles: Collection[str]) -> None:
         _set_roles(session, SYSTEM, user, after, "single sign-on")
 
 
+def log_out_at_provider(session: Session, user: User, before_utc: str) -> int:
+    """End the log-ins of a person that began before a time, because their provider logged them out; returns how many."""
+    rows.end_challenges(session, user.id, utc_now())
+    ended = rows.end_open_log_ins(session, user.id, utc_now(), "logged_out", created_before_utc=before_utc)
+    if ended:
+        audit.append(session, SYSTEM, "logged out at the provider", _subject(user), None, {"log_ins": ended})
+        note(session, "session_ended", None, user=user.name, reason="logged_out_at_provider", log_ins=ended)
+    return ended
+
+
 def _set_roles(session: Session, actor: Actor, user: User, after: list[str], source: str) -> None:
     before, user.roles = user.roles, after
     _end_sessions(session, user, "roles_changed")

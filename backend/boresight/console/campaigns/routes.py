@@ -58,6 +58,7 @@ class CampaignResult(Row):
     weak_directions: int | None
     weakest: str | None
     advice: str | None
+    advice_code: str | None = Field(description="The kind of the advice, for its section in the guide.")
 
 
 class RefusedMember(BaseModel):

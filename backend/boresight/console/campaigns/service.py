@@ -176,7 +176,7 @@ def make_result_line(standing: MemberStatus) -> dict[str, Any]:
     """Return one line of the results over sensors, arcs in rad; values that a run lacks are None."""
     names = (
         "rms_initial_arc_rad", "rms_final_arc_rad", "validation_rms_initial_arc_rad", "validation_rms_final_arc_rad",
-        "status", "level", "weak_directions", "weakest", "advice",
+        "status", "level", "weak_directions", "weakest", "advice", "advice_code",
     )  # fmt: skip
     return {
         "id": standing.id,

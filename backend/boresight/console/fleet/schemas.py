@@ -143,6 +143,7 @@ class Advice(Shape):
 
     answer: Literal["YES", "NOT YET", "MORE DATA NEEDED"]
     sentence: str
+    code: str = Field(description="The kind of advice, for its section in the guide.", examples=["trend_drift"])
     reasons: list[str]
 
 

@@ -12,7 +12,7 @@ Sigmas with further data are foretold by the number of stars, sigma = sigma_0 sq
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from boresight.calibration.parameter_set import parse_parameter_set
@@ -41,10 +41,11 @@ TOO_COARSE = 3.0  # of the baseline's sigmas
 
 @dataclass(frozen=True)
 class Advice:
-    """Whether to recalibrate now."""
+    """Whether to recalibrate now, and the kind of advice that this is."""
 
     answer: str
     sentence: str
+    code: str
     reasons: tuple[str, ...] = ()
 
 
@@ -66,43 +67,46 @@ def advise(trend: Trend, drift: DriftResult | None = None) -> Advice:
     """Say whether to recalibrate a sensor now: the first of the rules above that fits."""
     drift = drift or judge_drift(trend)
     if trend.baseline is None:
-        return Advice("MORE DATA NEEDED", "There is no baseline; register the sensor again.")
+        return Advice("MORE DATA NEEDED", "There is no baseline; register the sensor again.", "trend_no_baseline")
     data, age_d = find_unseen_telemetry(trend), count_days_since(trend.baseline)
-    answer, sentence = next(_rules(drift, data, trend.baseline, age_d))
-    return Advice(answer, sentence, tuple(_reasons(drift, data, trend.baseline, age_d)))
+    first = next(_rules(drift, data, trend.baseline, age_d))
+    return replace(first, reasons=tuple(_reasons(drift, data, trend.baseline, age_d)))
 
 
-def _rules(
-    drift: DriftResult, data: UnseenTelemetry, baseline: ParameterSet, age_d: float | None
-) -> Iterator[tuple[str, str]]:
+def _rules(drift: DriftResult, data: UnseenTelemetry, baseline: ParameterSet, age_d: float | None) -> Iterator[Advice]:
     """Yield the answers that fit, the gravest first; there is always one."""
-    name, ratio = baseline.name, data.ratio
+    name, ratio, more = baseline.name, data.ratio, "MORE DATA NEEDED"
     if drift.verdict == "DRIFT" and drift.is_jump and drift.newest is not None:
         apart = (
             f"Run {drift.newest.run_id} agrees neither with {name} nor with the line through the calibrations before it"
         )
-        yield "MORE DATA NEEDED", f"{apart}, a jump or wrong data: calibrate another pass before you decide."
+        said = f"{apart}, a jump or wrong data: calibrate another pass before you decide."
+        yield Advice(more, said, "trend_jump")
     if drift.verdict == "DRIFT":
-        yield "YES", f"Recalibrate: {name} is no longer valid."
+        yield Advice("YES", f"Recalibrate: {name} is no longer valid.", "trend_drift")
     if drift.verdict == "GROUND SHIFT":
-        yield "YES", GROUND_SHIFTED
+        yield Advice("YES", GROUND_SHIFTED, "trend_ground_shift")
     if not data.sets:
-        yield "MORE DATA NEEDED", f"No telemetry is newer than that of {name}: upload a pass for calibration."
+        said = f"No telemetry is newer than that of {name}: upload a pass for calibration."
+        yield Advice(more, said, "trend_no_data")
     if baseline.run_id is None:
-        yield "YES", f"Recalibrate: {name} was made on the ground, and there is telemetry to replace it."
+        said = f"Recalibrate: {name} was made on the ground, and there is telemetry to replace it."
+        yield Advice("YES", said, "trend_ground")
     if ratio is not None and ratio > TOO_COARSE:
         coarse = f"With the {count(data.stars)} stars available a sigma would be {fixed(ratio, 1)} times the baseline's"
-        yield "MORE DATA NEEDED", f"{coarse}: wait for more frames."
+        yield Advice(more, f"{coarse}: wait for more frames.", "trend_coarse")
     if age_d is not None and age_d > OLD_DAYS:
-        yield "YES", f"Recalibrate: {name} is older than {OLD_DAYS:.0f} days and newer data are available."
+        said = f"Recalibrate: {name} is older than {OLD_DAYS:.0f} days and newer data are available."
+        yield Advice("YES", said, "trend_old")
     if ratio is not None and ratio <= HALVED:
-        yield (
-            "YES",
-            f"Recalibrate: with the data available every sigma would be {fixed(ratio, 2)} times the baseline's or less.",
+        said = (
+            f"Recalibrate: with the data available every sigma would be {fixed(ratio, 2)} times the baseline's or less."
         )
+        yield Advice("YES", said, "trend_halved")
     if drift.verdict == "NOT TESTED":
-        yield "YES", f"Calibrate {data.sets[-1].name}: it is newer than {name} and not calibrated yet."
-    yield "NOT YET", f"{name} is still valid, and newer data would not improve it much."
+        said = f"Calibrate {data.sets[-1].name}: it is newer than {name} and not calibrated yet."
+        yield Advice("YES", said, "trend_untested")
+    yield Advice("NOT YET", f"{name} is still valid, and newer data would not improve it much.", "trend_valid")
 
 
 def find_unseen_telemetry(trend: Trend) -> UnseenTelemetry:
@@ -181,7 +185,7 @@ def write_trend_document(
         "truth": trend.sensor.truth,
         "annotations": [{name: getattr(row, name) for name in ANNOTATION} for row in annotations],
         "drift": drifts.document(found),
-        "advice": {"answer": advice.answer, "sentence": advice.sentence, "reasons": list(advice.reasons)},
+        "advice": asdict(advice) | {"reasons": list(advice.reasons)},
     }
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import Annotated
 
 from fastapi import Depends
-from fastapi.concurrency import contextmanager_in_threadpool
+from fastapi.concurrency import contextmanager_in_threadpool, run_in_threadpool
 from pydantic import Field, SecretStr
 from starlette.datastructures import UploadFile
 from starlette.requests import Request
@@ -26,6 +27,7 @@ from boresight.console.access.dependencies import (
     Who,
     Writing,
     factor_field,
+    open_write_or_dry_run,
     own_password,
     password_field,
 )
@@ -33,11 +35,13 @@ from boresight.console.access.passwords import PasswordProof
 from boresight.console.approvals.tables import GateProfile
 from boresight.console.change_proposals import service as proposals
 from boresight.console.change_proposals.routes import PROPOSED, in_force_or_proposed
-from boresight.console.operation import FORM_CONTENT, Answer, operations
+from boresight.console.operation import FORM_CONTENT, Answer, Idempotency, get_idempotency, operations
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.schemas import Shape, file_field, multipart
+from boresight.console.uplinks import hand_over as hand_overs
 from boresight.console.uplinks import packages, read_backs, schemas, table_definitions
 from boresight.console.uplinks import service as uplinks
+from boresight.console.uplinks.hand_over import HandOver
 from boresight.console.uplinks.stations import Workflow, make_workflow
 from boresight.console.uplinks.tables import Package, TableDefinition, Uplink
 from boresight.errors import RefusedInputError
@@ -241,6 +245,53 @@ def activate_parameter_set(
         proof,
         seen,
         happened=signed.happened_utc,
+    )
+
+
+class Destination(Shape):
+    """Where a table is handed over to."""
+
+    system: str = Field(description="`yamcs` or `openc3`, where its store is set.", examples=["yamcs"], max_length=20)
+
+
+async def handed_over(
+    request: Request,
+    parameter_set_id: Id,
+    to: Destination,
+    actor: Who,
+    seen: SeenVersion,
+    blobs: Blobs,
+    is_dry_run: IsDryRun,
+    idempotency: Annotated[Idempotency, Depends(get_idempotency)],
+) -> tuple[HandOver, Sequence[str]] | None:
+    """Put the beginning on record and send the table, before the transaction of its end; nothing where the answer is known."""
+    engine, links = request.app.state.engine, request.app.state.mission_control.links
+
+    def begin(session: Session) -> HandOver:
+        return hand_overs.begin(session, actor, blobs, links, parameter_set_id, to.system, seen)
+
+    if await run_in_threadpool(idempotency.is_answered, engine):
+        return None
+    async with asynccontextmanager(open_write_or_dry_run)(request, is_dry_run) as session:
+        going = await run_in_threadpool(begin, session)
+    return going, () if is_dry_run else await run_in_threadpool(going.send)
+
+
+@onboard_router.post(
+    "/{parameter_set_id}:hand-over", summary="Hand its table over to mission control", response_model=schemas.HandOver
+)
+def hand_over_parameter_set(
+    actor: Who, done: Annotated[tuple[HandOver, Sequence[str]], Depends(handed_over)], session: Writing
+) -> schemas.HandOver:
+    """Store the table of the baseline's newest package in Yamcs or OpenC3, for whoever commands there.
+
+    An operator does it in person, and it is on record before and after. Nothing is commanded, and the set's state on board stays
+    as it is recorded; the same table again is the same object.
+    """
+    handed, places = done
+    hand_overs.end(session, actor, handed, places)
+    return schemas.HandOver(
+        package_id=handed.package_id, package_sha256=handed.sha256, to=handed.link.place, places=list(places)
     )
 
 

@@ -28,6 +28,15 @@ class Uplink(Row):
     meaning: str | None = Field(description="What the signature means.")
 
 
+class HandOver(BaseModel):
+    """A table that was handed over to a mission control system; nothing was commanded."""
+
+    package_id: int
+    package_sha256: str
+    to: str = Field(description="The system and its store, for people.")
+    places: list[str] = Field(description="Where each file lies there; empty in a dry run.")
+
+
 class Version(Row):
     """A gate profile or table definition that was in force."""
 

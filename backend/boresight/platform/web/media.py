@@ -46,7 +46,9 @@ class CameraFile(Response):
 
 
 #: What is asked of a camera that leaves: in which format, how well, and with the residual or without.
-CameraFormat = Annotated[str, Query(examples=["opencv"], description="The format, one of the README's table.")]
+CameraFormat = Annotated[
+    str, Query(examples=["opencv"], description="The format, one that `boresight convert` writes.")
+]
 CameraMisfit = Annotated[
     float | None,
     Query(

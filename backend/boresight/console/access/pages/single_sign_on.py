@@ -6,7 +6,7 @@ from dataclasses import astuple, fields
 from functools import partial
 
 from fastapi import APIRouter, Request
-from fastapi.responses import HTMLResponse, RedirectResponse, Response
+from fastapi.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
 
 from boresight.console.access import external_identities
 from boresight.console.access.credentials import LogInCookie, ShortCookie, get_actor
@@ -115,3 +115,23 @@ async def log_out(request: Request) -> Response:
         return RedirectResponse(await provider.make_log_out_address(), status_code=303)
     except BoresightError as error:
         return _refused(request, None, error)
+
+
+@router.post("/back-channel-log-out", response_class=Response)
+async def log_out_by_provider(request: Request) -> Response:
+    """End the log-ins of whom the provider logged out, as OpenID Connect Back-Channel Logout 1.0 has it.
+
+    The provider sends this itself, without a browser: what counts is the signed token. 200: done, also where nobody was logged in.
+    """
+    provider, headers = _provider(request), {"Cache-Control": "no-store"}
+    given = (await request.form(max_files=0, max_fields=10)).get("logout_token", "")
+    try:
+        told = await provider.read_log_out(given if isinstance(given, str) else "")
+    except SingleSignOnError as error:
+        tell("authn_sso_fail", "failure", reason=error.reason, issuer=provider.settings.issuer)
+        body = {"error": "invalid_request", "error_description": str(error)}
+        return JSONResponse(body, status_code=400, headers=headers)
+    outcome = await attempt(request, partial(external_identities.log_out, told=told))
+    if outcome.refusal is not None:
+        raise outcome.refusal.error
+    return Response(status_code=200, headers=headers)
