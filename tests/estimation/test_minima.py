@@ -200,11 +200,10 @@ def errors_in_spread(sets):
         if searched(problem).search is None:
             continue
         found, spread = spread_of(problem, FREE, SCALE)
-        if spread is not None:
-            yield (
-                nees((truth - found.found[0].x) / SCALE, spread),
-                nees((truth - found.found[0].x) / SCALE, np.linalg.inv(found.found[0].A)),
-            )
+        yield (
+            nees((truth - found.found[0].x) / SCALE, spread),
+            nees((truth - found.found[0].x) / SCALE, np.linalg.inv(found.found[0].A)),
+        )
 
 
 def test_errors_of_sparse_sets_are_within_their_spread():

@@ -20,6 +20,7 @@ from boresight.calibration.calibration import (
     Calibration,
     InputPass,
     JudgedOn,
+    Minima,
     Noise,
     PassVariation,
     PriorUse,
@@ -47,7 +48,13 @@ from boresight.calibration.joint.variation import OPEN_SIGMAS, check_variation, 
 from boresight.calibration.matching.match_report import CyclesEnd, Estimation
 from boresight.calibration.matching.matched import Dataset, Matched
 from boresight.calibration.matching.verification import advise
-from boresight.calibration.minima import LowerMinimum, describe_minima, minima_advice
+from boresight.calibration.minima import (
+    LowerMinimum,
+    describe_minima,
+    describe_minima_of_filter,
+    look_about_filter,
+    minima_advice,
+)
 from boresight.calibration.options import OPTIONS, CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.process_noise import choose_drift, describe_process_noise, free_names
@@ -578,11 +585,21 @@ def _judge(
     again = last.refined(in_memory=judged.last is ended.matched)
     if again is not None:
         return again
-    minima = describe_minima(problem, estimate.searched, estimate.x, result.find_sigma(problem, parameters, estimate))
+    minima = _describe_minima(problem, parameters, settings, estimate)
     found = with_advice(replace(found, minima=minima), *minima_advice(minima))
     found = evaluate_result(found, judged.sets, judged.first, ended.judged_by(judged.last), parameters, settings)
     found = replace(found, noise=corrections.noise or last.noise, assumptions=last.assumptions(found.trust))
     return _say_what_was_judged(found, judged.last.problem)
+
+
+def _describe_minima(
+    problem: Problem, parameters: Parameters, settings: CalibrationSettings, estimate: Estimate
+) -> Minima | None:
+    """Say which minima a set has, be it a batch or a filter that was run."""
+    if not settings.sequential:
+        return describe_minima(problem, estimate.searched, estimate.x, result.find_sigma(problem, parameters, estimate))
+    of = (parameters.free, parameters.scale, estimate.x, None, parameters.prior)
+    return describe_minima_of_filter(problem, look_about_filter(problem, *of), estimate.x, estimate.A)
 
 
 def _say_what_was_judged(found: Calibration, judged: Problem) -> Calibration:

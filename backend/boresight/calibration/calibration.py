@@ -496,7 +496,9 @@ class ModelMisfit:
     """How much wider than noise alone makes them the sigmas are for what the model does not hold.
 
     `covariance`: SI, of the estimate with it. `factor`: by parameter. `blocks`: of frames that disagree by more than noise, 0 where
-    none do. `departures`: from the model that widen, and `suspected`: those among them that no test noticed.
+    none do. `departures`: from the model that widen, and `suspected`: those among them that no test noticed. `level`: variance of
+    the residuals over the stated one, 1 within its bounds. `selected`: claimed sigmas between a filter that selects its arcs and
+    the fit of the whole set. `bends`: whether chi-square has other minima or bends.
     """
 
     covariance: Covariance
@@ -505,6 +507,9 @@ class ModelMisfit:
     sentence: str
     departures: list[str] = field(default_factory=list)
     suspected: list[str] = field(default_factory=list)
+    level: float = 1.0
+    selected: float = 0.0
+    bends: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -532,8 +537,8 @@ class Minima:
     """What a search from many starts found, the best first, and the intervals of the parameters that are not symmetric.
 
     `spread`: mean square distance from the estimate of all states, each as likely as the data make it, SI; None where the sigmas
-    tell as much, or it is not known. `taken_from`: what led to the minimum that was taken up, empty where the usual start had ended
-    in it.
+    tell as much. `taken_from`: what led to the minimum that was taken up, empty where the usual start had ended
+    in it. `elsewhere`: whether a filter ended in another than the lowest.
     """
 
     starts: int
@@ -541,6 +546,7 @@ class Minima:
     intervals: list[ProfileInterval] = field(default_factory=list)
     spread: Covariance | None = None
     taken_from: str = ""
+    elsewhere: bool = False
     sentence: str = ""
 
 

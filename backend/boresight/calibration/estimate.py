@@ -291,13 +291,12 @@ def _search(
     fitted: batch.BatchFit,
     cancelled: Asked,
 ) -> Searched:
-    """Look for other minima; the cosine error is there for comparison only, and has none looked for, nor beside a prior.
-
-    A prior tells minima apart by itself, and a search of the data's cost alone would take up one that it excludes.
-    """
-    if settings.error == "cosine" or parameters.prior is not None:
+    """Look for other minima; the cosine error is there for comparison only, and has none looked for."""
+    if settings.error == "cosine":
         return NOT_SEARCHED
-    return look_for_minima(problem, parameters.free, parameters.scale, _threshold(settings), fitted, cancelled)
+    return look_for_minima(
+        problem, parameters.free, parameters.scale, _threshold(settings), fitted, cancelled, parameters.prior
+    )
 
 
 def _threshold(settings: CalibrationSettings) -> float:

@@ -19,10 +19,11 @@ from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.advice_kinds import Advice
 from boresight.calibration.calibration import Covariance, Minima, Minimum, ProfileInterval, Values
 from boresight.calibration.problem import Problem, whiten_at
-from boresight.estimation import minima
+from boresight.estimation import batch, minima
 from boresight.estimation.arcs import ArcSet
-from boresight.estimation.batch import BatchFit, determined
+from boresight.estimation.batch import BatchFit, determined, sigma_in_scale
 from boresight.estimation.minima import LOWER, CostSurface, Piece, Profile, Search
+from boresight.estimation.prior import Prior
 from boresight.estimation.robust import measure_huber_effect
 from boresight.estimation.statistics.consistency import chi_square
 from boresight.estimation.statistics.observability import WEAK, chi2_rise, is_curved
@@ -38,6 +39,8 @@ ASYMMETRY = 0.25
 TOLD = 20.0
 #: Rise up to which it is a caution: its likelihood is above one in a hundred and fifty.
 CLOSE = 10.0
+#: Sigmas of a filter's estimate from the lowest minimum from which on it is in another.
+ELSEWHERE = 6.0
 MULTI_START = "a search from many starts"
 
 
@@ -89,10 +92,12 @@ def look_for_minima(
     threshold: float,
     fitted: BatchFit,
     cancelled: Callable[[], bool] | None,
+    prior: Prior | None = None,
 ) -> Searched:
     """Search about a fit, where that is worth it.
 
-    `free`, `scale`: (n_free,) places of the free parameters and their typical sigmas, SI. `threshold`: of Huber's loss.
+    `free`, `scale`: (n_free,) places of the free parameters and their typical sigmas, SI. `threshold`: of Huber's loss. `prior`:
+    what was known before.
     """
     if not _is_worth_it(problem, free, scale, fitted):
         return NOT_SEARCHED
@@ -101,7 +106,7 @@ def look_for_minima(
     def whiten(x: FloatArray) -> ArcSet:
         return whiten_at(arcs, problem.camera, x)
 
-    surface = CostSurface(whiten, free, scale, threshold, problem.can_be, cancelled)
+    surface = CostSurface(whiten, free, scale, threshold, problem.can_be, cancelled, prior)
     found = minima.search(surface, fitted, np.random.default_rng(SEED))
     if not found.found:
         return NOT_SEARCHED
@@ -124,6 +129,37 @@ def _is_worth_it(problem: Problem, free: IntArray, scale: FloatArray, fitted: Ba
 def _fall(surface: CostSurface, lowest: BatchFit, fitted: BatchFit) -> float:
     """By how much a minimum lies below where a fit ended; infinite where that was none."""
     return surface.cost(fitted.x) - lowest.cost if surface.is_minimum(fitted) else np.inf
+
+
+def look_about_filter(
+    problem: Problem,
+    free: IntArray,
+    scale: FloatArray,
+    x: FloatArray,
+    cancelled: Callable[[], bool] | None,
+    prior: Prior | None,
+) -> Searched:
+    """Search about the fit of the set on which a filter ended at x (n_parameters,), SI; nothing is taken up."""
+    arcs = problem.whitened(x)
+    fitted = batch.fit(arcs, x, free, scale, prior=prior, cancelled=cancelled)
+    found = look_for_minima(problem, free, scale, np.inf, fitted, cancelled, prior)
+    return replace(found, taken_from="", fall=0.0, restarts=MOST_RESTARTS)
+
+
+def describe_minima_of_filter(problem: Problem, searched: Searched, x: FloatArray, A: FloatArray) -> Minima | None:
+    """Say which minima the set has on which a filter ended at x (n_parameters,), SI, with information A (n_free, n_free)."""
+    if searched.search is None:
+        return None
+    surface, best = searched.search.surface, searched.search.found[0]
+    sigma = np.full(len(x), np.nan)
+    sigma[surface.free] = surface.scale * sigma_in_scale(surface.equations(best.x).A)
+    described = describe_minima(problem, searched, best.x, sigma)
+    step = (x - best.x)[surface.free] / surface.scale
+    if described is None or float(step @ A @ step) < ELSEWHERE**2:
+        return described
+    where = _farthest(_describe(problem.camera.parameter_names, best, best), x, sigma)
+    sentence = f"The filter did not end in the lowest minimum ({where}): run the batch. {described.sentence}"
+    return replace(described, elsewhere=True, sentence=sentence)
 
 
 def describe_minima(problem: Problem, searched: Searched, x: FloatArray, sigma: FloatArray) -> Minima | None:
@@ -168,14 +204,12 @@ def _profile(names: Sequence[str], search: Search, rise: float, *, follow: bool)
     return profiles
 
 
-def _find_spread(names: Sequence[str], search: Search, profiles: Sequence[Profile]) -> Covariance | None:
+def _find_spread(names: Sequence[str], search: Search, profiles: Sequence[Profile]) -> Covariance:
     """How far the estimate may be off where the set bends."""
     surface = search.surface
     variance = _residual_variance(surface, search.found[0])
     path = [fitted for one in profiles for fitted in one.path]
     spread = minima.measure_spread(search, path, variance, np.random.default_rng(SEED))
-    if spread is None:
-        return None
     matrix = (spread * np.outer(surface.scale, surface.scale)).tolist()
     return Covariance(names=[names[p] for p in surface.free], matrix=matrix)
 
@@ -279,4 +313,4 @@ def minima_advice(found: Minima | None) -> list[Advice]:
     if found is None:
         return []
     close = len(found.found) > 1 and found.found[1].chi2_above_best <= CLOSE
-    return [Advice(found.sentence, "minima")] if found.taken_from or close else []
+    return [Advice(found.sentence, "minima")] if found.taken_from or found.elsewhere or close else []

@@ -32,7 +32,8 @@ with the information A of its place; with q the density of the mixture
     spread = c sum_i w_i (z_i - z_0)(z_i - z_0)^T / sum_i w_i        w_i = exp(-(J(z_i) - J_0) / 2 s) / q(z_i).
 
 The weights leave as much as m = (sum w)^2 / sum w^2 equal draws would, and a covariance of p parameters that is known from m draws
-is too narrow for their squared errors by c = m / (m - p - 1) on average, the mean of an inverse Wishart matrix.
+is too narrow for their squared errors by c = m / (m - p - 1) on average, the mean of an inverse Wishart matrix. Where m is next to
+nothing the minima with their covariances, weighed by their height, stand for the integral.
 
 References
 ----------
@@ -51,7 +52,8 @@ import numpy as np
 from boresight.arrays import FloatArray, IntArray
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet, angular_sigma, whiten
-from boresight.estimation.batch import BatchFit
+from boresight.estimation.batch import BatchFit, NormalEquations
+from boresight.estimation.prior import Prior
 
 #: Spreads of the starts about a minimum, typical sigmas, and how many starts have each.
 SPREADS, STARTS_EACH = (1.0, 3.0, 10.0), 8
@@ -91,6 +93,8 @@ class CostSurface:
         Whether a state (n_parameters,) can be.
     cancelled
         Asked before each iteration of a fit.
+    prior
+        What was known before; its share is part of the cost.
     """
 
     whiten: Callable[[FloatArray], ArcSet]
@@ -99,18 +103,25 @@ class CostSurface:
     threshold: float = np.inf
     allowed: Callable[[FloatArray], bool] = field(default=lambda _: True)
     cancelled: Callable[[], bool] | None = None
+    prior: Prior | None = None
 
     def fit(self, arcs: ArcSet, x: FloatArray, held: int | None = None) -> BatchFit:
         """Fit whitened arcs from a state x (n_parameters,), all free parameters or all but one, by its place among them."""
         chosen = np.arange(len(self.free)) if held is None else np.delete(np.arange(len(self.free)), held)
+        prior = self.prior if self.prior is None or held is None else self.prior.at(x, self.free, self.scale, held)
         return batch.fit(
             arcs, x, self.free[chosen], self.scale[chosen],
-            threshold=self.threshold, max_iterations=MOST_ITERATIONS, cancelled=self.cancelled,
+            threshold=self.threshold, max_iterations=MOST_ITERATIONS, cancelled=self.cancelled, prior=prior,
         )  # fmt: skip
+
+    def equations(self, x: FloatArray, threshold: float = np.inf) -> NormalEquations:
+        """A, b and costs of a state (n_parameters,) under its own R, with what was known before."""
+        data = batch.normal_equations(self.whiten(x), x, self.free, self.scale, threshold)
+        return data.with_prior(self.prior, x, self.free, self.scale)
 
     def cost(self, x: FloatArray) -> float:
         """Cost of a state (n_parameters,) under its own R; infinite where there is none."""
-        cost = batch.normal_equations(self.whiten(x), x, self.free, self.scale, self.threshold).chi2
+        cost = self.equations(x, self.threshold).chi2
         return cost if np.isfinite(cost) else np.inf
 
     def settle(self, x: FloatArray) -> BatchFit:
@@ -306,9 +317,7 @@ def _held(surface: CostSurface, near: BatchFit, place: int, value: float) -> Bat
     return replace(fitted, cost=surface.cost(fitted.x))
 
 
-def measure_spread(
-    search: Search, path: Sequence[BatchFit], variance: float, rng: np.random.Generator
-) -> FloatArray | None:
+def measure_spread(search: Search, path: Sequence[BatchFit], variance: float, rng: np.random.Generator) -> FloatArray:
     """Mean square distance of what can be from the lowest minimum, (n_free, n_free) in typical sigmas; see the module.
 
     Parameters
@@ -321,10 +330,6 @@ def measure_spread(
         Of the whitened residuals, s.
     rng
         Draws the states.
-
-    Returns
-    -------
-    None where so few draws carry the weight that they tell nothing.
     """
     surface, best = search.surface, search.found[0]
     n = len(surface.free)
@@ -342,8 +347,19 @@ def measure_spread(
         weight = np.concatenate([weight, np.exp(-rise / (2 * variance) - _log_density(drawn, middle, root, share))])
         worth = float(weight.sum() ** 2 / np.sum(weight**2)) if weight.any() else 0.0
     if not worth > n + FEWEST:
-        return None
+        return _spread_of_minima(surface, search.found, variance)
     return np.asarray((z * (weight / weight.sum())[:, None]).T @ z * worth / (worth - n - 1))
+
+
+def _spread_of_minima(surface: CostSurface, found: Sequence[BatchFit], variance: float) -> FloatArray:
+    """The same where so few draws carry the weight that they tell nothing: each minimum with its covariance, by its height."""
+    share = np.exp(-np.array([one.cost - found[0].cost for one in found]) / (2 * variance))
+    total = np.zeros((len(surface.free), len(surface.free)))
+    for one, weight in zip(found, share / share.sum(), strict=True):
+        z = (one.x - found[0].x)[surface.free] / surface.scale
+        values, vectors, known = batch.determined(surface.equations(one.x).A)
+        total += weight * (np.outer(z, z) + (vectors[:, known] / values[known]) @ vectors[:, known].T * variance)
+    return total
 
 
 def _log_density(z: FloatArray, middle: FloatArray, root: FloatArray, share: FloatArray) -> FloatArray:
@@ -369,7 +385,7 @@ def _parts(surface: CostSurface, fits: Sequence[BatchFit], best: BatchFit) -> li
     parts: list[_Part] = []
     for one in fits:
         z = (one.x - best.x)[surface.free] / surface.scale
-        A = batch.normal_equations(surface.whiten(one.x), one.x, surface.free, surface.scale).A
+        A = surface.equations(one.x).A
         if not np.isfinite(A).all() or any((z - other.z) @ A @ (z - other.z) < APART**2 for other in parts):
             continue
         try:

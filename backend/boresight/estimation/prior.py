@@ -27,7 +27,7 @@ from functools import cached_property
 
 import numpy as np
 
-from boresight.arrays import FloatArray
+from boresight.arrays import FloatArray, IntArray
 from boresight.estimation import batch
 
 
@@ -61,6 +61,15 @@ class Prior:
     def S(self) -> FloatArray:
         """Upper triangular square root of the covariance, S S^T = P."""
         return np.ascontiguousarray(np.linalg.cholesky(self.P[::-1, ::-1])[::-1, ::-1])
+
+    def at(self, x: FloatArray, free: IntArray, scale: FloatArray, held: int) -> Prior:
+        """That of the other parameters where the one at place `held` is known to have its value in x (n_parameters,), SI."""
+        others = np.delete(np.arange(len(free)), held)
+        A = self.A[np.ix_(others, others)]
+        z = (x[free[held]] - self.x[free[held]]) / scale[held]
+        mean = self.x.copy()
+        mean[free[others]] -= scale[others] * np.linalg.solve(A, self.A[others, held] * z)
+        return Prior(mean, np.asarray(np.linalg.inv(A)), A)
 
     def share(self, A: FloatArray) -> FloatArray:
         """Share of each variance (n_free,) that came from the prior, beside data of information A (n_free, n_free)."""

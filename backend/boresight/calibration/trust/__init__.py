@@ -41,7 +41,7 @@ from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.trust.advice import cause_advice, trust_advice
 from boresight.calibration.trust.causes import find_causes
-from boresight.calibration.trust.departures import TANGENTIAL_AT_CORNER, find_companions, find_departures, find_untested
+from boresight.calibration.trust.departures import TANGENTIAL_AT_CORNER, find_companions, find_departures
 from boresight.calibration.trust.displacements import (
     FRAMES,
     LEAST_SHARE,
@@ -146,9 +146,8 @@ def judge_trust(
 def _tested(fitted: FittedSet, trust: Trust, parts: Parts, stars: StarParts, spread: FloatArray | None) -> TrustReport:
     """Make every test that can be made, look for what explains them, and widen the sigmas by it."""
     departures, _ = find_departures(fitted)
-    untested = find_untested()
     try:
-        sums = add_up(fitted, [*departures, *untested, *find_companions(fitted)], MOST_TESTED)
+        sums = add_up(fitted, [*departures, *find_companions(fitted)], MOST_TESTED)
         scores = {one.name: find_score(sums, one.name) for one in departures}
         trials = {one.name: one.trials for one in departures}
         examined = Examined(fitted, sums, scores, parts, stars.found, stars.table, trials)
@@ -157,7 +156,7 @@ def _tested(fitted: FittedSet, trust: Trust, parts: Parts, stars: StarParts, spr
     except np.linalg.LinAlgError:  # the numbers are too near to singular
         return TrustReport(trust, [], [])
     wider = find_misfit(fitted, sums, scores, tests, spread)
-    trust = replace(trust, unseen=list(_unseen(fitted, [*departures, *untested], sums, scores)))
+    trust = replace(trust, unseen=list(_unseen(fitted, departures, sums, scores)))
     return TrustReport(trust, tests, causes) if wider is None else TrustReport(trust, tests, causes, *wider)
 
 
@@ -168,8 +167,8 @@ def _unseen(
     tested = float(np.sqrt(len(fitted.e) / sums.n_arcs))  # a part is tested, the sigmas are of all
     some = Block(fitted, 0, min(FRAMES, fitted.arcs.n_frames))
     for one in (one for one in departures if one.name in STAYING):
-        score, tangential = scores[STAYING[one.name]], one.name == TANGENTIAL
-        found = find_unseen(sums, score, UNLIKELY, LEAST_SHARE if tangential else OWN_SHARE, one.name)
+        score, tangential = scores[one.name], one.name == TANGENTIAL
+        found = find_unseen(sums, score, UNLIKELY, LEAST_SHARE if tangential else OWN_SHARE)
         if found is None:
             continue
         largest = np.linalg.norm(one.fields(some) @ found.c, axis=1).max()

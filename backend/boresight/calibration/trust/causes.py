@@ -64,7 +64,7 @@ FREE_VELOCITY = 3
 #: More centroids than `FEW` beyond so many spreads are no noise, whatever its tails.
 FARTHEST, FEW = 30.0, 2
 #: Causes of which one alone is told: each takes up most of what the others leave.
-ONE_OF = ({"trend", "time", "temperature", "drift"}, {"lens", "tangential", "radial", "edges", "flaw"})
+ONE_OF = ({"trend", "time", "temperature", "drift"}, {"lens", "tangential", "radial", "edges", "flaw", "seam", "trail"})
 #: Sightings of a star that tell its place from one wrong identity.
 SEEN_AGAIN = 2
 
@@ -118,6 +118,18 @@ CAUSES: dict[str, CauseKind] = {
             "Centroids near the edges of the detector are displaced by about {size} px, as happens to windows cut by the edge",
             "leave out stars whose window crosses the edge, or correct their centroids",
             ("edges", *GENERAL),
+        ),
+        CauseKind(
+            "seam",
+            "One half of the detector is displaced against the other by about {size} px, as where each half has its own amplifier",
+            "give the centroids of both halves in one pixel frame: look for a column or row that one of them counts twice or skips",
+            ("seam", *GENERAL),
+        ),
+        CauseKind(
+            "trail",
+            "Stars are displaced by about {size} px the more, the farther their charge was moved to be read: charge is left behind",
+            "correct the centroids for charge transfer, or calibrate warm traps out; state what is left in the centroid sigma",
+            ("trail", *GENERAL),
         ),
         CauseKind(
             "flaw",

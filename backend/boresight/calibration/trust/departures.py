@@ -9,6 +9,8 @@ polynomials, which keep the fields of one departure apart:
 `affine`       (x, -y) and (y, x): pixels that are not square or not upright, and lines read out while the image moves steadily
 `lens`         (L_i L_j, 0) and (0, L_i L_j), 1 <= i + j <= 3: any smooth residual of the lens
 `edges`        centroids within `EDGE` of an edge drawn inwards or outwards, the more the nearer: windows that the edge cuts
+`seam`         one half of the rows, or of the columns, displaced along either axis: halves that are read by their own amplifiers
+`trail`        1 - exp(-p / `TRAIL`) along rows, or columns, with p the place as a share of the side: charge left behind
 `flaw`         (p - p_0) / w exp(-|p - p_0|^2 / 2 w^2): at the place p_0 that `flaws` has found, of the width found there
 `magnitude`    (m, 0), (0, m), (m x, m y) with m the star's magnitude: centroids pulled with brightness
 `colour`       the same with its colour B-V
@@ -32,13 +34,6 @@ The zenith of refraction is that of the sensor's site. Where nobody gave one, pl
 every exposure looks up; of a set that looks all around the sky there are none. The place whose lift explains most is taken,
 after two rounds about it that are each twice as near, and its probability is multiplied by the number of places tried, which holds
 however they hang together. The lift of an exposure as a whole is a rotation and left out, for it is a hundred times the rest.
-
-Two more are not tested, for the test of `lens` notices what is large of them; what is not is told (`find_untested`):
-
-=============  ====================================================================================================
-`seam`         one half of the rows, or of the columns, displaced along either axis: halves that are read by their own amplifiers
-`trail`        1 - exp(-p / `TRAIL`) along rows, or columns, with p the place as a share of the side: charge left behind
-=============  ====================================================================================================
 
 A departure whose numbers a set does not have is not tested, and `find_departures` says why.
 """
@@ -114,6 +109,8 @@ def find_departures(fitted: FittedSet) -> tuple[list[Departure], dict[str, str]]
         Departure("affine", "detector", _affine),
         Departure("lens", "detector", _lens),
         Departure("edges", "detector", _edges),
+        Departure("seam", "detector", _seam),
+        Departure("trail", "detector", _trail),
         Departure("phase", "detector", _phase),
         Departure("aberration", "sky", _aberration),
     ]
@@ -141,11 +138,6 @@ def find_departures(fitted: FittedSet) -> tuple[list[Departure], dict[str, str]]
     if isinstance(flaw := fitted.kept.get("flaw"), Flaw):
         found.append(Departure("flaw", "detector", partial(_flaw, flaw)))
     return found, known.missing
-
-
-def find_untested() -> list[Departure]:
-    """List what no test looks for, of which something may stay unseen."""
-    return [Departure("seam", "detector", _seam), Departure("trail", "detector", _trail)]
 
 
 def find_companions(fitted: FittedSet) -> list[Departure]:

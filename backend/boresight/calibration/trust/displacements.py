@@ -21,15 +21,18 @@ how far its parameters are wrong if this departure is real. A direction of c tha
 camera nearly has itself is hardly known and moves the parameters far: what is told of d in claimed sigmas counts only those
 directions that stand clear of the noise.
 
-Sigmas that are to hold if it is real may not leave such a direction out: it is as likely displaced as the others. Let the
-coefficients a along the eigenvectors of F, of information L_i, be normal about nought with a variance t. What was found of them,
-y_i = L_i^1/2 a_i + noise of one, is then normal with the variance 1 + t L_i, which makes some t likelier than others: all
-directions together tell the size of the departure. Given it,
+Sigmas that are to hold if it is real may not leave such a direction out: it is as likely displaced as the others (`expect`). Let
+the coefficients a in units of the fields' own noise be normal about nought, those of group g with a variance t_g. Given T, the
+diagonal matrix of the t_g, with F and s in these units and of noise one, the coefficients are
 
-    a_i = t L_i^1/2 y_i / (1 + t L_i)        with the variance t / (1 + t L_i),
+    a = (F + T^-1)^-1 s        with the covariance (F + T^-1)^-1,
 
-that found where L_i is large, and no more than nought +- t^1/2 where it is small. `expect` weighs all t by their likelihood,
-flat in log t before, and gives mean and covariance of the mixture.
+what was found where F is large, and no more than nought +- t^1/2 where it is small; and T has the likelihood
+
+    det(I + T F)^-1/2 exp(s^T (F + T^-1)^-1 s / 2),
+
+from which all directions of a group together tell its size. All t_g of a grid are weighed by it, flat in their logarithms before.
+One group are the departures that are named, the other what else a lens or a detector may do: no field is just as it is called.
 
 What the test may miss follows before any data speak. A departure c falls short of being noticed once in ten times where its
 noncentrality c^T F c is
@@ -46,9 +49,6 @@ as a turn of the image, and some that the camera takes up, as a scale: along the
 G^T G that stand clear of nought, W^T G^T G W = 1, the eigenvalues of W^T F W are the shares of what arcs see that the camera
 leaves. Where it leaves less than `OWN_SHARE`, a tenth of the displacement, the departure is a change of the camera, which the
 directions of stars do not suffer from; F^-1 is then that of the other directions alone.
-
-A displacement c' of fields G' that no test looks for, as a step between two halves of the detector, is noticed by a test of other
-fields G with the noncentrality c'^T K F^-1 K^T c', where K = G'^T G - G'^T H A^-1 H^T G: K F^-1 K^T stands for F in the above.
 
 Three kinds of field have three kinds of rows: displaced centroids, pixels (J = -ds/d(principal point), for a camera knows a place
 only by its distance from it); directions displaced in the sky, rad east and north, where the arcs of the catalogue are what moves;
@@ -90,8 +90,8 @@ LEAST_SHARE = 1e-7
 OWN_SHARE = 1e-2
 #: Sigmas from which on a direction of c is clear.
 CLEAR = 3.0
-#: Sizes of a departure that are weighed, in the noise of its directions: smallest, largest and how many.
-SMALLEST_SIZE, LARGEST_SIZE, SIZES = 1e-2, 1e2, 100
+#: Variances of coefficients in units of their fields' own noise that are weighed.
+SIZES = np.geomspace(0.1, 1e8, 19)
 #: Normal deviate that nine in ten stay below.
 NINE_IN_TEN = 1.2816
 #: Frames whose rows are made at a time: they stay in the processor's cache.
@@ -321,19 +321,17 @@ class Unseen:
     sigmas: float
 
 
-def find_unseen(
-    sums: ScoreSums, score: Score, level: float, least_share: float = LEAST_SHARE, name: str = ""
-) -> Unseen | None:
+def find_unseen(sums: ScoreSums, score: Score, level: float, least_share: float = LEAST_SHARE) -> Unseen | None:
     """Find what of a departure a test may miss at its level; None where nothing of it can be told.
 
-    `score`: of the test. `least_share`: of a direction's information that arcs see, and that the camera and the test leave, below
-    which it is left out. `name`: of the departure, that of the test where empty.
+    `score`: of the test. `least_share`: of a direction's information that arcs see, and that the camera leaves, below which it is
+    left out.
     """
     if score.dof == 0:
         return None
-    P, places = covariance(sums.A), sums.places[name or score.name]
+    P, places = covariance(sums.A), sums.places[score.name]
     noise = score.left / (sums.n_arcs - len(P) - score.dof)
-    apart = _find_apart(sums, P, places, score, noise, least_share)
+    apart = _find_apart(sums, P, places, noise, least_share)
     moving = -P @ sums.G_H[places].T @ apart
     moved = np.linalg.norm(moving, axis=1)
     i = int(np.argmax(moved / np.sqrt(np.diag(P))))
@@ -344,16 +342,13 @@ def find_unseen(
     return Unseen(c, i, float(size * moved[i] / np.sqrt(P[i, i])))
 
 
-def _find_apart(
-    sums: ScoreSums, P: FloatArray, places: slice, score: Score, noise: float, least_share: float
-) -> FloatArray:
-    """Directions (n_fields, k) that arcs see and camera and test leave enough of, each of noncentrality one in the noise found."""
-    tested = sums.places[score.name]
+def _find_apart(sums: ScoreSums, P: FloatArray, places: slice, noise: float, least_share: float) -> FloatArray:
+    """Directions (n_fields, k) that arcs see and the camera leaves enough of, each of noncentrality one in the noise found."""
     size = 1 / np.sqrt(np.maximum(sums.squares[places], np.finfo(float).tiny))
-    seen, vectors = np.linalg.eigh(sums.G_G[places, places] * np.outer(size, size))
+    G_G, G_H = sums.G_G[places, places], sums.G_H[places]
+    seen, vectors = np.linalg.eigh(G_G * np.outer(size, size))
     W = size[:, None] * vectors[:, seen > least_share] / np.sqrt(seen[seen > least_share])
-    K = W.T @ (sums.G_G[places, tested] - sums.G_H[places] @ P @ sums.G_H[tested].T)
-    share, vectors = np.linalg.eigh(K @ score.covariance @ K.T / noise)
+    share, vectors = np.linalg.eigh(W.T @ (G_G - G_H @ P @ G_H.T) @ W)
     return np.asarray(W @ vectors[:, share > least_share] * np.sqrt(noise / share[share > least_share]))
 
 
@@ -361,14 +356,14 @@ def _find_apart(
 class _Directions:
     """Independent directions of c that the data show.
 
-    `inverse`: (n_fields, k), each of information one. `fall`: (k,) along them, whose squares are the fall of chi-square.
-    `information`: (k,) of each where c is of length one in the fields' own noise. `P`, `towards`: A^-1 and -A^-1 H^T G. `left`:
-    chi-square of the fit.
+    `F`, `s`: of all fields, see the module. `inverse`: (n_fields, k), each of information one. `fall`: (k,) along them, whose
+    squares are the fall of chi-square. `P`, `towards`: A^-1 and -A^-1 H^T G. `left`: chi-square of the fit.
     """
 
+    F: FloatArray
+    s: FloatArray
     inverse: FloatArray
     fall: FloatArray
-    information: FloatArray
     P: FloatArray
     towards: FloatArray
     left: float
@@ -383,26 +378,32 @@ def _find_directions(sums: ScoreSums, places: IntArray) -> _Directions:
     values, vectors = np.linalg.eigh(F * np.outer(size, size))
     known = values > LEAST_SHARE
     inverse = size[:, None] * vectors[:, known] / np.sqrt(values[known])
-    return _Directions(inverse, inverse.T @ s, values[known], P, -P @ G_H.T, sums.chi2 - float(sums.b @ P @ sums.b))
+    return _Directions(F, s, inverse, inverse.T @ s, P, -P @ G_H.T, sums.chi2 - float(sums.b @ P @ sums.b))
 
 
-def expect(sums: ScoreSums, *names: str) -> tuple[FloatArray, FloatArray]:
+def expect(sums: ScoreSums, named: Sequence[str], others: Sequence[str] = ()) -> tuple[FloatArray, FloatArray]:
     """How far parameters are off if departures are real, (n_free,) typical sigmas, and the covariance (n_free, n_free) of it."""
     every = np.arange(len(sums.squares))
-    found = _find_directions(sums, np.concatenate([every[sums.places[name]] for name in names]))
-    k = len(found.fall)
-    noise = (found.left - float(found.fall @ found.fall)) / (sums.n_arcs - len(found.P) - k)
-    y, L = found.fall / np.sqrt(noise), found.information / noise
-    t = np.geomspace(SMALLEST_SIZE / L.max(), LARGEST_SIZE / L.min(), SIZES)
-    spread = 1 + np.outer(t, L)
-    likelihood = -np.sum(np.log(spread) + y**2 / spread, axis=1) / 2
-    weight = np.exp(likelihood - likelihood.max())
+    groups = [np.concatenate([every[sums.places[name]] for name in group]) for group in (named, others) if group]
+    places = np.concatenate(groups)
+    found = _find_directions(sums, places)
+    noise = (found.left - float(found.fall @ found.fall)) / (sums.n_arcs - len(found.P) - len(found.fall))
+    size = 1 / np.sqrt(np.maximum(sums.squares[places], np.finfo(float).tiny))
+    F, s = found.F * np.outer(size, size) / noise, found.s * size / noise
+    towards = found.towards * size
+    sizes = np.stack(np.meshgrid(*[SIZES] * len(groups), indexing="ij"), axis=-1).reshape(-1, len(groups))
+    logs, d, square = [], [], []
+    for t in sizes:
+        T = np.repeat(t, [len(group) for group in groups])
+        root = np.linalg.cholesky(F + np.diag(1 / T))
+        half = np.linalg.solve(root, np.column_stack([s, towards.T]))
+        logs.append(half[:, 0] @ half[:, 0] / 2 - np.log(np.diag(root)).sum() - np.log(T).sum() / 2)
+        d.append(half[:, 1:].T @ half[:, 0])
+        square.append(half[:, 1:].T @ half[:, 1:])
+    weight = np.exp(np.array(logs) - max(logs))
     weight /= weight.sum()
-    known = 1 - 1 / spread  # share of y that is kept
-    mean = weight @ known * y
-    square = (known * y).T @ (weight[:, None] * known * y) + np.diag(weight @ known)
-    moving = found.towards @ found.inverse * np.sqrt(noise)
-    return moving @ mean, moving @ (square - np.outer(mean, mean)) @ moving.T
+    mean, apart = weight @ np.array(d), np.array(d) - weight @ np.array(d)
+    return mean, np.tensordot(weight, np.array(square), 1) + apart.T @ (weight[:, None] * apart)
 
 
 def _solve(sums: ScoreSums, name: str, places: IntArray) -> Score:

@@ -35,7 +35,7 @@ MOST_ITERATIONS = 20
 #: Chance that any test calls a sound set into question, half of the 1 % that is promised, for no probability is exact; and what one
 #: test of the whole table must fall below alone.
 FAMILY_LEVEL = 0.005
-UNLIKELY = FAMILY_LEVEL / 31
+UNLIKELY = FAMILY_LEVEL / 33
 ARCSEC = float(np.degrees(1.0) * 3600)
 
 

@@ -62,7 +62,7 @@ from boresight.calibration.estimate import covariance
 from boresight.calibration.trust.departures import SOUGHT, find_quantities, half_diagonal
 from boresight.calibration.trust.displacements import Score, ScoreSums, expect, find_score
 from boresight.calibration.trust.fitted_set import FittedSet
-from boresight.calibration.trust.trust_tests import STAYING
+from boresight.calibration.trust.trust_tests import STAYING, gate_of_test
 from boresight.cameras.model import Role
 from boresight.estimation.robust import measure_huber_effect
 from boresight.estimation.statistics.consistency import chi_square
@@ -74,6 +74,8 @@ BLOCKS = (96, 48, 24)
 LEVEL, TRACY_WIDOM = 0.005, 2.4224
 #: Chance, over all tests, below which what stays with a star's place widens though nobody need be told.
 SUSPECTED = 0.05
+#: Gate of the lens and the detector, and what else either may do where one of its tests counts.
+LENS, SMOOTH = "lens-structure", ("lens", "radial", "seam", "trail", "edges")
 #: Share of d by which it may be wrong because the camera is not linear over it.
 CURVATURE = 0.1
 #: Departures that change every free parameter during the set, and those that change the scale alone.
@@ -125,22 +127,23 @@ def widen(
     noise = covariance(fitted.A)
     level = _level(fitted)
     widest, blocks = _of_blocks(fitted, noise, level)
-    if spread is not None:
-        widest = _envelope(widest, spread)
     shift, taken = np.zeros_like(noise), tuple[str, ...]()
     if sums is not None and scores:
-        shift, taken = _of_departures(sums, [one.name for one in tests if one.name in scores and _counts(one)])
+        counted = [one.name for one in tests if _counts(one)]
+        shift, taken = _of_departures(sums, scores, counted)
         shift = shift + _of_changes(fitted, scores, taken) + _of_zero_points(fitted, sums, taken)
     lean = _lean(fitted)
     excess = np.asarray(widest - noise + shift)
     if fitted.parameters.prior is not None:
         K = fitted.estimate.P @ fitted.A
         excess = K @ excess @ K.T
-    excess = excess + np.outer(lean, lean)
+    P = fitted.estimate.P + excess + np.outer(lean, lean)
+    if spread is not None:
+        P = _envelope(P, spread)
     selected = float(np.max(np.abs(lean) / np.sqrt(np.diag(fitted.estimate.P))))
     noticed = {one.name for one in tests if one.noticed}
     suspected = tuple(name for name in taken if name not in noticed)
-    return Widening(fitted.estimate.P + excess, level, blocks, taken, suspected, selected, spread is not None)
+    return Widening(P, level, blocks, taken, suspected, selected, spread is not None)
 
 
 def _counts(test: TrustTest) -> bool:
@@ -213,9 +216,12 @@ def _envelope(P: FloatArray, other: FloatArray) -> FloatArray:
     return np.asarray(half @ half.T)
 
 
-def _of_departures(sums: ScoreSums, noticed: list[str]) -> tuple[FloatArray, tuple[str, ...]]:
+def _of_departures(
+    sums: ScoreSums, scores: Mapping[str, Score], counted: list[str]
+) -> tuple[FloatArray, tuple[str, ...]]:
     """Find the departures that explain what the tests noticed, and d d^T + cov(d) (n_free, n_free) of them together."""
     taken: list[str] = []
+    noticed = [name for name in counted if name in scores]
     best: Score | None = None
     price = float(np.log(sums.n_arcs))  # of a degree of freedom, as Schwarz has it
     while left := [name for name in noticed if name not in taken]:
@@ -227,9 +233,14 @@ def _of_departures(sums: ScoreSums, noticed: list[str]) -> tuple[FloatArray, tup
             break
         best = joint[place]
         taken.append(left[place])
-    if best is None:
+    others = [
+        name
+        for name in SMOOTH
+        if name in scores and name not in taken and any(gate_of_test(one) == LENS for one in counted)
+    ]
+    if not taken and not others:
         return np.zeros_like(sums.A), ()
-    d, uncertainty = expect(sums, *taken)
+    d, uncertainty = expect(sums, taken, others)
     return np.outer(d, d) + uncertainty + np.diag((CURVATURE * d) ** 2), tuple(taken)
 
 
@@ -265,7 +276,7 @@ def _of_zero_points(fitted: FittedSet, sums: ScoreSums, taken: Sequence[str]) ->
         both = find_score(sums, name, f"{name} stretch")
         reach = float(np.abs(np.quantile(values, REACH)).max())
         d = reach * covariance(sums.A) @ sums.G_H[sums.places["alike"]].T @ both.clear
-        shift, uncertainty = expect(sums, name, f"{name} stretch")
+        shift, uncertainty = expect(sums, [name, f"{name} stretch"])
         total += np.outer(d, d) + np.outer(shift, shift) + uncertainty
     return total
 
@@ -309,12 +320,18 @@ def describe_misfit(fitted: FittedSet, found: Widening) -> tuple[Values[float | 
         sentence=_sentence(fitted, found, factor),
         departures=list(found.departures),
         suspected=list(found.suspected),
+        level=found.level,
+        selected=found.selected,
+        bends=found.bends,
     )
 
 
 def misfit_advice(found: ModelMisfit | None) -> list[Advice]:
     """What a person should know of a widening that changes decisions; nothing of one that rests on suspicion alone."""
-    if found is None or (found.suspected == found.departures != [] and not found.blocks):
+    if found is None:
+        return []
+    other_reason = found.blocks or found.bends or found.level > 1 or found.selected > 1
+    if found.suspected == found.departures != [] and not other_reason:
         return []
     factors = [one for one in found.factor.values() if one is not None]
     return [Advice(found.sentence, "misfit")] if max(factors, default=1.0) >= WIDE else []

@@ -9,9 +9,9 @@ which holds the chance that a sound set is called into question by any of them t
 
 What a finding matters is told in claimed sigmas. A displacement that stays (a lens, a drift) is an error of the directions
 themselves: with fall the fall of chi-square that k coefficients bring, the whitened arcs are off by sqrt(fall - k), where n_free
-parameters claim sqrt(n_free). One that does not belong to the camera (pixel phase, colour, aberration) does harm by what it does to
-the parameters: `misled` of `displacements`. What moves stars by less than `LITTLE` of their noise is never more than
-`MATTERS` sigmas, so that a very large set does not fail on nothing.
+parameters claim sqrt(n_free), and where it moves a parameter farther that counts: `misled` of `displacements`. One that does not
+belong to the camera (pixel phase, colour, aberration) does harm by what it does to the parameters alone. What moves stars by less
+than `LITTLE` of their noise is never more than `MATTERS` sigmas, so that a very large set does not fail on nothing.
 
 Reference: S. Holm, "A simple sequentially rejective multiple test procedure", Scand. J. Statist. 6, 1979.
 """
@@ -38,14 +38,8 @@ from boresight.estimation.statistics.special import chdtrc, ndtr
 MATTERS, LITTLE = 3.0, 0.05
 #: The departure of a decentred lens.
 TANGENTIAL = "tangential"
-#: Departures that belong to the lens, the detector or the light on it and stay: what the tests may miss of each is told, by the
-#: test that would notice it.
-STAYING = {name: name for name in (TANGENTIAL, "radial", "affine", "lens", "magnitude")} | {
-    "seam": "lens",
-    "trail": "lens",
-}
-#: Titles of those among them that no test looks for.
-UNTESTED = {"seam": "Seam between readout halves", "trail": "Charge left behind"}
+#: Departures that belong to the lens, the detector or the light on it and stay: what the tests may miss of each is told.
+STAYING = (TANGENTIAL, "radial", "affine", "lens", "magnitude", "seam", "trail")
 #: Frames that tell a spread of their own.
 FEWEST_FRAMES = 20
 #: Spreads beyond which a sighting is taken out to see what it did to the parameters.
@@ -106,7 +100,7 @@ def _of_score(name: str, *, stays: bool) -> Callable[[Examined], Outcome | None]
         score = examined.scores.get(name)
         if score is None or score.dof == 0:
             return None
-        effect = _excess(examined, score) if stays else score.misled
+        effect = max(_excess(examined, score), score.misled) if stays else score.misled
         return min(1.0, score.p * examined.trials.get(name, 1)), _bounded(examined, score, effect)
 
     return ask
@@ -226,6 +220,16 @@ TRUST_TESTS: tuple[TrustTestKind, ...] = (
         "edges", "Edges of the detector", "lens-structure",
         "Centroids are displaced near the edges of the detector", "Centroids near the edges of the detector are not displaced",
         _of_score("edges", stays=True),
+    ),
+    TrustTestKind(
+        "seam", "Seam between readout halves", "lens-structure",
+        "One half of the detector is displaced against the other", "No half of the detector is displaced against the other",
+        _of_score("seam", stays=True),
+    ),
+    TrustTestKind(
+        "trail", "Charge left behind", "lens-structure",
+        "Stars are displaced the more, the farther their charge is moved", "No displacement by moved charge is seen",
+        _of_score("trail", stays=True),
     ),
     TrustTestKind(
         "flaw", "Flaw at one place", "lens-structure",
@@ -357,8 +361,8 @@ KIND_OF_TEST: dict[str, TrustTestKind] = {kind.name: kind for kind in TRUST_TEST
 
 
 def title_of(name: str) -> str:
-    """The title of a test, or of what no test looks for; the name itself where neither is in the table any more."""
-    return KIND_OF_TEST[name].title if name in KIND_OF_TEST else UNTESTED.get(name, name)
+    """The title of a test; the name itself where it is not in the table any more."""
+    return KIND_OF_TEST[name].title if name in KIND_OF_TEST else name
 
 
 def gate_of_test(name: str) -> str:
