@@ -86,7 +86,6 @@ def served():
     shutil.rmtree(folder)
 
 
-@pytest.mark.full
 def test_another_user_of_the_machine_gets_nothing_at_any_port_of_the_server(served):
     addresses = served.listening("inet")
     got = intrude({address.port for address in addresses})
@@ -142,7 +141,6 @@ def test_another_user_gets_nothing_from_a_scheduler_and_a_worker_with_certificat
         services.stop()
 
 
-@pytest.mark.full
 @pytest.mark.full
 def test_the_same_attempts_succeed_where_a_link_is_plain(tmp_path):
     services, port = Services(tmp_path, data_folder=str(tmp_path), scheduler=""), free_port()
