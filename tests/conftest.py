@@ -34,7 +34,10 @@ hypothesis.settings.register_profile("full", hypothesis.settings(), deadline=Non
 hypothesis.settings.register_profile("search", hypothesis.settings(), deadline=None, max_examples=2000)
 _numbers = count(1)
 TESTS = Path(__file__).parent
-OF_RUNS = ("test_every_page.py", "test_figures.py", "test_first_start.py", "test_paper.py", "test_run_page.py")
+OF_RUNS = (  # need a set that was promoted, or a filter that was watched, which takes a minute to come to
+    "test_every_page.py", "test_figures.py", "test_first_start.py", "test_operators_checklist.py", "test_paper.py",
+    "test_refused_approval.py", "test_run_page.py", "test_same_numbers.py",
+)  # fmt: skip
 OF_THE_SITE = ("tests/browser/test_documentation_pages.py", "tests/test_documentation_site.py")
 FIRST = ("browser", "workers", "test_new_things.py", "benchmarks", "transitions", "test_wheel.py")  # takes longest
 

@@ -1,7 +1,6 @@
 """How much a test tries: enough to fail where something is wrong, and with `--full` what can be waited for once."""
 
 from collections.abc import Iterator, Sequence
-from itertools import groupby
 from typing import Any
 
 import pytest
@@ -24,9 +23,11 @@ def few_of(values: Sequence[Any], few: int) -> list[Any]:
 
 def beyond_few(items: Sequence[pytest.Item]) -> Iterator[pytest.Item]:
     """The cases of tests marked `few(count)` that are left to `--full`: what stays is chosen evenly among the others."""
-    marked = [item for item in items if item.get_closest_marker("few") and "full" not in item.keywords]
-    for _, group in groupby(marked, lambda item: item.nodeid.partition("[")[0]):
-        cases = list(group)
-        count = cases[0].get_closest_marker("few").args[0]  # type: ignore[union-attr]  # is marked
+    tests: dict[str, list[pytest.Item]] = {}
+    for item in items:
+        if item.get_closest_marker("few") and "full" not in item.keywords:
+            tests.setdefault(item.nodeid.partition("[")[0], []).append(item)
+    for cases in tests.values():
+        (count,) = (mark.args[0] for mark in cases[0].iter_markers("few"))
         kept = {place * len(cases) // count for place in range(count)}
         yield from (case for place, case in enumerate(cases) if place not in kept)

@@ -86,9 +86,8 @@ def test_a_decision_has_its_number_its_sections_and_one_line_to_quote(path):
 # Files say what they are.
 
 
-@pytest.mark.parametrize("path", _files(".py"), ids=_name)
-def test_a_module_opens_by_saying_what_it_is(path):
-    assert ast.get_docstring(ast.parse(path.read_text()))
+def test_a_module_opens_by_saying_what_it_is():
+    assert [_name(path) for path in _files(".py") if not ast.get_docstring(ast.parse(path.read_text()))] == []
 
 
 def test_no_module_has_a_name_that_says_nothing():

@@ -168,7 +168,7 @@ def test_figures_come_from_the_wheel(installed):
     assert names.split() == list(FIGURES)
 
 
-@pytest.mark.few(2)
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("path", "kind", "least_bytes"),
     [

@@ -92,6 +92,7 @@ def frame_of(window, name):
     return int(PLACE.search(place.inner_text())[1])
 
 
+@pytest.mark.full
 def test_a_live_chart_says_its_frame_and_is_renewed_when_it_or_its_page_comes_into_sight(people, batch_run):
     with people.seat("analyst") as window:
         window.open(f"/runs/new?clone={batch_run}")
@@ -105,7 +106,7 @@ def test_a_live_chart_says_its_frame_and_is_renewed_when_it_or_its_page_comes_in
         bands = [trace["y"] for trace in window.drawn("rms") if trace["fill"] == "toself"]
         assert bands
         assert all(None not in band for band in bands)
-        for part in list(PARTS)[: effort(1, None)]:
+        for part in list(PARTS)[: effort(1, len(PARTS))]:
             window.begins_high(f"/runs/{run_id}?part={part}")
             expect(window.page.locator("#run-head")).to_contain_text("RUNNING")
         window.open(f"/runs/{run_id}?part=convergence")

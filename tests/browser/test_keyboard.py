@@ -320,6 +320,7 @@ def test_a_term_is_explained_at_its_focus_and_under_the_pointer_until_escape(peo
         expect(tip).to_be_hidden()
 
 
+@pytest.mark.full
 def test_a_star_and_a_saved_view_are_first_in_ctrl_k(people, sensor_id):
     with people.seat("analyst") as window:
         keyboard, option = window.page.keyboard, window.page.get_by_role("option")

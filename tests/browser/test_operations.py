@@ -161,6 +161,7 @@ HOVERED = "[...document.querySelectorAll('plot-figure .figure-canvas')].flatMap(
 LOOK_OF_FORM = {"iso": r"\d{4}-\d\d-\d\d", "day_of_year": r"\d{4}-\d{3}"}
 
 
+@pytest.mark.full
 def test_clock_and_time_axes_are_in_the_form_that_was_chosen(people, drifting):
     with people.seat("analyst") as window:
         for form in ("iso", "local", "day_of_year"):

@@ -118,10 +118,12 @@ def path(people, sensor, files):
     return {"analyst": submitted, "approver": signed, "operator": flown}, end
 
 
+@pytest.mark.full
 def test_a_set_is_on_board_after_at_most_twenty_presses(path):
     presses, _ = path
     assert sum(presses.values()) <= MOST_PRESSES, presses
 
 
+@pytest.mark.full
 def test_at_the_end_nothing_is_left_to_do(path):
     assert "no further step" in path[1]

@@ -34,6 +34,7 @@ def test_who_submitted_cannot_sign_and_the_page_says_why(people, request_id):
         window.shoot("20-cannot-sign")
 
 
+@pytest.mark.full
 def test_the_server_refuses_a_signature_that_no_button_offered(people, request_id):
     with people.seat("analyst") as window:
         window.open(f"/approvals/{request_id}")

@@ -299,13 +299,14 @@ def test_the_matching_part_counts_what_the_result_counts(people, batch_run, resu
         assert window.drawn("matching")[0]["y"] == [cycle["matched"] for cycle in matching["cycles"]]
 
 
+@pytest.mark.full
 def test_trust_appears_by_itself_when_the_run_that_is_watched_ends(people, batch_run):
     with people.seat("analyst") as window:
         before, run_id = (
             clone(window, batch_run, pace, label)
             for pace, label in ((ONE_A_SECOND, "Has the only worker"), (FIFTY_A_SECOND, "Watched for its trust"))
         )
-        for part in list(PARTS)[: effort(1, None)]:
+        for part in list(PARTS)[: effort(1, len(PARTS))]:
             window.begins_high(f"/runs/{run_id}?part={part}")
             expect(window.page.locator("#run-head")).to_contain_text("QUEUED")
         open_part(window, run_id, "Evidence")

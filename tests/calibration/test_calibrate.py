@@ -87,7 +87,7 @@ def by_every_method():
         yield pytest.param(model, method, marks=[] if here else pytest.mark.full)
 
 
-@pytest.mark.few(10)
+@pytest.mark.few(4)
 @pytest.mark.parametrize(("model", "method"), list(by_every_method()))
 def test_every_camera_by_every_method_ends_at_the_truth_as_its_sigmas_say_and_no_batch_is_called_curved(
     model, method, catalogue

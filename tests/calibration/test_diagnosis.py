@@ -181,6 +181,7 @@ def test_a_search_that_is_out_of_time_says_so_and_mends_nothing(spoiled, catalog
     assert found.names == ("unknown",)
 
 
+@pytest.mark.full
 def test_a_calibration_of_a_mirrored_set_says_first_that_it_is(spoiled, catalogue, catalogue_folder):
     one, found = spoiled
     ended = calibrate(one.telemetry, one.sensor, catalogue, CalibrationSettings(), cache_folder=catalogue_folder)

@@ -34,6 +34,7 @@ def test_the_real_field_holds_refraction_and_lacks_it_where_its_directions_are_l
     ]
 
 
+@pytest.mark.full
 def test_stars_of_nobody_knows_where_are_recognised_through_the_air(catalogue, catalogue_folder):
     scenario = scene(20, 40, 8, 3)
     telemetry = simulate(scenario, np.random.default_rng(3), catalogue)

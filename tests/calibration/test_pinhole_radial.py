@@ -91,7 +91,7 @@ def test_matches_are_found_without_any_given(scenario, telemetry, catalogue):
     assert np.mean(matches.star_id[known] == telemetry.star_id[known]) > 0.98
 
 
-@pytest.mark.few(1)
+@pytest.mark.full
 @pytest.mark.parametrize("k1", [-1.0, -20.0])
 def test_rows_that_have_no_direction_are_matched_with_nothing(scenario, telemetry, catalogue, k1):
     row_px, x = telemetry.row_px.copy(), scenario.truth.copy()
@@ -140,6 +140,7 @@ def calibrated(short_scenario, short_telemetry, catalogue):
     return run
 
 
+@pytest.mark.full
 def test_the_first_sentence_names_the_parameter_whose_spread_it_was_and_what_it_says_helps(calibrated):
     result = calibrated(WIDE)
     assert result["status"] == "diverged"

@@ -96,6 +96,7 @@ def test_a_frame_without_anything_is_found_from_its_neighbours(catalogue, number
     assert np.mean(matches.star_id[bare & (field.true > 0)] == field.true[bare & (field.true > 0)]) > 0.95
 
 
+@pytest.mark.full
 def test_with_neither_names_nor_attitudes_the_sky_is_recognised(catalogue, patterns):
     score = Score()
     for number in effort((1, 4), SENSORS):

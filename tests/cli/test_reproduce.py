@@ -47,6 +47,7 @@ def _table(out, study):
     return {line["table"] for line in lines}
 
 
+@pytest.mark.full
 def test_a_quick_study_writes_report_json_and_csv_and_prints_its_verdicts(enright):
     done, out = enright
     names = {"enright.html", "enright.json", "enright-tables.csv", "enright-estimators.csv", "enright-figures.csv"}

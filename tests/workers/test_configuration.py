@@ -34,6 +34,7 @@ def test_a_worker_does_not_look_at_its_computing_thread(cluster):
     assert done["memory_monitor"] <= 500.0  # what takes too much memory is found before it is twice that
 
 
+@pytest.mark.full
 def test_a_worker_keeps_the_memory_that_it_will_need_again(cluster):
     thresholds = cluster._client.run(os.environ.get, "MALLOC_TRIM_THRESHOLD_").values()
     assert set(thresholds) == {None}, "every array of 64 kB would be given back and come again in pages that fault"

@@ -94,6 +94,7 @@ def test_a_run_alone_with_a_worker_that_is_busy_computes_everything_itself(start
     occupied.result(60)
 
 
+@pytest.mark.full
 def test_a_run_that_is_given_to_a_worker_with_pieces_waits_for_one_group_at_most(start):
     run = start(piecework.spread, start.folder, count=60, seconds=0.1)
     wait_for(lambda: len(set(processes(start.folder))) == 2)
@@ -119,6 +120,7 @@ def test_what_the_first_failing_piece_raised_is_raised_in_the_run(start):
         start(piecework.spread, start.folder, piecework.refuse).result(60)
 
 
+@pytest.mark.full
 def test_a_worker_that_does_not_see_the_folder_is_asked_once_and_no_more(start):
     found = start(piecework.spread_unseen, start.folder).result(60)
 

@@ -224,6 +224,7 @@ def test_failures_wait_longer_each_time_then_raise_an_alarm_that_ends_by_itself(
     assert ground.taken() == [[0]]
 
 
+@pytest.mark.full
 def test_what_is_too_much_at_once_is_asked_for_in_halves(ground, monkeypatch):
     ground.enable()
     for minute in range(60):
