@@ -96,6 +96,6 @@ def with_codes(sentences: Iterable[str], codes: list[str]) -> list[Advice]:
     ]
 
 
-def codes_of(sentences: Iterable[str]) -> list[str]:
+def list_codes(sentences: Iterable[str]) -> list[str]:
     """Return the code of each sentence."""
     return [one.code if isinstance(one, Advice) else "" for one in sentences]

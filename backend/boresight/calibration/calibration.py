@@ -17,7 +17,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
-from boresight.calibration.advice_kinds import codes_of, with_codes
+from boresight.calibration.advice_kinds import list_codes, with_codes
 from boresight.disks import writing
 from boresight.errors import RefusedInputError
 
@@ -1324,7 +1324,7 @@ class Calibration:
         """Put what was read of the advice beside its codes."""
         said = with_codes(self.advice, self.advice_codes)
         object.__setattr__(self, "advice", said)
-        object.__setattr__(self, "advice_codes", codes_of(said))
+        object.__setattr__(self, "advice_codes", list_codes(said))
 
     @property
     def reliable_covariance(self) -> Covariance:
@@ -1472,7 +1472,7 @@ def read_calibration(path: str | Path) -> Calibration:
     return parse_calibration(text, str(path))
 
 
-def schema_of(kind: type[Any], name: str) -> dict[str, Any]:
+def make_schema(kind: type[Any], name: str) -> dict[str, Any]:
     """Return the JSON Schema (2020-12) of a dataclass; `name` is the schema's."""
     adapter: TypeAdapter[Any] = _adapter(kind)  # type: ignore[arg-type]  # every class can be hashed
     return {
@@ -1485,7 +1485,7 @@ def schema_of(kind: type[Any], name: str) -> dict[str, Any]:
 def compute_json_schema() -> dict[str, Any]:
     """Return the JSON Schema of the calibration JSON; of one on its way (`running`) only the status is required."""
     return {
-        **schema_of(Calibration, SCHEMA),
+        **make_schema(Calibration, SCHEMA),
         "if": {"properties": {"status": {"const": "running"}}},
         "else": {"required": list(REQUIRED)},
     }
