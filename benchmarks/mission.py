@@ -33,7 +33,7 @@ from boresight.arrays import FloatArray, parse_times, to_days
 from boresight.calibration.calibration import InputPass, PassVariation
 from boresight.calibration.estimate import Parameters, never
 from boresight.calibration.joint.passes import NamedTelemetry, join_sets
-from boresight.calibration.joint.passes_fit import places_of
+from boresight.calibration.joint.passes_fit import list_places
 from boresight.calibration.joint.variation import fit_variation
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem, build_problem
@@ -113,8 +113,8 @@ def draw_mission(number: int, passes: int, years: float, seed: int, *, changes: 
 def observe(mission: Mission, frames: int, seed: int, catalogue: Catalogue) -> Seen:
     """Simulate the telemetry of every pass, make it one problem, and calibrate each by itself."""
     problem, passes = simulate_passes(mission, frames, seed, catalogue)
-    alone = [fit(problem, *end) for end in places_of(problem, passes)]
-    for k, (found, (first, last)) in enumerate(zip(alone, places_of(problem, passes), strict=True)):
+    alone = [fit(problem, *end) for end in list_places(problem, passes)]
+    for k, (found, (first, last)) in enumerate(zip(alone, list_places(problem, passes), strict=True)):
         arcs = problem.arcs.frames(first, last)
         if found.chi2 > chdtri(2 * arcs.n_stars - 3 * arcs.n_exposures - len(found.A), OTHER_MINIMUM):
             alone[k] = _search(_pass(mission, k, frames, seed, catalogue), mission.scenario.sensor, found)
@@ -163,7 +163,7 @@ def free_of(problem: Problem) -> tuple[Any, FloatArray]:
 def remember(seen: Seen, passes: int) -> tuple[FloatArray, FloatArray, PassVariation]:
     """Fit the first passes together: the last one's state, SI, its covariance in typical sigmas, and what changed."""
     free, scale = free_of(seen.problem)
-    last = places_of(seen.problem, seen.passes)[passes - 1][1]
+    last = list_places(seen.problem, seen.passes)[passes - 1][1]
     problem = replace(seen.problem, arcs=seen.problem.arcs.frames(0, last))
     settings = CalibrationSettings(vary=tuple(seen.problem.sensor.free), vary_as="evidence")
     alike = fit(problem, 0, last).x

@@ -15,7 +15,7 @@ from benchmarks import Report, held
 from benchmarks.mission import Mission, fit, simulate_passes
 from boresight.arrays import FloatArray
 from boresight.calibration.estimate import Parameters, never
-from boresight.calibration.joint.passes_fit import PassesProblem, middle_days, places_of
+from boresight.calibration.joint.passes_fit import PassesProblem, list_places, middle_days
 from boresight.calibration.joint.variation import fit_variation
 from boresight.calibration.options import CalibrationSettings
 from boresight.estimation.block_bordered import Linked
@@ -84,7 +84,7 @@ def _problem(
     mission: Mission, frames: int, seed: int, catalogue: Catalogue, settings: CalibrationSettings
 ) -> PassesProblem:
     problem, passes = simulate_passes(mission, frames, seed, catalogue)
-    ends, scale = places_of(problem, passes), problem.sensor.typical_sigma
+    ends, scale = list_places(problem, passes), problem.sensor.typical_sigma
     alike = fit(problem, 0, ends[-1][1]).x
     return PassesProblem(problem, passes, Parameters(np.arange(len(scale)), scale), alike, settings, never, ends)
 

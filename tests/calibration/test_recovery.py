@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from boresight.calibration.estimate import never
-from boresight.calibration.joint.passes_fit import PassesProblem, middle_days, places_of
+from boresight.calibration.joint.passes_fit import PassesProblem, list_places, middle_days
 from boresight.calibration.joint.variation import fit_variation, fit_walk
 from boresight.calibration.options import CalibrationSettings
 from boresight.estimation.walk import WalkedPasses, find_walk, link_by_walk
@@ -48,7 +48,9 @@ def test_the_drift_of_a_focal_length_is_recovered(sensor, catalogue):
         steps = truth * np.sqrt(np.diff(days, prepend=days[0])) * rng.normal(size=15)
         sets = moved(np.cumsum(steps), seed=9000 + 20 * number, frames=5, days=days.tolist())
         problem, passes = problem_of(sets, sensor, catalogue)
-        of = PassesProblem(problem, passes, PARAMETERS, TRUTH, CalibrationSettings(), never, places_of(problem, passes))
+        of = PassesProblem(
+            problem, passes, PARAMETERS, TRUTH, CalibrationSettings(), never, list_places(problem, passes)
+        )
         between = np.diff(middle_days(passes))
         fitted, walk = fit_walk(of, between, own, of.fit(link_by_walk(own, between, np.array([0.1]))))
         logs.append(float(np.log(walk.sigma[0] / truth)))

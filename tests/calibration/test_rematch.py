@@ -35,7 +35,7 @@ from boresight.estimation.filters.history import start
 from boresight.estimation.statistics.consistency import chi_square
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_truth
-from boresight.sky.guide_stars import DOUBLE, UNRELIABLE, pulls_of
+from boresight.sky.guide_stars import DOUBLE, UNRELIABLE, compute_pulls
 from boresight.sky.matching import BLENDED, EXPOSURE_REASONS, LEFT_OUT, ROW_REASONS, STARTS
 from boresight.telemetry.read.readers import read_telemetry
 from boresight.telemetry.sensors import read_sensor
@@ -207,7 +207,7 @@ def test_stars_that_a_neighbour_draws_are_left_out_where_the_width_of_an_image_i
     np.testing.assert_array_equal(gone, fewer.row_reason == BLENDED)
     pixel = pixel_rad(field.sensor, field.sensor.initial)
     place = catalogue.find_index(every.star_id[every.star_id > 0])
-    pull_px = pulls_of(catalogue, place, 4.0 * pixel) / pixel
+    pull_px = compute_pulls(catalogue, place, 4.0 * pixel) / pixel
     sigma_px = centroid_sigma_px(wide, field.sensor)[every.star_id > 0]
     assert 0 < gone.sum() < 0.5 * len(gone)
     np.testing.assert_array_equal(gone[every.star_id > 0], pull_px > 0.4 * sigma_px)

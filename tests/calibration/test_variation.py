@@ -8,7 +8,7 @@ import pytest
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.estimate import Parameters, never
 from boresight.calibration.joint.passes import NamedTelemetry, join_sets
-from boresight.calibration.joint.passes_fit import fit_passes, places_of
+from boresight.calibration.joint.passes_fit import fit_passes, list_places
 from boresight.calibration.joint.variation import fit_variation, make_link
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem
@@ -65,7 +65,7 @@ def test_the_fit_of_passes_is_the_dense_stacked_problem_within_1e_9_sigma(sensor
     warm, days = np.array([10.0, 14.0, 6.0, 18.0]), np.array([0, 3, 10, 40])
     problem, passes = problem_of(moved(STEPS, days=days, warm=warm), sensor, catalogue)
     settings = CalibrationSettings(vary=("f_m", "b2_per_m2"), vary_as=how, walk_sigma=0.3)
-    own, ends = np.array([0, 4]), places_of(problem, passes)
+    own, ends = np.array([0, 4]), list_places(problem, passes)
     t = warm - warm.mean()
     by_temperature = Regressed(own, np.tile(t[:, None], (1, 2)))
     link = by_temperature if how == "temperature" else make_link(passes, own, settings)
@@ -282,7 +282,7 @@ def test_errors_of_the_last_pass_are_spread_as_its_covariance_says(sensor, catal
     for seed in range(sets):
         steps = np.cumsum(0.5 * rng.normal(size=3))
         problem, passes = problem_of(moved(steps, seed=2000 + 3 * seed, frames=12), sensor, catalogue)
-        fitted = fit_passes(problem, places_of(problem, passes), PARAMETERS, TRUTH, link, never)
+        fitted = fit_passes(problem, list_places(problem, passes), PARAMETERS, TRUTH, link, never)
         truth = TRUTH.copy()
         truth[0] += steps[-1] * SCALE[0]
         total += nees((fitted.states[-1] - truth) / SCALE, fitted.solution.P[-1])

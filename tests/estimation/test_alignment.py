@@ -19,9 +19,9 @@ from boresight.estimation.alignment import (
     inverse_left_jacobian,
     left_jacobian,
     make_pairs,
+    make_variation,
     residuals,
     skew,
-    variation_of,
 )
 from tests.effort import effort, few_of
 
@@ -72,7 +72,7 @@ class Body:
 
     def estimate(self, **choices):
         pairs = self.pairs()
-        return pairs, estimate(pairs, variation_of(pairs, pairs.temperature_c[:, 0], 20.0), **choices)
+        return pairs, estimate(pairs, make_variation(pairs, pairs.temperature_c[:, 0], 20.0), **choices)
 
     def error(self, found):
         return Rotation.from_matrix(found.fit.M @ self.M.as_matrix().T).as_rotvec()
@@ -133,7 +133,7 @@ def test_it_is_the_dense_least_squares_over_all_attitudes_rotation_and_cameras(o
     body = Body(rng, n=25, offset_s=offset_s, slope=2 * ARCSEC * np.ones(3))
     pairs = body.pairs()
     terms = (TEMPERATURE,)
-    variation = variation_of(pairs, pairs.temperature_c[:, 0], 20.0)
+    variation = make_variation(pairs, pairs.temperature_c[:, 0], 20.0)
     found = fit(pairs, np.ones(len(pairs), np.bool_), variation, terms, find_start(pairs))
     # unknowns: an error of every measured attitude in its sigmas, the six angles in arcsec, the two cameras
     n_a, n_b, p = len(body.a), len(body.b), 6
@@ -269,7 +269,7 @@ def test_taking_neighbouring_pairs_for_independent_claims_too_little():
     body.b = replace(body.b, covariance=alike, shared=0 * body.b.shared)
     pairs = body.pairs()
     assert len(pairs.links) >= len(pairs) - 2
-    variation, all_of_them = variation_of(pairs, pairs.temperature_c[:, 0]), np.ones(len(pairs), np.bool_)
+    variation, all_of_them = make_variation(pairs, pairs.temperature_c[:, 0]), np.ones(len(pairs), np.bool_)
     linked, alone = (
         fit(one, all_of_them, variation, (), pairs.M[0]).covariance for one in (pairs, replace(pairs, links={}))
     )

@@ -11,7 +11,7 @@ from boresight.images.detection import DetectionOptions, detect, learn, subtract
 from boresight.images.psf import centroid_covariance, cut_patches, make_window, pixel_shares
 from boresight.simulation.images import Optics, draw_stars, simulate_images
 from boresight.sky.catalogue import Catalogue
-from boresight.sky.guide_stars import pulls_of
+from boresight.sky.guide_stars import compute_pulls
 from tests.effort import effort
 
 ONE_IN_A_MILLION = 1e-6
@@ -168,5 +168,5 @@ def test_a_neighbour_draws_a_centroid_by_what_matching_takes_it_to(apart_px, rat
     arrays = {one.name: zero for one in fields(Catalogue)}
     places = {"ra_rad": np.array([0.0, apart_px * 1e-5]), "magnitude": np.array([5.0, 5.0 - 2.5 * np.log10(ratio)])}
     pair = Catalogue(**arrays | places)
-    expected = pulls_of(pair, np.array([0]), window * 1e-5)[0] / 1e-5
+    expected = compute_pulls(pair, np.array([0]), window * 1e-5)[0] / 1e-5
     assert x[0] - 20.3 == pytest.approx(expected, rel=0.15)

@@ -30,11 +30,11 @@ from boresight.sky.guide_stars import (
     GuideStars,
     ObserverMotion,
     close_pairs,
+    compute_pulls,
     flags_of,
     guide_stars,
     observer_motion,
     phrases,
-    pulls_of,
     star_flags,
 )
 from boresight.sky.identification import field_of_view_deg, identify
@@ -500,7 +500,7 @@ def test_what_neighbours_draw_is_the_sum_of_a_search_through_all_pairs(seed, n, 
     ratio = 10 ** (0.4 * (stars.magnitude[:, None] - stars.magnitude[None]))
     drawn = np.where(d <= 8 * psf_arcsec * ARCSEC, ratio * d * np.exp(-((d / (psf_arcsec * ARCSEC)) ** 2) / 4), 0)
     some = rng.permutation(n)[: n // 2]
-    np.testing.assert_allclose(pulls_of(stars, some, psf_arcsec * ARCSEC), drawn.sum(axis=1)[some], rtol=1e-9)
+    np.testing.assert_allclose(compute_pulls(stars, some, psf_arcsec * ARCSEC), drawn.sum(axis=1)[some], rtol=1e-9)
 
 
 def test_a_companion_of_a_much_brighter_star_is_a_double_and_few_bright_ones_are(catalogue):

@@ -112,7 +112,7 @@ def with_codes(sentences: Iterable[str], codes: list[str]) -> list[Advice]:
     ]
 
 
-def codes_of(sentences: Iterable[str]) -> list[str]:
+def list_codes(sentences: Iterable[str]) -> list[str]:
     """Return the code of each sentence."""
     return [one.code if isinstance(one, Advice) else "" for one in sentences]
 
@@ -133,4 +133,4 @@ def join_codes(result: Advised) -> None:
     """Put what was read of a result's advice beside its codes; the result is frozen to everybody else."""
     said = with_codes(result.advice, result.advice_codes)
     object.__setattr__(result, "advice", said)
-    object.__setattr__(result, "advice_codes", codes_of(said))
+    object.__setattr__(result, "advice_codes", list_codes(said))

@@ -34,7 +34,7 @@ from boresight.calibration.estimate import Estimate, Parameters, never
 from boresight.calibration.evaluation.pixel_residuals import FreeCovariance
 from boresight.calibration.evaluation.result_evaluation import evaluate_result, validate, with_advice
 from boresight.calibration.joint.drift import estimate_drift, shows_drift
-from boresight.calibration.joint.passes import JointTelemetry, passes_of
+from boresight.calibration.joint.passes import JointTelemetry, list_passes
 from boresight.calibration.joint.passes_fit import judge_passes
 from boresight.calibration.joint.prior import (
     PriorSource,
@@ -319,7 +319,7 @@ class _Begun:
 
     def with_passes_judged(self, ended: CyclesEnd | None) -> _Begun:
         """Say of each of several passes what of it was in the fit that ended, while its arcs are there."""
-        passes = passes_of(self.passes)
+        passes = list_passes(self.passes)
         if self.judged or len(passes) < 2 or ended is None or ended.estimate.status == "diverged":
             return self
         problem, x = ended.matched.problem, ended.estimate.x
@@ -327,7 +327,7 @@ class _Begun:
 
     def describe(self, found: Calibration, ended: CyclesEnd | None, settings: CalibrationSettings) -> Calibration:
         """Say in a calibration which passes it had, what varied, and what came from a prior."""
-        inputs = replace(found.inputs, passes=list(self.judged) or passes_of(self.passes))
+        inputs = replace(found.inputs, passes=list(self.judged) or list_passes(self.passes))
         found = replace(found, inputs=inputs, variation=self.variation)
         if self.taken is None or ended is None or ended.estimate.status == "diverged":
             return found
@@ -396,9 +396,9 @@ def _fit_passes(
         if ended.estimate.status in {"diverged", "max_iterations"}:
             raise RefusedInputError("All passes as one camera do not fit: see what it says without --vary.")
         fitted, variation = fit_variation(
-            ended.matched.problem, passes_of(telemetry), parameters, ended.estimate.x, settings, context.cancelled
+            ended.matched.problem, list_passes(telemetry), parameters, ended.estimate.x, settings, context.cancelled
         )
-        judged = fitted.judge(passes_of(telemetry))
+        judged = fitted.judge(list_passes(telemetry))
     open_sigmas = settings.initial_sigma_scale if settings.sequential else OPEN_SIGMAS
     origin = PriorUse(name="the other passes", covariance="noise", inflation=1.0)
     remedy = "let more parameters vary, and look at each pass by itself"

@@ -1481,7 +1481,7 @@ def read_calibration(path: str | Path) -> Calibration:
     return parse_calibration(text, str(path))
 
 
-def schema_of(kind: type[Any], name: str) -> dict[str, Any]:
+def make_schema(kind: type[Any], name: str) -> dict[str, Any]:
     """Return the JSON Schema (2020-12) of a dataclass; `name` is the schema's."""
     adapter: TypeAdapter[Any] = _adapter(kind)  # type: ignore[arg-type]  # every class can be hashed
     return {
@@ -1494,7 +1494,7 @@ def schema_of(kind: type[Any], name: str) -> dict[str, Any]:
 def compute_json_schema() -> dict[str, Any]:
     """Return the JSON Schema of the calibration JSON; of one on its way (`running`) only the status is required."""
     return {
-        **schema_of(Calibration, SCHEMA),
+        **make_schema(Calibration, SCHEMA),
         "if": {"properties": {"status": {"const": "running"}}},
         "else": {"required": list(REQUIRED)},
     }

@@ -81,7 +81,6 @@ UNITS = {
     "phase_col": "px",
     "colour": "px per magnitude of B-V at the corner",
 }
-OF_NOISE = ("level", "magnitude", "field_angle", "rate")
 TITLES = {
     "level": "Noise level",
     "magnitude": "Noise against magnitude",

@@ -32,7 +32,7 @@ SOURCES = {
 }
 
 
-def read_drift_of(texts: tuple[str, ...], names: list[str]) -> dict[str, float]:
+def parse_drift(texts: tuple[str, ...], names: list[str]) -> dict[str, float]:
     """Read drift by parameter, as f_m=0.5; refuses a parameter that is not among `names`."""
     found: dict[str, float] = {}
     for text in texts:
@@ -49,7 +49,7 @@ def choose_drift(parameters: Parameters, names: list[str], settings: Calibration
         return parameters.drift
     sigma = np.full(len(names), settings.process_noise)
     if settings.process_noise_of is not None and settings.drifts:
-        for name, value in read_drift_of(settings.process_noise_of, names).items():
+        for name, value in parse_drift(settings.process_noise_of, names).items():
             sigma[names.index(name)] = value
     return Drift(sigma, settings.process_noise_per, "given" if settings.states_drift else "usual")
 

@@ -11,7 +11,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from boresight.calibration.options import GROUPS, OPTIONS, CalibrationSettings, Option
-from boresight.cli.extract import extraction_options, passes_of, take_extraction_choices
+from boresight.cli.extract import extraction_options, open_sources, take_extraction_choices
 from boresight.cli.importing import profile_option
 from boresight.cli.input import INPUT_FILE
 from boresight.cli.output import check_writable, json_option, write_json
@@ -144,7 +144,7 @@ def calibrate(
     former = None if prior is None or server_url is not None else INPUT_FILE.convert(prior, None, None)
     with (
         progress(first_message(server_url)) as report,
-        passes_of(telemetry, profile, sensor_file, extraction, report) as sources,
+        open_sources(telemetry, profile, sensor_file, extraction, report) as sources,
     ):
         if server_url is None:
             sensor = place_sensor(sensor_file, site)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from boresight.cli.calibrate import chosen, parse_settings, setting_option
-from boresight.cli.extract import extraction_options, pictures_option, take_extraction_choices, telemetry_of
+from boresight.cli.extract import extraction_options, open_source, pictures_option, take_extraction_choices
 from boresight.cli.importing import profile_option, read_by_profile
 from boresight.cli.input import INPUT_FILE
 from boresight.cli.output import (
@@ -73,7 +73,7 @@ def match(
     extraction = take_extraction_choices(choices)
     with (
         progress("reading the telemetry") as report,
-        telemetry_of(telemetry, profile, sensor_file, extraction, report) as source,
+        open_source(telemetry, profile, sensor_file, extraction, report) as source,
     ):
         found = library.match(
             source,

@@ -82,11 +82,11 @@ def take_extraction_choices(choices: dict[str, Any]) -> dict[str, Any]:
 
 
 @contextmanager
-def telemetry_of(
+def open_source(
     paths: Sequence[Path], profile: str | None, sensor: Path, choices: dict[str, Any], report: Report
 ) -> Iterator[TelemetrySource]:
     """Yield the telemetry that was named, by its profile where it has one, or what is extracted from images that were named."""
-    with passes_of(paths, profile, sensor, choices, report) as sources:
+    with open_sources(paths, profile, sensor, choices, report) as sources:
         if len(sources) > 1:
             raise RefusedInputError(
                 f"{len(paths)} files were named, but only images can be several: name one telemetry file, such as {paths[0].name}."
@@ -95,7 +95,7 @@ def telemetry_of(
 
 
 @contextmanager
-def passes_of(
+def open_sources(
     paths: Sequence[Path], profile: str | None, sensor: Path, choices: dict[str, Any], report: Report
 ) -> Iterator[list[TelemetrySource]]:
     """Yield the same of a command that takes several telemetry sets; images are one."""

@@ -82,7 +82,7 @@ def table() -> None:
 def encode(parameters: Path, sensor_file: Path, definition_file: Path, alignment: Path | None, file: str) -> None:
     """Write PARAMETERS, a calibration JSON or names and values, into the table."""
     check_writable(file, "")
-    from boresight.calibration.alignment.result import check_alignment_of, parse_alignment
+    from boresight.calibration.alignment.result import check_loaded, parse_alignment
     from boresight.calibration.parameter_file import read_document, read_parameters
     from boresight.cameras import CAMERA_MODELS
     from boresight.telemetry.sensors import read_sensor
@@ -95,7 +95,7 @@ def encode(parameters: Path, sensor_file: Path, definition_file: Path, alignment
     turn = None
     if alignment is not None:
         found = parse_alignment(read_document(alignment, "an alignment"), alignment.name)
-        check_alignment_of(found, sensor.name, values)
+        check_loaded(found, sensor.name, values)
         turn = table_definition.alignment_numbers(found.to_load.quaternion)
     image = table_definition.encode(definition, values, turn)
     held = table_definition.quantised(definition, values)

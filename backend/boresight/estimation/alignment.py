@@ -412,7 +412,7 @@ class Variation:
         return len(columns) > columns.shape[1] and bool(np.linalg.cond(columns) < _COLLINEAR)
 
 
-def variation_of(pairs: Pairs, temperature_c: FloatArray, reference_c: float | None = None) -> Variation:
+def make_variation(pairs: Pairs, temperature_c: FloatArray, reference_c: float | None = None) -> Variation:
     """Return what a rotation may depend on; `temperature_c` (K,) the one that is asked."""
     middle = float(pairs.time_s.min() + pairs.time_s.max()) / 2
     known = temperature_c[np.isfinite(temperature_c)]

@@ -252,11 +252,3 @@ def mean_rotation(quaternions: FloatArray, weights: FloatArray) -> FloatArray:
 def turns_from(mean: FloatArray, quaternions: FloatArray) -> FloatArray:
     """Rotation vectors θ_k (n, 3), rad, of C(θ_k) = C(q_k) C(mean)^T."""
     return rotation_vector(product(quaternions, conjugate(mean)))
-
-
-def mean_rotation_covariance(quaternions: FloatArray, weights: FloatArray) -> FloatArray:
-    """Covariance (3, 3) of `mean_rotation` from the scatter of at least two independent rotations, rad²."""
-    theta = turns_from(mean_rotation(quaternions, weights), quaternions)
-    n = len(weights)
-    scatter = np.einsum("n,ni,nj->ij", weights**2, theta, theta) / weights.sum() ** 2
-    return np.asarray(scatter * n / (n - 1))

@@ -26,7 +26,6 @@ from boresight.kernels.compilation import FAST, loop, part
 from boresight.kernels.star import numbers, star
 
 HALF_BANDWIDTH = 4
-_BAND = HALF_BANDWIDTH + 1
 _HALVINGS = 6  # of a filter step that raises its frame's cost
 _STEPS = 60  # of the search for a place on the detector, which takes about five
 _SETTLED_PX = 1e-7  # the last step of it: its error is the square of that

@@ -247,7 +247,7 @@ def read_any_reference(
 ) -> Side:
     """Read the attitudes of a reference; of telemetry its own quaternions."""
     if isinstance(source, Telemetry | Imported):
-        found, beside = _attitudes_of(read_in_memory(source, limits)), dict[str, FloatArray]()
+        found, beside = _read_attitudes(read_in_memory(source, limits)), dict[str, FloatArray]()
     else:
         named = COLUMNS if profile is None else read_any_profile(profile)
         if isinstance(source, str | os.PathLike):
@@ -263,7 +263,7 @@ def read_any_reference(
     return reference_side(found.name, found, beside, sigma_arcsec=sigma_arcsec, bias_arcsec=bias_arcsec)
 
 
-def _attitudes_of(telemetry: Telemetry) -> Attitudes:
+def _read_attitudes(telemetry: Telemetry) -> Attitudes:
     """Take the quaternions that telemetry has, one a time."""
     if telemetry.quaternion is None or telemetry.time_utc is None:
         raise RefusedInputError("This telemetry has no quaternions with times: give a table that has both.")

@@ -367,7 +367,7 @@ def upload(
         method="POST",
         path="/telemetry-sets",
         form={"sensor_id": str(found.id), "purpose": purpose},
-        file=_file_of(telemetry),
+        file=_make_file(telemetry),
         key=uuid.uuid4().hex,
         slow=True,
     )
@@ -382,7 +382,7 @@ def _is_file(path: Path) -> bool:
         return False
 
 
-def _file_of(telemetry: TelemetrySource) -> tuple[str, Path | bytes]:
+def _make_file(telemetry: TelemetrySource) -> tuple[str, Path | bytes]:
     """Return name and content of an upload: a file unchanged, or data in memory as Parquet."""
     if isinstance(telemetry, str | os.PathLike):
         path = Path(telemetry)

@@ -224,7 +224,7 @@ def flags_of(catalogue: Catalogue, star: IntArray, blend_rad: float) -> NDArray[
     return flags
 
 
-def pulls_of(catalogue: Catalogue, star: IntArray, psf_rad: float) -> FloatArray:
+def compute_pulls(catalogue: Catalogue, star: IntArray, psf_rad: float) -> FloatArray:
     """Return by how much its neighbours draw the centroid of each of some stars, as the module says.
 
     Parameters

@@ -35,13 +35,13 @@ class Quantity:
         return f"<i>{letter}</i><sub>{index}</sub>" if index else f"<i>{letter}</i>"
 
 
-def _quantity_of(parameter: Parameter) -> Quantity:
+def _make_quantity(parameter: Parameter) -> Quantity:
     own = (parameter.written_unit, 1.0)
     return Quantity(parameter.symbol, *(parameter.shown or own), *(parameter.change or own))
 
 
 QUANTITIES = {
-    name: _quantity_of(one)
+    name: _make_quantity(one)
     for camera in CAMERA_MODELS.values()
     for name, one in zip(camera.parameter_names, camera.parameters, strict=True)
 }

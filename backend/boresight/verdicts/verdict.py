@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from boresight.calibration.advice_kinds import ADVICE_KINDS, CAUSE, Advice, codes_of
+from boresight.calibration.advice_kinds import ADVICE_KINDS, CAUSE, Advice, list_codes
 from boresight.calibration.calibration import (
     Calibration,
     ChiSquareTest,
@@ -450,7 +450,7 @@ def summarise_run(result: Calibration) -> RunSummary:
         level=judged.level,
         advice=str(advice[0]) if advice else None,
         finding=name_finding(advice[0], result) if advice else None,
-        advice_code=next(iter(codes_of(advice)), None),
+        advice_code=next(iter(list_codes(advice)), None),
         chi2_consistent=not is_doubted(result, "chi_square", result.chi2.consistent) if result.chi2 else None,
         weak_directions=count_weak(seen) if seen else None,
         rms_initial_arc_rad=result.rms_arc_rad.initial,

@@ -265,7 +265,7 @@ Computed = tuple[dict[str, Any], dict[str, Any], str]
 
 def _chosen(blobs: BlobStore, inputs: Inputs, link: Link) -> Computed:
     """Read the inputs and choose a camera."""
-    source, validation = _telemetry_of(blobs, inputs), _validation_of(inputs)
+    source, validation = _open_telemetry(blobs, inputs), _find_validation(inputs)
     choice: Choice = _function(CHOICE)(
         source if is_large(source) else read_whole(source),
         parse_sensor(inputs["sensor_document"]),
@@ -281,23 +281,23 @@ def _chosen(blobs: BlobStore, inputs: Inputs, link: Link) -> Computed:
     return summary | {"sentence": choice.sentence}, choice.to_dict(), f"{chosen.camera_model} was chosen"
 
 
-def _telemetry_of(blobs: BlobStore, inputs: Inputs) -> TelemetryInput:
+def _open_telemetry(blobs: BlobStore, inputs: Inputs) -> TelemetryInput:
     """Return what is calibrated: one set, or several as one; a large one is left in its files."""
-    sets = _sets_of(inputs)
+    sets = _list_sets(inputs)
     if len(sets) == 1:
         return _read_small(_table(blobs, sets[0].table_sha256))
     return join_sets([NamedTelemetry(_table(blobs, one.table_sha256), one.name, one.original_sha256) for one in sets])
 
 
-def _sets_of(inputs: Inputs) -> list[ClaimedSet]:
+def _list_sets(inputs: Inputs) -> list[ClaimedSet]:
     return [ClaimedSet(**one) for one in inputs["sets"]]
 
 
-def _validation_of(inputs: Inputs) -> ClaimedSet | None:
+def _find_validation(inputs: Inputs) -> ClaimedSet | None:
     return None if inputs["validation"] is None else ClaimedSet(**inputs["validation"])
 
 
-def _prior_of(blobs: BlobStore, prior: ClaimedPrior, sensor: Sensor) -> PriorSource:
+def _read_prior(blobs: BlobStore, prior: ClaimedPrior, sensor: Sensor) -> PriorSource:
     """Read the calibration that a run starts from, of the sensor under whatever name it had then."""
     name, sha256 = prior.name, prior.result_sha256
     found = replace(parse_calibration(orjson.loads(blobs.read(sha256)), name), sensor=sensor.name)
@@ -306,7 +306,7 @@ def _prior_of(blobs: BlobStore, prior: ClaimedPrior, sensor: Sensor) -> PriorSou
 
 def _sha256s(inputs: Inputs) -> dict[str, str]:
     """Return the content addresses of what a run is made of, by the roles that the library gives them."""
-    sets, validation, prior = _sets_of(inputs), _validation_of(inputs), inputs["prior"]
+    sets, validation, prior = _list_sets(inputs), _find_validation(inputs), inputs["prior"]
     found = {f"telemetry_{number}": one.original_sha256 for number, one in enumerate(sets, 1)}
     if len(sets) == 1:
         found = {"telemetry": sets[0].original_sha256}
@@ -324,8 +324,8 @@ def _read_small(table: StoredTable) -> Telemetry | StoredTable:
 
 def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) -> Computed:
     """Read the inputs and call the calculation; a large set is left in its file, and computed by whoever is idle."""
-    validation, prior = _validation_of(inputs), inputs["prior"]
-    source, sensor = _telemetry_of(blobs, inputs), parse_sensor(inputs["sensor_document"])
+    validation, prior = _find_validation(inputs), inputs["prior"]
+    source, sensor = _open_telemetry(blobs, inputs), parse_sensor(inputs["sensor_document"])
     with ExitStack() as stack:
         folders: dict[str, Any] = {}
         if is_large(source):
@@ -343,7 +343,7 @@ def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) 
             _catalogue(inputs["catalogue_folder"]),
             CalibrationSettings.parse(inputs["settings"]),
             validation=None if validation is None else _read_small(_table(blobs, validation.table_sha256)),
-            prior=None if prior is None else _prior_of(blobs, ClaimedPrior(**prior), sensor),
+            prior=None if prior is None else _read_prior(blobs, ClaimedPrior(**prior), sensor),
             sha256s=_sha256s(inputs),
             report=link.report,
             cancelled=link.cancelled,

@@ -36,7 +36,7 @@ from boresight.estimation.alignment import (
     estimate,
     exp_of,
     make_pairs,
-    variation_of,
+    make_variation,
 )
 from boresight.estimation.statistics.special import chdtri
 
@@ -102,7 +102,7 @@ def align_sides(a: Side, b: Side, options: AlignmentOptions = AlignmentOptions()
     if not len(pairs):
         raise RefusedInputError(_never(a, b, options))
     which, warmth = _temperature(pairs, options)
-    variation = variation_of(pairs, warmth, options.reference_temperature_c)
+    variation = make_variation(pairs, warmth, options.reference_temperature_c)
     wanted = options.choose_terms()
     if wanted and not _can_have(variation, wanted):
         raise RefusedInputError(

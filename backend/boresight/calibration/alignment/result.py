@@ -11,7 +11,7 @@ import numpy as np
 from boresight.arrays import FloatArray
 from boresight.calibration.advice_kinds import join_codes
 from boresight.calibration.alignment.sides import Knowledge
-from boresight.calibration.calibration import Matrix, Numbers, parse_part, schema_of
+from boresight.calibration.calibration import Matrix, Numbers, make_schema, parse_part
 from boresight.calibration.evaluation.alignment import ARCSEC_PER_RAD
 from boresight.errors import RefusedInputError
 from boresight.estimation.attitude import product, to_quaternion, vector_to_quaternion
@@ -188,7 +188,7 @@ def parse_alignment(document: Mapping[str, Any], name: str = "This document") ->
 _SAME = 1e-9
 
 
-def check_alignment_of(found: Alignment, sensor: str, values: Mapping[str, float]) -> None:
+def check_loaded(found: Alignment, sensor: str, values: Mapping[str, float]) -> None:
     """Refuse an alignment of another sensor or made with other parameters: its numbers would turn the attitude wrongly."""
     if found.a.name != sensor:
         raise RefusedInputError(
@@ -205,7 +205,7 @@ def check_alignment_of(found: Alignment, sensor: str, values: Mapping[str, float
 
 def compute_json_schema() -> dict[str, Any]:
     """Return the JSON Schema of the alignment JSON."""
-    return schema_of(Alignment, SCHEMA)
+    return make_schema(Alignment, SCHEMA)
 
 
 def quaternion_of(matrix: FloatArray) -> list[float]:

@@ -83,7 +83,7 @@ def camera_of(sensor: Sensor, known: tuple[FloatArray, FloatArray | None] | None
     return Camera(x, np.zeros((len(x), len(x))), "none") if P is None else Camera(x, P, "calibration")
 
 
-def seconds_of(time_utc: TimeArray) -> FloatArray:
+def to_seconds(time_utc: TimeArray) -> FloatArray:
     """Seconds from J2000.0, (n,): UTC without leap seconds."""
     return np.asarray((time_utc - _EPOCH) / np.timedelta64(1, "s"), np.float64)
 
@@ -124,7 +124,7 @@ def tracker_side(
     rows = arcs.source_row[arcs.star_start[:-1]]
     warmth = np.full(len(rows), np.nan) if telemetry.temperature_c is None else telemetry.temperature_c[rows]
     usable = solved.known & ~np.isnat(telemetry.time_utc[rows])
-    seconds = seconds_of(telemetry.time_utc[rows])
+    seconds = to_seconds(telemetry.time_utc[rows])
     order = _ascending(seconds, usable)
     series = AttitudeSeries(
         time_s=seconds[order],
@@ -182,7 +182,7 @@ def reference_side(
         )
     rad = sigma / ARCSEC_PER_RAD
     series = AttitudeSeries(
-        time_s=seconds_of(found.time_utc),
+        time_s=to_seconds(found.time_utc),
         C=to_matrix(found.quaternion),
         covariance=rad[:, :, None] ** 2 * np.eye(3),
         shared=np.broadcast_to(bias_arcsec / ARCSEC_PER_RAD * np.eye(3), (n, 3, 3)),

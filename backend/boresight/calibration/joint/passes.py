@@ -222,6 +222,6 @@ def join_sets(sets: Sequence[NamedTelemetry], large_rows: int = LARGE_ROWS) -> J
     return JointTelemetry(tuple(sets), large_rows)
 
 
-def passes_of(telemetry: TelemetryInput) -> list[InputPass]:
+def list_passes(telemetry: TelemetryInput) -> list[InputPass]:
     """Return the passes of what was calibrated; none where it was one set."""
     return list(telemetry.passes) if isinstance(telemetry, JointTelemetry) else []

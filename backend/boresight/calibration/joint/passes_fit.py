@@ -103,7 +103,7 @@ def judge_passes(
 ) -> list[InputPass]:
     """Say of each pass what of it is in a fit that ended at one x (n_parameters,) for all, and its chi-square there."""
     states = np.tile(x, (len(passes), 1))
-    arcs = WhitenedPasses(problem, places_of(problem, passes), states)
+    arcs = WhitenedPasses(problem, list_places(problem, passes), states)
     return _judged(passes, arcs, arcs.sums(states, parameters))
 
 
@@ -190,7 +190,7 @@ def fit_passes(
     return PassesFit(states_at(z), arcs, sums, link.solve(sums, z), alike, converged)
 
 
-def places_of(problem: Problem, passes: Sequence[InputPass]) -> list[tuple[int, int]]:
+def list_places(problem: Problem, passes: Sequence[InputPass]) -> list[tuple[int, int]]:
     """Return the places of each pass's frames among those that take part."""
     frame = problem.arcs.frame
     return [tuple(np.searchsorted(frame, [one.first_frame, one.last_frame + 1]).tolist()) for one in passes]

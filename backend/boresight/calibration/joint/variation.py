@@ -31,7 +31,14 @@ from boresight.calibration.estimate import Asked, Parameters
 from boresight.calibration.joint.change import CHANGES_OF, check_change, fit_change, judge_columns, temperatures
 from boresight.calibration.joint.comparison import compare_changes, say_comparison
 from boresight.calibration.joint.evidence import fit_evidence, write_walk
-from boresight.calibration.joint.passes_fit import CHANGES, PassesFit, PassesProblem, judge_fall, middle_days, places_of
+from boresight.calibration.joint.passes_fit import (
+    CHANGES,
+    PassesFit,
+    PassesProblem,
+    judge_fall,
+    list_places,
+    middle_days,
+)
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.errors import RefusedInputError
@@ -104,7 +111,7 @@ def fit_variation(
     """Fit the passes with the parameters that vary, and describe it."""
     names = [problem.camera.parameter_names[p] for p in parameters.free]
     own = np.array([place for place, name in enumerate(names) if name in (settings.vary or ())], np.int64)
-    of = PassesProblem(problem, passes, parameters, x, settings, cancelled, places_of(problem, passes))
+    of = PassesProblem(problem, passes, parameters, x, settings, cancelled, list_places(problem, passes))
     try:
         if settings.vary_as in CHANGES_OF:
             fitted, changed = fit_change(of, own)

@@ -28,9 +28,9 @@ from boresight.sky.guide_stars import (
     FAINTER_MAG,
     LARGEST_PULL,
     GuideStars,
+    compute_pulls,
     guide_stars,
     observer_motion,
-    pulls_of,
     star_flags,
 )
 from boresight.sky.matching import Detections
@@ -365,7 +365,7 @@ class Rematcher:
         new = np.unique(index[index >= 0])
         new = new[np.isnan(self._pull_px[new])]
         pixel = pixel_rad(self._sensor, self._sensor.initial)
-        self._pull_px[new] = pulls_of(self._flagged, new, float(np.nanmedian(psf_px)) * pixel) / pixel
+        self._pull_px[new] = compute_pulls(self._flagged, new, float(np.nanmedian(psf_px)) * pixel) / pixel
         known = (index >= 0) & np.isfinite(psf_px[rows])
         sigma_px = centroid_sigma_px(self._telemetry, self._sensor)[rows]
         blended[known] = self._pull_px[index[known]] > LARGEST_PULL * sigma_px[known]

@@ -147,11 +147,6 @@ def find_identity(session: Session, issuer: str, subject: str) -> ExternalIdenti
     return session.scalar(query)
 
 
-def find_identity_of(session: Session, user_id: int) -> ExternalIdentity | None:
-    """Return whom at a provider an account is bound to."""
-    return session.scalar(sa.select(ExternalIdentity).where(ExternalIdentity.user_id == user_id))
-
-
 def list_factors(session: Session, user_id: int) -> Sequence[SecondFactor]:
     """Return the second factors that a person has, in the order of their enrolment."""
     query = sa.select(SecondFactor).where(SecondFactor.user_id == user_id, SecondFactor.ended_utc.is_(None))

@@ -90,7 +90,7 @@ def _take_in(
         except BoresightError as error:
             if not is_dry_run:
                 with open_writing(engine) as session:
-                    service.refuse(session, actor, intake.policy_id, sent, str(error), service.code_of(error))
+                    service.refuse(session, actor, intake.policy_id, sent, str(error), service.find_code(error))
             raise
         yield Intake(intake.policy_id, sent, prepared)
 

@@ -197,7 +197,7 @@ def refuse(
     return row
 
 
-def code_of(error: BoresightError) -> str | None:
+def find_code(error: BoresightError) -> str | None:
     """Return the code that a refusal of a file pauses its policy with; None for an ordinary one."""
     return "WRONG SENSOR" if isinstance(error, OtherCameraError) else None
 

@@ -59,6 +59,6 @@ class Intake:
     ) -> IngestDecision:
         """Put on record that a file was refused, and why."""
         with open_writing(self.database) as session:
-            row = service.refuse(session, INGEST, policy.id, sent, str(error), service.code_of(error))
+            row = service.refuse(session, INGEST, policy.id, sent, str(error), service.find_code(error))
             beside(session)
         return row

@@ -148,7 +148,7 @@ def _request_assigned(of: Source) -> News | None:
     return News(sensor_id, f"request {row.id} is assigned to you", f"/approvals/{row.id}", [row.assigned_to])
 
 
-def _run_of(of: Source, states: Collection[str]) -> News | None:
+def _tell_run(of: Source, states: Collection[str]) -> News | None:
     row, state = of.session.get_one(Run, of.number), str(of.after.get("state"))
     if state not in states or row.launched_by is None:
         return None
@@ -208,9 +208,9 @@ KINDS: Mapping[str, MessageKind] = {
         _kind("on-board", "What is on board changes", r"parameter-sets/(\d+) recorded .+ for", _on_board),
         _kind("alarm", "An alarm is raised, or becomes graver", r"alarms/(\d+) alarm raised(?: again)?", _alarm),
         _kind("run-failed", "A run of mine fails or is lost", r"runs/(\d+) ended",
-              lambda of: _run_of(of, ("FAILED", "LOST"))),
+              lambda of: _tell_run(of, ("FAILED", "LOST"))),
         _kind("run-ended", "A run of mine ends in another way", r"runs/(\d+) ended",
-              lambda of: _run_of(of, ("SUCCEEDED", "CANCELLED"))),
+              lambda of: _tell_run(of, ("SUCCEEDED", "CANCELLED"))),
         _kind("ingest-asks", "New telemetry needs an answer", r"ingest-decisions/(\d+) decided", _ingest_asks),
         _kind("change-waits", "New limits or table layouts wait for a second person",
               r"change-proposals/(\d+) proposed", _change_waits),

@@ -30,6 +30,6 @@ def find_of_path(session: Session, user_id: int, path: str) -> SavedView | None:
     return session.scalar(sa.select(SavedView).where(SavedView.user_id == user_id, SavedView.path == path))
 
 
-def count_of(session: Session, user_id: int) -> int:
+def count_views(session: Session, user_id: int) -> int:
     """Count a person's views."""
     return session.scalar(sa.select(sa.func.count()).select_from(SavedView).where(SavedView.user_id == user_id)) or 0

@@ -78,7 +78,7 @@ def _save(
         )
     if (known := queries.find_of_path(session, user_id, path)) is not None:
         raise ConflictError(f"You have saved this view as {known.name!r}; remove that one first.")
-    if queries.count_of(session, user_id) >= MOST_VIEWS:
+    if queries.count_views(session, user_id) >= MOST_VIEWS:
         raise ConflictError(f"You have saved {MOST_VIEWS} views; remove one first.")
     row = SavedView(
         user_id=user_id, name=name, path=path, favourite=int(favourite), shared=int(shared), made_utc=utc_now()

@@ -262,7 +262,7 @@ def _checked(
     if catalogue is not None and cameras is not None:
         other = find_other_cameras(sample.get(), cameras.own, cameras.others, catalogue, cache_folder)
     if other is not None and other.cameras and cameras is not None and not cameras.kept:
-        raise _refusal_of(other, name, sensor, keepable=not quality.off_detector.too_many)
+        raise _make_refusal(other, name, sensor, keepable=not quality.off_detector.too_many)
     try:
         quality.off_detector.refuse()
     except OffDetectorError as error:
@@ -283,7 +283,7 @@ def _checked(
     return add_to_report(report, diagnose(_stored(table), sensor, catalogue, cache_folder=cache_folder))
 
 
-def _refusal_of(other: OtherCameras, name: str, sensor: Sensor, *, keepable: bool) -> OtherCameraError:
+def _make_refusal(other: OtherCameras, name: str, sensor: Sensor, *, keepable: bool) -> OtherCameraError:
     """Say whose set this is, and what to do; a set off the detector can be kept here by nobody."""
     offered = [(one.sensor_id, one.sensor.name) for one in other.cameras[:MOST_OFFERED]]
     keep = f", or keep it with {sensor.name} on purpose" if keepable else ""

@@ -72,7 +72,7 @@ class TimeStampService:
                 f"The answer of the time-stamp service {self.url} is not a valid time-stamp ({error}): check the address, and "
                 "that BORESIGHT_TIMESTAMP_CERTIFICATES names its authorities."
             ) from error
-        return TimeStamp(base64.b64encode(heard).decode(), _time_of(answer))
+        return TimeStamp(base64.b64encode(heard).decode(), _read_time(answer))
 
     def _ask(self, body: bytes) -> bytes:
         headers = {"Content-Type": MEDIA_TYPE, "Accept-Encoding": "identity"}
@@ -94,10 +94,10 @@ def read_time_stamp(text: str, content: bytes, authorities: tuple[Certificate, .
     try:
         answer = decode_timestamp_response(base64.b64decode(text, validate=True))
         VerifierBuilder(roots=list(authorities)).build().verify_message(answer, content)
-        return _time_of(answer)
+        return _read_time(answer)
     except (ValueError, VerificationError):
         return None
 
 
-def _time_of(answer: TimeStampResponse) -> str:
+def _read_time(answer: TimeStampResponse) -> str:
     return utc_text(answer.tst_info.gen_time.astimezone(UTC))

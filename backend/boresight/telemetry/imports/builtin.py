@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from boresight.errors import NotFoundError
 from boresight.telemetry.imports.profile import (
     Axis,
     Directions,
@@ -201,10 +200,3 @@ _PROFILES = (
     ),
 )  # fmt: skip
 BUILT_IN: Final = {profile.name: profile for profile in _PROFILES}
-
-
-def find_built_in(name: str) -> Profile:
-    """Return the built-in profile of a name."""
-    if name not in BUILT_IN:
-        raise NotFoundError(f"There is no built-in profile {name}: choose from {', '.join(BUILT_IN)}, or give a file.")
-    return BUILT_IN[name]

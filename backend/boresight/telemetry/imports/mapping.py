@@ -257,11 +257,11 @@ def _joined(parts: list[Telemetry]) -> Telemetry:
                 ]
             )
     names = dict.fromkeys(name for part in parts for name in part.unknown)
-    unknown = {name: pa.chunked_array([_cells_of(part, name) for part in parts], pa.string()) for name in names}
+    unknown = {name: pa.chunked_array([_write_cells(part, name) for part in parts], pa.string()) for name in names}
     return Telemetry(**arrays, unknown=unknown)
 
 
-def _cells_of(part: Telemetry, name: str) -> pa.Array:
+def _write_cells(part: Telemetry, name: str) -> pa.Array:
     if name not in part.unknown:
         return pa.array([""] * len(part), pa.string())
     cells = part.unknown[name].cast(pa.string()).combine_chunks()

@@ -109,7 +109,7 @@ class Recognised:
         table = SourceTable(
             self.name, {column: pa.nulls(0) for column in self.columns}, np.zeros(0, np.int64), np.zeros(0, np.int64)
         )
-        present = {quantity: all(map(table.has, columns)) for quantity, columns in _columns_of(profile)}
+        present = {quantity: all(map(table.has, columns)) for quantity, columns in _list_columns(profile)}
         if any(not there for quantity, there in present.items() if quantity not in profile.optional):
             return 0
         return sum(present.values())
@@ -120,7 +120,7 @@ class Recognised:
         is_plain = self.layout == Layout() and self.kind in {"a table", "JSON", "Parquet"}
         if is_plain and {"row_px", "col_px"} & set(self.columns):
             return False
-        return not is_plain or self.profile is not None or {"row", "col"} <= _names_of(self.columns)[0].keys()
+        return not is_plain or self.profile is not None or {"row", "col"} <= _find_names(self.columns)[0].keys()
 
     @property
     def command(self) -> str:
@@ -145,7 +145,7 @@ class Recognised:
         )
 
 
-def _columns_of(profile: Profile) -> Iterator[tuple[str, tuple[str, ...]]]:
+def _list_columns(profile: Profile) -> Iterator[tuple[str, tuple[str, ...]]]:
     """Yield each quantity that a profile reads with its columns; of a wide table those of its first star."""
     first = "" if profile.wide is None else str(profile.wide.first)
 
@@ -288,7 +288,7 @@ def draft_profile(found: Recognised) -> Draft:
     """
     if (fitting := found.profile) is not None:
         return Draft(fitting, ())
-    names, wide = _names_of(found.columns)
+    names, wide = _find_names(found.columns)
     if "row" not in names or "col" not in names:
         raise RefusedInputError(
             f"{found.name} is {found.kind} with {', '.join(found.columns[:_SHOWN]) or 'no columns'}, none of which is named like "
@@ -327,7 +327,7 @@ def _plain(name: str) -> str:
     return re.sub(r"[^a-z0-9{}]", "", name.casefold())
 
 
-def _names_of(columns: Sequence[str]) -> tuple[dict[str, str], Wide | None]:
+def _find_names(columns: Sequence[str]) -> tuple[dict[str, str], Wide | None]:
     """Return the column of each quantity, of a wide table with `{n}` in it, and how wide it is."""
     names = _matched(columns)
     if "row" in names and "col" in names:
