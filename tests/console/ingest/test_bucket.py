@@ -9,7 +9,7 @@ from obstore.store import from_url
 
 from boresight.console.ingest.bucket import ArrivedObject, WatchedBucket
 from boresight.console.jobs.ingest_watcher import IngestWatcher
-from boresight.errors import NotFoundError, RefusedInputError
+from boresight.errors import RefusedInputError, UnavailableError
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import open_reading
 from boresight.settings import read_settings
@@ -166,5 +166,5 @@ def test_a_bucket_that_is_not_there_is_said_on_the_page_until_it_is(house, s3, w
     watcher.look_into_bucket()
     assert "s3://elsewhere/passes" in watcher.fault
     assert watcher.places == ["s3://elsewhere/passes"]
-    with pytest.raises(NotFoundError):
+    with pytest.raises(UnavailableError, match="BORESIGHT_WATCH_BUCKET"):
         WatchedBucket("s3://elsewhere/passes", 0).list_new(["ST-1"])

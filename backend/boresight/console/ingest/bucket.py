@@ -20,7 +20,7 @@ from obstore.exceptions import PreconditionError
 from obstore.store import ObjectStore
 
 from boresight.console.ingest.folder import UNDER_WAY, TakenFile, refuse_too_large
-from boresight.errors import RefusedInputError
+from boresight.errors import RefusedInputError, UnavailableError
 from boresight.platform.blobs.bucket import asking, connect
 
 MOST_OBJECTS = 100_000  # of a sensor: a hundred requests a look
@@ -65,7 +65,14 @@ class WatchedBucket:
         if self._clock() < self._due_s:
             return []
         self._due_s = self._clock() + self._every_s
-        found = [one for sensor in sensors for one in self._look_into(sensor)]
+        try:
+            found = [one for sensor in sensors for one in self._look_into(sensor)]
+        except (
+            UnavailableError
+        ) as error:  # a store tells a bucket that is not there from a network that fails in its message alone
+            raise UnavailableError(
+                f"The watched bucket {self.address} cannot be listed: make it, or correct BORESIGHT_WATCH_BUCKET or the network."
+            ) from error
         self._waiting = {sensor: sum(one.sensor == sensor for _, one in found) for sensor in sensors}
         return [one for _, one in sorted(found, key=lambda pair: (pair[0], pair[1].address))]
 
