@@ -12,10 +12,10 @@ from boresight.calibration.choice.choose import choose
 from boresight.calibration.choice.cross_validation import cross_validate
 from boresight.calibration.choice.detector_change import ChangeOverDetector
 from boresight.calibration.choice.fits import Fits, seen_by, whitened_at
-from boresight.calibration.choice.nested_tests import LEVEL, Noise, log_survival, nested_test
+from boresight.calibration.choice.nested_tests import LEVEL, Noise, count_tests, log_survival, nested_test
 from boresight.calibration.choice.result import State, Sufficiency, parse_choice
 from boresight.calibration.choice.search import DECISIVE, fit_ladders
-from boresight.calibration.choice.terms import Subset, base, find_terms, largest, radial_orders
+from boresight.calibration.choice.terms import Subset, base, find_terms, largest, list_subsets, radial_orders
 from boresight.calibration.options import CalibrationSettings
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
@@ -62,6 +62,55 @@ def test_all_candidates_have_the_same_weights_and_a_larger_one_is_never_worse():
         for other in fits.known.values():
             if one.subset.contains(other.subset):
                 assert one.chi2 <= other.chi2 + 1e-6
+
+
+@pytest.mark.parametrize("camera", CAMERA_MODELS.values(), ids=lambda camera: camera.name)
+def test_every_subset_is_reached_term_by_term_and_its_tests_share_the_level(camera):
+    reached, newest = {base(camera)}, [base(camera)]
+    while newest:
+        newest = [one.with_term(term) for one in newest for term in one.extensions()]
+        reached |= set(newest)
+    assert set(list_subsets(camera)) == reached
+    assert len(list_subsets(camera)) == len(reached)
+    for smaller in list_subsets(camera)[:-1]:
+        above = [one for one in list_subsets(camera) if one.contains(smaller) and one != smaller]
+        assert sum(
+            1 / count_tests(smaller, terms=len(one.terms) - len(smaller.terms)) for one in above
+        ) == pytest.approx(1.0)
+
+
+def test_the_rise_by_covariance_is_that_of_a_fit_and_what_it_rejects_a_fit_rejects():
+    camera, truth = lens("brown_conrady", k1=-0.1, k2=0.08, **TANGENTIAL)
+    own = sensor("brown_conrady")
+    fits = Fits(whitened_at(field(np.random.default_rng(12), camera, truth), camera, truth), own)
+    full = fits.fit(largest(camera))
+    for term in largest(camera).removable():
+        rise = fits.rise(full, full.subset.without_term(term))
+        assert rise == pytest.approx(fits.fit(full.subset.without_term(term)).chi2 - full.chi2, rel=0.02, abs=0.02)
+    fits, least = search(field(np.random.default_rng(12), camera, truth), own)
+    rejected = [one for one in fits.known.values() if one.state is State.REJECTED]
+    assert {(one.camera.name, one.subset.term_names) for one in fits.known.values()} == {
+        (one.name, subset.term_names) for one in CAMERA_MODELS.values() for subset in list_subsets(one)
+    }
+    assert len(rejected) > 10
+    for one in rejected:
+        again = fits.fit(one.subset)
+        richest = fits.fit(largest(one.camera))
+        assert nested_test(again, richest, least.noise, 40 * len(CAMERA_MODELS)).rejects
+
+
+def test_the_chosen_candidate_suffices_against_every_larger_one_and_needs_its_terms():
+    for seed in range(3):
+        rng = np.random.default_rng([13, seed])
+        fits, least = search(
+            field(rng, *lens("brown_conrady", **RADIAL, **TANGENTIAL), frames=40), sensor("brown_conrady")
+        )
+        chosen = least.chosen.fitted
+        assert all(test.rejects for test in least.chosen.needed)
+        for one in fits.of_camera(chosen.camera):
+            if one.usable and one is not chosen and one.subset.contains(chosen.subset):
+                looked_at = count_tests(chosen.subset, terms=len(one.subset.terms) - len(chosen.subset.terms))
+                assert not nested_test(chosen, one, least.noise, looked_at * len(CAMERA_MODELS)).rejects
 
 
 def test_what_is_not_free_rests():

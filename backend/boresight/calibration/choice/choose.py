@@ -4,7 +4,8 @@
    everything free then fits better, they are matched again under it, so that no camera has lost the stars that speak against it.
    From then on identities are the same for all candidates.
 2. Weights are taken once, at the richest camera's state, and every camera is fitted with one term more at a time.
-3. The least sufficient candidate of each camera, and of all cameras, is searched for (`search`).
+3. Every subset of every camera's terms is fitted, or rejected beforehand by the covariance of a larger one; the least sufficient
+   candidate of each camera, and of all cameras, is searched for (`search`).
 4. Every candidate is scored on held-out frames, the chosen one is set beside the others over the detector, and what it leaves is
    tested by a spline, which holds any smooth lens (`estimation.residual_spline`).
 """
@@ -195,7 +196,7 @@ class _CandidateTables:
             chi2=fitted.chi2 if ended else None,
             dof=fitted.dof,
             bic=bic(fitted, self._noise) if ended else None,
-            rms_arc_rad=fitted.rms_arc_rad if ended else None,
+            rms_arc_rad=fitted.rms_arc_rad if ended and fitted.state is not State.REJECTED else None,
             held_out_rms_arc_rad=None if score is None else score.value,
             held_out_interval_rad=None if score is None else list(score.interval),
             change_px=largest,

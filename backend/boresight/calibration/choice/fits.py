@@ -7,6 +7,11 @@ of R are filled once, at one state, and every candidate gets them with its own c
 What is not free rests: tilt, decentring, aspect and radial terms at nothing, the principal point where the sensor file has it. So a
 test asks whether a lens has a term at all, and its answer does not depend on what the sensor file begins with.
 
+Of many subsets one need not fit all. Where a candidate is determined, with covariance P, and its terms W are held at rest, d from
+where it has them, the linearised chi-square rises by d_W^T (P_WW)^-1 d_W (Wald). Far away that is not exact, so a candidate is
+*rejected* so only where its rise is many times what a test takes, and with it all that it contains, which are worse still; all
+others are fitted.
+
 A candidate begins where the best of those it contains ended, so a larger one is never worse than a smaller one, and takes a few
 iterations. One whose free parameters the stars cannot tell apart is *undetermined*: in units in which each alone has the sigma 1,
 A has an eigenvalue below `LEAST_SHARE`, a direction ten thousand times less certain than its parts. Such a candidate is said, and
@@ -22,7 +27,7 @@ import numpy as np
 
 from boresight.arrays import FloatArray
 from boresight.calibration.choice.result import State
-from boresight.calibration.choice.terms import Subset
+from boresight.calibration.choice.terms import Subset, list_subsets
 from boresight.calibration.estimate import never
 from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.estimation import arcs as arcsets
@@ -34,6 +39,10 @@ from boresight.telemetry.sensors import Sensor
 #: Eigenvalue of A with a unit diagonal below which a direction is not told apart from nothing.
 LEAST_SHARE = 1e-8
 MAX_ITERATIONS = 60
+#: States of candidates that were fitted.
+FITTED = frozenset({State.DETERMINED, State.UNDETERMINED, State.IMPLAUSIBLE})
+#: Chi-square by which a larger candidate may be above one that it contains before it is fitted again from there.
+ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -91,17 +100,61 @@ class Fits:
     def fit(self, subset: Subset, begin: FloatArray | None = None) -> FittedSubset:
         """Fit a candidate once; it begins at the best of those within it, or at `begin`, or as a lens without distortion."""
         key = subset.camera.name, subset.term_names
-        if key not in self.known:
-            within = [
-                one for one in self.known.values() if subset.contains(one.subset) and one.state is not State.FAILED
-            ]
+        if key not in self.known or self.known[key].state is State.REJECTED:
+            within = [one for one in self.known.values() if subset.contains(one.subset) and one.state in FITTED]
             best = min(within, key=lambda one: one.chi2, default=None)
             x = begin if begin is not None else best.x if best is not None else self.plain(subset.camera)
             self.known[key] = self._fitted(subset, x)
         return self.known[key]
 
+    def fit_all(self, camera: CameraModel, hopeless: Callable[[Subset, Subset, float], bool]) -> None:
+        """Fit every subset of a camera's terms, larger ones first, but those that `hopeless` rejects by how much chi-square rises.
+
+        It is asked of a subset, one that contains it, and the rise between them.
+        """
+        for subset in reversed(list_subsets(camera)):
+            if (camera.name, subset.term_names) in self.known:
+                continue
+            above = [one for one in self.of_camera(camera) if one.subset.contains(subset)]
+            nearest = min((one for one in above if one.usable), key=lambda one: one.n_free, default=None)
+            if nearest is not None:
+                rise = self.rise(nearest, subset)
+                if any(one.state is State.REJECTED for one in above) or hopeless(subset, nearest.subset, rise):
+                    self.known[camera.name, subset.term_names] = self._rejected(subset, nearest.chi2 + rise)
+                    continue
+            self.fit(subset)
+        self._begin_again(camera)
+
+    def rise(self, larger: FittedSubset, subset: Subset) -> float:
+        """Rise of the linearised chi-square where the terms that a determined candidate has more than a subset rest."""
+        at = np.flatnonzero(~np.isin(larger.subset.free, subset.free))
+        places = larger.subset.free[at]
+        d = larger.x[places] - self.plain(larger.camera)[places]
+        size = np.sqrt(np.diag(larger.P)[at])
+        correlation = larger.P[np.ix_(at, at)] / np.outer(size, size)
+        return float(d / size @ np.linalg.solve(correlation, d / size))
+
+    def _rejected(self, subset: Subset, chi2: float) -> FittedSubset:
+        n = len(subset.free)
+        x, P = np.full(len(subset.camera.parameters), np.nan), np.full((n, n), np.nan)
+        return FittedSubset(subset, x, P, chi2, self.arcs.n_arcs - n, np.nan, State.REJECTED)
+
+    def _begin_again(self, camera: CameraModel) -> None:
+        """Fit those again that ended above one that they contain."""
+        for smaller in sorted(self.of_camera(camera), key=lambda one: one.n_free):
+            for larger in self.of_camera(camera):
+                if (
+                    smaller.state in FITTED
+                    and larger.subset.contains(smaller.subset)
+                    and larger.chi2 > smaller.chi2 + ROUNDING
+                    and larger.state in FITTED
+                ):
+                    again = self._fitted(larger.subset, smaller.x)
+                    if again.chi2 < larger.chi2:
+                        self.known[camera.name, larger.subset.term_names] = again
+
     def of_camera(self, camera: CameraModel) -> list[FittedSubset]:
-        """Return what was fitted of a camera, in the order in which it was."""
+        """Return the candidates of a camera, in the order in which they were looked at."""
         return [one for one in self.known.values() if one.camera is camera]
 
     def plain(self, camera: CameraModel) -> FloatArray:

@@ -12,7 +12,9 @@ whatever the factor. With many arcs F is the chi-square difference test over s^2
 makes s^2 too large, and the tests cautious.
 
 Many candidates are looked at. A p-value here is multiplied by how many tests of the kind there were (Bonferroni), so that the
-chance of one false term in all is at most the level.
+chance of one false term in all is at most the level: a candidate is held against every one that contains it, those with one term
+more share half of the level and those with several the other half, and each of C cameras has the C-th part. A right candidate is
+therefore rejected with a chance of at most level / C, however many contain it, and one term costs little for what others add.
 """
 
 from __future__ import annotations
@@ -20,12 +22,14 @@ from __future__ import annotations
 import math
 import sys
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.special import betaln, chdtri
 from scipy.stats import f as fisher
 
 from boresight.calibration.choice.fits import FittedSubset
+from boresight.calibration.choice.terms import Subset, list_subsets
 
 #: Level of every decision.
 LEVEL = 0.01
@@ -88,6 +92,14 @@ class NestedTest:
         return self.log_corrected < math.log(LEVEL)
 
 
+@lru_cache(maxsize=1024)
+def count_tests(smaller: Subset, *, terms: int) -> int:
+    """How many tests a candidate's test against one with so many terms more counts as, in its camera; see above."""
+    above = [len(one.terms) - len(smaller.terms) for one in list_subsets(smaller.camera) if one.contains(smaller)]
+    one, several = above.count(1), sum(more > 1 for more in above)
+    return one * (2 if several else 1) if terms == 1 else 2 * several
+
+
 def nested_test(smaller: FittedSubset, larger: FittedSubset, noise: Noise, looked_at: int = 1) -> NestedTest:
     """Test whether what the larger candidate has more is needed."""
     df = larger.n_free - smaller.n_free
@@ -95,6 +107,12 @@ def nested_test(smaller: FittedSubset, larger: FittedSubset, noise: Noise, looke
     more = tuple(name for name in larger.subset.term_names if name not in smaller.subset.term_names)
     log_p = log_survival(drop / df / noise.variance, df, noise.dof)
     return NestedTest(smaller, larger, more, drop, df, log_p, looked_at)
+
+
+@lru_cache
+def critical_drop(noise: Noise, df: int, looked_at: int) -> float:
+    """Drop of chi-square from which a test with so many further parameters, one of so many, rejects."""
+    return float(fisher.isf(LEVEL / looked_at, df, noise.dof)) * df * noise.variance
 
 
 #: Below it the library's logarithm is that of a number that may have become zero.
@@ -116,8 +134,3 @@ def log_survival(f: float, df: int, dof: float) -> float:
     n = np.arange(math.ceil(40.0 / -math.log(z)) + 40)
     total = 1.0 + np.cumprod((a + b + n) / (a + 1.0 + n) * z).sum()
     return float(a * math.log(z) + b * math.log1p(-z) - math.log(a) - betaln(a, b) + math.log(total))
-
-
-def least_likely(tests: list[NestedTest]) -> NestedTest | None:
-    """Return the test with the smallest p-value; of p-values too small to tell, the one with the largest drop."""
-    return min(tests, key=lambda test: (test.log_p, -test.drop), default=None)

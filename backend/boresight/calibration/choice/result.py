@@ -32,12 +32,16 @@ SMALLEST_P = 1e-6
 
 
 class State(StrEnum):
-    """How the fit of a candidate ended; only what is determined can be chosen."""
+    """How the fit of a candidate ended; only what is determined can be chosen.
+
+    `REJECTED` was not fitted: by the covariance of one that contains it, it misses the stars many times more than a test takes.
+    """
 
     DETERMINED = "determined"
     UNDETERMINED = "undetermined"
     IMPLAUSIBLE = "implausible"
     FAILED = "failed"
+    REJECTED = "rejected"
 
 
 class Sufficiency(StrEnum):
@@ -57,7 +61,7 @@ class HeldOutBy(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """A camera with some of its terms free, fitted.
+    """A camera with some of its terms free, fitted; of one that is rejected beforehand chi-square is linearised.
 
     `bic`: Schwarz's criterion with the noise found. `held_out_rms_arc_rad`: on frames it was not fitted to, with its 95 % interval.
     `change_px`: how far it puts stars from where the chosen one does, where that is most, with three sigma.
@@ -146,9 +150,9 @@ class Choice:
     """The least camera model that suffices for a telemetry set.
 
     `frames`, `stars`, `arcs`: what all candidates were fitted to. `sensor_camera_model`: what the sensor file has. `models`: every
-    candidate that was fitted. `needed`, `beyond`: the test of each term of the chosen one, and of each that it does not have.
-    `leftover`: None where the stars do not carry a spline. `noise`: as the richest camera leaves it, which tests are held against.
-    `matched_with`: the camera under which stars were matched; None where the file's identities stood.
+    camera with every subset of its terms. `needed`, `beyond`: the test of each term of the chosen one, and of each that it does not
+    have. `leftover`: None where the stars do not carry a spline. `noise`: as the richest camera leaves it, which tests are held
+    against. `matched_with`: the camera under which stars were matched; None where the file's identities stood.
     """
 
     schema: Literal["boresight.choice/1"] = SCHEMA

@@ -1,13 +1,13 @@
 """The least candidate of each camera that suffices, and the least of all cameras.
 
-Within a camera, forward from the focal length alone: each term that may come next is tested, and so is everything at once, which
-finds what only several terms together show. While one of these tests rejects, the term with the smallest p-value is set free. Then
-backwards: a term whose removal is not rejected is held again. What remains is needed, term by term, and nothing beyond is. Last, a
-term gives way to one that comes before it in the camera's order and has no more parameters, such as tangential terms to a tilt,
-which do the same where both are small: the plainer word for it. Neither holds the other, so the rule is that of cameras of which
-neither does, below: the plainer one gives way from T on, not before. It must suffice by the same tests.
-If the right candidate is reached, a larger one follows with a chance of at most the level, for every step counts its tests, and
-those of all cameras.
+Within a camera every subset of its terms is a candidate. One *suffices* where no larger one that contains it, and whose parameters
+the stars determine, is better by a test (`nested_tests`). Its terms are *needed* where without any one of them it would not
+suffice, by the test between the two. Of the candidates that suffice and whose terms are needed (where there are none, of those
+that suffice) the one with the fewest parameters is taken, of equals the one whose terms come first in the camera's order: the
+plainer word, such as tilt for tangential terms, which do the same where both are small. None of them holds another. So the rule is
+that of cameras of which neither holds the other, below: the plainer one gives way where its BIC is above another's by T.
+A right candidate is rejected with a chance of at most the level over all cameras, and only then, or where a term of its own is too
+weak for the tests, is another taken.
 
 Between cameras the sensor's own stays unless the stars speak against it, for to change it is the largest change of all. Where
 another holds it (the same terms give the same chi-square: `brown_conrady` every `pinhole_radial`), they speak by the same test.
@@ -31,7 +31,14 @@ from dataclasses import dataclass
 from scipy.special import ndtri
 
 from boresight.calibration.choice.fits import Fits, FittedSubset
-from boresight.calibration.choice.nested_tests import LEVEL, NestedTest, Noise, least_likely, nested_test
+from boresight.calibration.choice.nested_tests import (
+    LEVEL,
+    NestedTest,
+    Noise,
+    count_tests,
+    critical_drop,
+    nested_test,
+)
 from boresight.calibration.choice.result import State
 from boresight.calibration.choice.terms import Subset, base, find_terms, largest
 from boresight.calibration.estimate import never
@@ -41,6 +48,8 @@ from boresight.telemetry.sensors import Sensor
 
 #: Difference of BIC from which the sensor's camera is out, and of chi-square from which a plainer term is, see above.
 DECISIVE = float(ndtri(LEVEL / max(1, len(CAMERA_MODELS) - 1))) ** 2
+#: How many times the drop at which a test rejects the linearised rise must be for a candidate not to be fitted.
+HOPELESS = 10.0
 #: Difference of chi-square below which the same terms of two cameras are the same candidate.
 ALIKE = 0.05
 
@@ -50,13 +59,12 @@ class CameraChoice:
     """The least candidate of one camera that suffices.
 
     `fitted`: it. `needed`: the test of each of its terms, against the candidate without it. `beyond`: the test of each term that it
-    does not have, and of all of them. `path`: every test on the way.
+    does not have, and of all of them.
     """
 
     fitted: FittedSubset
     needed: tuple[NestedTest, ...]
     beyond: tuple[NestedTest, ...]
-    path: tuple[NestedTest, ...]
 
 
 def fit_ladders(
@@ -100,71 +108,65 @@ def find_least(fits: Fits, richest: FittedSubset) -> LeastModel | None:
 
 def choose_of_camera(fits: Fits, camera: CameraModel, noise: Noise, cameras: int) -> CameraChoice | None:
     """Find the least candidate of a camera that suffices; None where none could be fitted."""
-    here, path = fits.fit(base(camera)), list[NestedTest]()
-    while True:
-        tests = _beyond(fits, here, noise, cameras)
-        path += tests
-        steps = [test for test in tests if test.larger.usable and test.larger.subset != largest(camera)] or [
-            test for test in tests if test.larger.usable
-        ]
-        step = least_likely(steps)
-        if step is None or not any(test.rejects for test in tests):
-            break
-        here = step.larger
-    while True:
-        needed = _needed(fits, here, noise, cameras)
-        path += needed
-        weakest = max((test for test in needed if test.smaller.usable), key=lambda test: test.log_p, default=None)
-        if weakest is None or weakest.rejects:
-            break
-        here = weakest.smaller
-    if not here.usable:
+
+    def rejects(smaller: FittedSubset, larger: FittedSubset) -> bool:
+        return smaller.chi2 - larger.chi2 > _critical(smaller.subset, larger.subset, noise, cameras)
+
+    def hopeless(smaller: Subset, larger: Subset, rise: float) -> bool:
+        return rise > HOPELESS * _critical(smaller, larger, noise, cameras)
+
+    fits.fit_all(camera, hopeless)
+    usable = [one for one in fits.of_camera(camera) if one.usable]
+    sufficient = [
+        one
+        for one in usable
+        if not any(rejects(one, other) for other in usable if other is not one and other.subset.contains(one.subset))
+    ]
+    if not sufficient:
         return None
-    here = _in_plainer_terms(fits, here, noise, cameras)
-    needed = _needed(fits, here, noise, cameras)
-    return CameraChoice(here, tuple(needed), tuple(_beyond(fits, here, noise, cameras)), tuple(path))
+    out = [one for one in fits.of_camera(camera) if one.usable or one.state is State.REJECTED]
+    of_terms = {one.subset.term_names: one for one in out}
+
+    def has_needed_terms(one: FittedSubset) -> bool:
+        without = (of_terms.get(one.subset.without_term(term).term_names) for term in one.subset.removable())
+        return all(smaller is None or not smaller.usable or rejects(smaller, one) for smaller in without)
+
+    here = _plainest([one for one in sufficient if has_needed_terms(one)] or sufficient, noise)
+    return CameraChoice(here, _needed(fits, here, noise, cameras), _beyond(fits, here, noise, cameras))
 
 
-def _in_plainer_terms(fits: Fits, here: FittedSubset, noise: Noise, cameras: int) -> FittedSubset:
-    """Put earlier terms in the place of later ones, unless the stars decide against them, if they suffice by the same tests."""
-    order = [term.name for term in find_terms(here.camera)]
-    for later in reversed(here.subset.removable()):
-        without = here.subset.without_term(later)
-        for earlier in without.extensions():
-            if order.index(earlier.name) < order.index(later.name) and len(earlier.places) <= len(later.places):
-                other = fits.fit(without.with_term(earlier))
-                if (
-                    other.usable
-                    and (other.chi2 - here.chi2) / noise.variance <= DECISIVE
-                    and _suffices(fits, other, noise, cameras)
-                ):
-                    return _in_plainer_terms(fits, other, noise, cameras)
-    return here
+def _critical(smaller: Subset, larger: Subset, noise: Noise, cameras: int) -> float:
+    """Drop of chi-square between two candidates of a camera from which the smaller is rejected."""
+    looked_at = count_tests(smaller, terms=len(larger.terms) - len(smaller.terms)) * cameras
+    return critical_drop(noise, len(larger.free) - len(smaller.free), looked_at)
 
 
-def _suffices(fits: Fits, here: FittedSubset, noise: Noise, cameras: int) -> bool:
-    """Whether each term of a candidate is needed and nothing that the stars determine is needed beyond."""
-    beyond = (test for test in _beyond(fits, here, noise, cameras) if test.larger.usable)
-    return all(test.rejects for test in _needed(fits, here, noise, cameras)) and not any(
-        test.rejects for test in beyond
-    )
+def _plainest(candidates: list[FittedSubset], noise: Noise) -> FittedSubset:
+    """Return the candidate with the fewest parameters, of equals that of the earliest terms, unless BIC decides against it."""
+    order = [term.name for term in find_terms(candidates[0].camera)]
+    by_size = sorted(candidates, key=lambda one: (one.n_free, [order.index(name) for name in one.subset.term_names]))
+    lowest = min(bic(one, noise) for one in candidates)
+    return next(one for one in by_size if bic(one, noise) <= lowest + DECISIVE)
 
 
-def _beyond(fits: Fits, here: FittedSubset, noise: Noise, cameras: int) -> list[NestedTest]:
+def _beyond(fits: Fits, here: FittedSubset, noise: Noise, cameras: int) -> tuple[NestedTest, ...]:
     """Test every term that may come next, and all at once."""
     larger = [fits.fit(here.subset.with_term(term)) for term in here.subset.extensions()]
     full = fits.fit(largest(here.camera))
     if len(full.subset.terms) > len(here.subset.terms) + 1:
         larger.append(full)
-    tried = [one for one in larger if one.state is not State.FAILED]
-    return [nested_test(here, one, noise, len(tried) * cameras) for one in tried]
+    return tuple(_test(here, one, noise, cameras) for one in larger if one.state is not State.FAILED)
 
 
-def _needed(fits: Fits, here: FittedSubset, noise: Noise, cameras: int) -> list[NestedTest]:
+def _needed(fits: Fits, here: FittedSubset, noise: Noise, cameras: int) -> tuple[NestedTest, ...]:
     """Test every term that may be held again."""
     smaller = [fits.fit(here.subset.without_term(term)) for term in here.subset.removable()]
-    tried = [one for one in smaller if one.state is not State.FAILED]
-    return [nested_test(one, here, noise, len(tried) * cameras) for one in tried]
+    return tuple(_test(one, here, noise, cameras) for one in smaller if one.state is not State.FAILED)
+
+
+def _test(smaller: FittedSubset, larger: FittedSubset, noise: Noise, cameras: int) -> NestedTest:
+    terms = len(larger.subset.terms) - len(smaller.subset.terms)
+    return nested_test(smaller, larger, noise, count_tests(smaller.subset, terms=terms) * cameras)
 
 
 @dataclass(frozen=True)
@@ -243,5 +245,6 @@ def _held(one: CameraChoice, other: CameraChoice, fits: Fits, noise: Noise, came
     same = fits.fit(Subset(larger.camera, tuple(of_other[name] for name in smaller.subset.term_names)))
     if same.n_free != smaller.n_free or abs(same.chi2 - smaller.chi2) > ALIKE * noise.variance:
         return None
-    more = len(larger.subset.extensions()) + len(larger.subset.terms) - len(smaller.subset.terms)
-    return nested_test(smaller, larger, noise, max(1, more, len(one.beyond)) * cameras)
+    more = len(larger.subset.terms) - len(smaller.subset.terms)
+    looked_at = [count_tests(of, terms=more) * cameras for of in (smaller.subset, same.subset)]
+    return nested_test(smaller, larger, noise, max(cameras, *looked_at))

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import combinations
 
 import numpy as np
 
@@ -98,6 +99,16 @@ def base(camera: CameraModel) -> Subset:
 def largest(camera: CameraModel) -> Subset:
     """Return the camera of which everything is free."""
     return Subset(camera, find_terms(camera))
+
+
+@lru_cache
+def list_subsets(camera: CameraModel) -> tuple[Subset, ...]:
+    """List every subset of a camera's terms in which each term stands on what it needs, fewer terms first."""
+    terms = find_terms(camera)
+    chosen = (some for count in range(len(terms) + 1) for some in combinations(terms, count))
+    return tuple(
+        Subset(camera, some) for some in chosen if {term.needs for term in some} <= {None, *(t.name for t in some)}
+    )
 
 
 @lru_cache

@@ -36,6 +36,7 @@ STATE_WORDS = {
     State.UNDETERMINED: ("caution", "undetermined"),
     State.IMPLAUSIBLE: ("caution", "implausible"),
     State.FAILED: ("serious", "failed"),
+    State.REJECTED: ("off", "rejected"),
 }
 HELD_OUT_BY = {"validation": "on the validation set", "cross-validation": "by cross-validation"}
 
@@ -159,7 +160,7 @@ def _list_cameras(found: Choice) -> Iterator[CandidateRow]:
 
 
 def _list_candidates(found: Choice) -> Iterator[CandidateRow]:
-    """Yield every candidate that was fitted, camera by camera, the chosen one's first, fewer parameters first."""
+    """Yield every candidate, camera by camera, the chosen one's first, fewer parameters first."""
     order = [one.camera_model for one in found.list_cameras()]
     places = {
         name: place for place, name in enumerate(dict.fromkeys([*order, *(one.camera_model for one in found.models)]))
