@@ -1,4 +1,4 @@
-"""Whether a diagnosis names what is wrong with a set: forty wrong inputs, each mistake alone and in pairs (part `diagnosis`).
+"""Whether a diagnosis names what is wrong with a set: forty-eight wrong inputs, each mistake alone and in pairs (part `diagnosis`).
 
 The sets are an ST-16's from orbit with real stars, false detections and no star named, once under its ground calibration and once
 under one that knows its principal point; and the five real images of a ground camera, where they are at hand. Each input spoils
@@ -43,8 +43,8 @@ from boresight.telemetry.sensors import Sensor, parse_sensor, read_sensor
 
 #: What stands for a diagnosis where a calibration is to ask none.
 NOTHING_SAID = Diagnosis(sensor="", causes=[FoundCause(name="none", exposures_solved=0, exposures=0)], sentence="")
-#: Of forty inputs so many are to be diagnosed rightly, and none is to be mended wrongly.
-GOAL, OF = 38, 40
+#: Of all inputs so many are to be diagnosed rightly, and none is to be mended wrongly.
+GOAL, OF = 46, 48
 #: What may be wrong by the focal length of a mended file, and stars named otherwise than the truth, of those matched.
 FOCAL_ERROR, WRONG_STARS = 0.01, 0.01
 REAL = Path(os.environ.get("BORESIGHT_REAL_SKY", ROOT.parent / "shared/data/real-sky"))
@@ -85,6 +85,19 @@ def _focal(ratio: float) -> Spoil:
 
 def _origin(px: float) -> Spoil:
     return lambda one, _: told(one, row_px=one.telemetry.row_px + px, col_px=one.telemetry.col_px + px)
+
+
+def _from_the_middle(one: Input, _: Catalogue) -> Input:
+    row, col = ((size - 1.0) / 2.0 for size in (one.sensor.rows, one.sensor.columns))
+    return told(one, row_px=one.telemetry.row_px - row, col_px=one.telemetry.col_px - col)
+
+
+def _in_units_of(metres: float) -> Spoil:
+    def spoil(one: Input, _: Catalogue) -> Input:
+        units = one.sensor.pixel_pitch_m / metres
+        return told(one, row_px=one.telemetry.row_px * units, col_px=one.telemetry.col_px * units)
+
+    return spoil
 
 
 def _limit(magnitude: float) -> Spoil:
@@ -137,6 +150,9 @@ MISTAKES: dict[str, tuple[str, Spoil]] = {
     ),
     "origin half a pixel": ("half_pixel", _origin(0.5)),
     "origin one pixel": ("half_pixel", _origin(1.0)),
+    "pixels from the middle": ("centred_origin", _from_the_middle),
+    "millimetres": ("length_unit", _in_units_of(1e-3)),
+    "micrometres": ("length_unit", _in_units_of(1e-6)),
     "focal length -40 %": ("focal_length", _focal(0.6)),
     "focal length +40 %": ("focal_length", _focal(1.4)),
     "focal length +7 %": ("focal_length", _focal(1.07)),
@@ -149,9 +165,15 @@ MISTAKES: dict[str, tuple[str, Spoil]] = {
     "limit too faint": ("magnitude_limit", _limit(9.5)),
 }
 ORBIT, KNOWN, GROUND = "orbit", "orbit, principal point known", "real field"
-#: The forty inputs: the set, and the mistakes.
+#: What is read of every set: lengths of another unit, and another origin.
+LENGTHS = ("pixels from the middle", "millimetres", "micrometres")
+#: The inputs: the set, and the mistakes.
 INPUTS: tuple[tuple[str, tuple[str, ...]], ...] = (
-    *((ORBIT, (name,)) for name in MISTAKES if not name.startswith("origin") and name != "focal length +7 %"),
+    *(
+        (ORBIT, (name,))
+        for name in MISTAKES
+        if not name.startswith("origin") and name != "focal length +7 %" and name not in LENGTHS
+    ),
     *((KNOWN, (name,)) for name in ("origin half a pixel", "origin one pixel")),
     *(
         (GROUND, (name,))
@@ -174,6 +196,14 @@ INPUTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     (GROUND, ("parity", "no time")),
     (GROUND, ("parity", "directions of J2000.0")),
     (ORBIT, ("focal length +40 %", "no time")),
+    (ORBIT, ("pixels from the middle",)),
+    (ORBIT, ("millimetres",)),
+    (GROUND, ("pixels from the middle",)),
+    (GROUND, ("micrometres",)),
+    (ORBIT, ("pixels from the middle", "millimetres")),
+    (GROUND, ("pixels from the middle", "micrometres")),
+    (ORBIT, ("parity", "micrometres")),
+    (ORBIT, ("focal length +40 %", "pixels from the middle")),
 )  # fmt: skip
 #: Causes that mirror an image.
 MIRRORING = {"parity", "swapped_axes", "flipped_rows", "flipped_columns"}

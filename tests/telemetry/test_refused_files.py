@@ -21,10 +21,13 @@ from hypothesis import strategies as st
 from pyarrow import feather
 
 from boresight.calibration.parameter_file import read_document
+from boresight.calibration.telemetry_pieces import TelemetryFile
 from boresight.errors import RefusedInputError
+from boresight.images.limits import is_image
 from boresight.telemetry.read.checks import fill_absent
 from boresight.telemetry.read.formats import parse_json, read_text
-from boresight.telemetry.read.readers import read_telemetry, write_csv, write_parquet
+from boresight.telemetry.read.limits import Limits
+from boresight.telemetry.read.readers import read_table, read_telemetry, stretches, write_csv, write_parquet
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import read_sensor
 from tests.effort import effort
@@ -328,7 +331,7 @@ OTHERS = {
     "Excel workbook": made(archive, "xl/workbook.xml"),
     "NumPy arrays": made(np.savez, row_px=np.zeros(3)),
     "NumPy array": made(np.save, np.zeros(3)),
-    "gzip": gzip.compress(GOOD.encode()),
+    "gzip": gzip.compress(gzip.compress(GOOD.encode())),
     "bzip2": bz2.compress(GOOD.encode()),
     "xz": lzma.compress(GOOD.encode()),
     "tar": made(tape),
@@ -540,3 +543,26 @@ def test_a_table_is_read_without_pandas(tmp_path):
     code = "import sys, boresight; boresight.read_telemetry('set.csv'); print('pandas' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
+
+
+@pytest.mark.parametrize("name", ["pass.csv.gz", "pass.gz", "pass.csv", "pass"])
+def test_telemetry_compressed_by_gzip_is_read_whatever_it_is_called(tmp_path, name):
+    plain, packed = tmp_path / "plain.csv", tmp_path / name
+    plain.write_text(GOOD)
+    packed.write_bytes(gzip.compress(GOOD.encode()))
+    np.testing.assert_array_equal(read_telemetry(packed).row_px, read_telemetry(plain).row_px)
+    assert read_table(packed, name).equals(read_table(plain, plain.name))
+    assert not is_image(packed) or name == "pass.gz"
+    assert TelemetryFile(packed).about_rows() == TelemetryFile(plain).about_rows()
+    assert stretches(packed, name, 1) == []
+
+
+def test_a_small_file_that_expands_beyond_its_budget_and_a_cut_one_are_refused(tmp_path):
+    header = b"frame,exposure,row_px,col_px\n"
+    bomb = gzip.compress(header + b"0,0,1,1\n" * 2_000_000)
+    cut = gzip.compress(header + bytes(range(48, 58)) * 1000)[:-20]
+    for content, words in ((bomb, "expands to over"), (cut, "damaged gzip")):
+        path = tmp_path / "pass.csv.gz"
+        path.write_bytes(content)
+        with pytest.raises(RefusedInputError, match=words):
+            read_telemetry(path, limits=Limits(expanded_bytes=1_000_000))

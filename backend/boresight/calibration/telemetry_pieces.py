@@ -21,6 +21,7 @@ from boresight.estimation.executor import Executor, LocalExecutor
 from boresight.estimation.stored_arcs import Arcs
 from boresight.site import Site
 from boresight.telemetry.quality.detector import OffDetector
+from boresight.telemetry.read.compression import expanded_bytes
 from boresight.telemetry.read.limits import LIMITS, Limits
 from boresight.telemetry.read.readers import CHUNK_FRAMES, Stretch, read_chunks, read_telemetry, rows_in, stretches
 from boresight.telemetry.schema import Telemetry, joined, select_rows
@@ -70,7 +71,7 @@ class TelemetryFile:
     def about_rows(self) -> int:
         """How many rows it has; a guess from its size where it is text."""
         rows = rows_in(self.path)
-        return self.path.stat().st_size // BYTES_A_ROW if rows is None else rows
+        return expanded_bytes(self.path) // BYTES_A_ROW if rows is None else rows
 
     def large(self) -> bool:
         """Whether it is to be taken piece by piece."""

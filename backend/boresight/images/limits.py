@@ -17,8 +17,10 @@ FOREIGN_SUFFIXES: Final = (".jpg", ".jpeg", ".bmp", ".gif", ".cr2", ".nef")
 
 
 def is_image(path: Path) -> bool:
-    """Whether a file's name is an image's."""
-    return path.suffix.lower() in {*SUFFIXES, *FOREIGN_SUFFIXES}
+    """Whether a file's name is an image's; what is compressed by gzip is one unless the name inside is another's."""
+    suffix = path.suffix.lower()
+    inside = Path(path.stem).suffix.lower() if suffix == ".gz" else ""
+    return suffix in {*SUFFIXES, *FOREIGN_SUFFIXES} and (not inside or SUFFIXES.get(inside) == "FITS")
 
 
 def is_archive(path: Path) -> bool:

@@ -72,6 +72,7 @@ FORMS = {  # who sends which form to which page
     "/import-profiles/{profile_id:int}/archive": ("ada", {}),
     "/telemetry/{set_id}/archive": ("ada", {}),
     "/telemetry/{set_id}/diagnose": ("ada", {}),
+    "/telemetry/{set_id}/accept-as-new-sensor": ("ada", {"name": "another"}),
     "/telemetry/{set_id}/accept-sensor": ("ada", {"version": "1"}),
     "/telemetry/{set_id}/accept-mapping": ("ada", {}),
     "/sensors": ("ada", {"document": "{}"}),
@@ -177,7 +178,8 @@ def test_a_full_disk_is_503_with_retry_after_by_every_form(request, site, monkey
         place = ada.post("/runs/1/parameter-set").headers["location"]
         version = ada.get(place).split('name="version" value="')[1].split('"')[0]
         assert ada.post(f"{place}/submit", version=version, reason="x").status_code == 303
-    if route in {"/telemetry", "/telemetry/{set_id}/diagnose", "/telemetry/{set_id}/accept-mapping"}:
+    prepared = ("diagnose", "accept-mapping", "accept-as-new-sensor")
+    if route in {"/telemetry", *(f"/telemetry/{{set_id}}/{step}" for step in prepared)}:
 
         @asynccontextmanager
         async def nothing_to_prepare(_made: object) -> AsyncIterator[None]:

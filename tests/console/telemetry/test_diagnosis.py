@@ -76,12 +76,36 @@ def test_the_sensor_is_mended_by_who_saw_its_version(house):
     assert ada.get(f"{page}/mended-sensor.json").json()["initial"] == mended["initial"]
 
 
+def test_a_mirrored_sensor_is_registered_as_it_is_under_another_name_with_its_set(house):
+    ada, sensor = house.person("ada"), house.new_sensor()
+    mirrored = sensor["document"] | {"name": f"{sensor['name']} turned", "parity": -sensor["document"]["parity"]}
+    turned = ada.post("/api/v1/sensors", json=mirrored).json()
+    stored = house.upload(ada, turned["id"], _without_names(house), keep_here="1").json()
+    page, form = f"/telemetry/{stored['id']}", {"csrf_token": ada.headers["X-CSRF-Token"]}
+    assert (
+        ada.post(f"/api/v1/telemetry-sets/{stored['id']}:diagnose").json()["quality"]["diagnosis"]["causes"][0]["name"]
+        == "parity"
+    )
+    assert f'action="{page}/accept-as-new-sensor"' in ada.get(page).text
+    assert ada.post(f"{page}/accept-sensor", data={**form, "version": "1"}).status_code == 422
+    assert ada.post(f"{page}/accept-as-new-sensor", data={**form, "name": turned["name"]}).status_code == 409
+    assert house.person("victor").post(f"{page}/accept-as-new-sensor", data={**form, "name": "x"}).status_code == 403
+    made = ada.post(f"{page}/accept-as-new-sensor", data={**form, "name": f"{turned['name']} upright"})
+    assert made.status_code == 303, made.text
+    number = int(made.headers["location"].rsplit("/", 1)[1].split("?")[0])
+    moved = ada.get(f"/api/v1/telemetry-sets/{number}").json()
+    document = ada.get(f"/api/v1/sensors/{moved['sensor_id']}").json()["document"]
+    assert document == mirrored | {"name": f"{turned['name']} upright", "parity": sensor["document"]["parity"]}
+    assert moved["original_sha256"] == stored["original_sha256"]
+    assert [one["name"] for one in moved["quality"]["diagnosis"]["causes"]] == ["none"]
+
+
 def test_nobody_but_an_analyst_has_a_set_diagnosed_and_nothing_unknown_is_accepted(house):
     _, number = house.ready_sensor()
     assert house.person("victor").post(f"/api/v1/telemetry-sets/{number}:diagnose").status_code == 403
     ada = house.person("ada")
-    form = {"csrf_token": ada.headers["X-CSRF-Token"], "version": "1"}
-    for step in ("accept-sensor", "accept-mapping"):
+    form = {"csrf_token": ada.headers["X-CSRF-Token"], "version": "1", "name": "x"}
+    for step in ("accept-sensor", "accept-mapping", "accept-as-new-sensor"):
         assert ada.post(f"/telemetry/{number}/{step}", data=form).status_code == 409
     assert ada.get(f"/telemetry/{number}/mended-sensor.json").status_code == 409
 

@@ -1,5 +1,6 @@
 """Mapping profiles over REST: versions that never change, a preview before anything is stored, and what the set remembers."""
 
+import gzip
 import hashlib
 import re
 
@@ -104,3 +105,30 @@ def test_a_number_that_json_cannot_hold_is_not_saved_and_a_profile_that_is_read_
         assert not offered.search(shown.text)
     token = {"csrf_token": ada.headers["X-CSRF-Token"]}
     assert ada.post(f"/import-profiles/{profile_id}/archive", data=token).status_code == 303
+
+
+def test_a_table_of_another_program_is_led_to_the_profile_that_imports_it(house):
+    sensor_id, vector = house.new_sensor()["id"], VECTORS / "photutils.ecsv"
+    refused = upload(house, vector.read_bytes(), sensor_id=sensor_id)
+    assert refused.status_code == 422
+    fault = refused.json()["errors"][0]
+    assert (fault["column"], fault["detail"]) == ("profile", "send photutils with the file")
+    shown = upload(house, vector.read_bytes(), sensor_id=sensor_id, query="?validate_only=true", profile="photutils")
+    assert shown.status_code == 200, shown.json()
+    unnamed = upload(house, "0 1.5 2.5\n0 3.5 4.5\n", sensor_id=sensor_id)
+    assert unnamed.status_code == 422
+    assert "without a header" in unnamed.json()["detail"]
+    assert house.person("ada").get(f"/api/v1/telemetry-sets?sensor_id={sensor_id}").json()["items"] == []
+
+
+def test_tables_compressed_by_gzip_are_kept_as_they_came(house):
+    sensor_id, packed = house.new_sensor()["id"], gzip.compress(TEXT.encode(), mtime=0)
+    save(house.person("ada"), name="packed")
+    made = upload(house, packed, sensor_id=sensor_id, profile="packed")
+    assert made.status_code == 201, made.json()
+    assert made.json()["source_sha256"] == hashlib.sha256(packed).hexdigest()
+    plain = gzip.compress(b"frame,exposure,row_px,col_px\n0,0,1.5,2.5\n", mtime=0)
+    form, files = {"sensor_id": str(sensor_id)}, {"file": ("pass.csv.gz", plain)}
+    whole = house.person("ada").post("/api/v1/telemetry-sets", data=form, files=files)
+    assert (whole.status_code, whole.json()["stars"]) == (201, 1)
+    assert house.person("ada").get(f"/api/v1/telemetry-sets/{whole.json()['id']}/file").content == plain

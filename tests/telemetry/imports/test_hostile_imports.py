@@ -169,9 +169,15 @@ def test_a_packed_fits_is_not_expanded_by_a_profile_that_names_fits(load):
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("a.fits", bytes(10_000_000))
-    for content in (packed.getvalue(), gzip.compress(announced_fits(1))):
-        with pytest.raises(RefusedInputError, match="is not a FITS file"):
-            load(content, POINTS | {"layout": {"format": "fits"}}, "a.dat")
+    with pytest.raises(RefusedInputError, match="is not a FITS file"):
+        load(packed.getvalue(), POINTS | {"layout": {"format": "fits"}}, "a.dat")
+
+
+def test_a_fits_table_compressed_by_gzip_is_expanded_up_to_its_budget(load):
+    named = {"row": {"column": "Y"}, "col": {"column": "X"}, "frames": {"by": "file"}, "layout": {"format": "fits"}}
+    assert load(gzip.compress(announced_fits(1)), named, "a.dat").telemetry.row_px.tolist() == [2.0]
+    with pytest.raises(RefusedInputError, match="expands to over"):
+        load(gzip.compress(announced_fits(1) + bytes(100_000_000)), named, "a.dat")
 
 
 def test_a_long_cell_of_a_ragged_line_is_refused_by_its_row(load):

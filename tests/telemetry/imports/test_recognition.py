@@ -1,5 +1,6 @@
 """What another program's file is, told by its first bytes, leads to its import; and profiles drafted from its columns."""
 
+import gzip
 import json
 
 import numpy as np
@@ -110,3 +111,56 @@ def test_columns_that_are_no_coordinates_are_not_guessed(tmp_path):
     assert found.profile is None
     with pytest.raises(RefusedInputError, match="none of which"):
         draft_profile(found)
+
+
+NUMBERS = "0 255.5 475.25 9.1\n0 72.0 474.5 8.0\n1 155.75 211.5 7.2\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "separator", "comment"),
+    [
+        (NUMBERS, "space", ""),
+        ("# frame x y peak\n" + NUMBERS, "space", "#"),
+        (NUMBERS.replace(" ", ","), ",", ""),
+        (NUMBERS.replace(" ", "\t"), "tab", ""),
+        (NUMBERS.replace(".", ",").replace(" ", ";"), ";", ""),
+    ],
+)
+def test_a_table_without_a_header_is_drafted_by_what_its_cells_look_like(load, tmp_path, text, separator, comment):
+    path = write(tmp_path / "n.txt", text)
+    with pytest.raises(RefusedInputError, match=r"without a header.*boresight import n\.txt --print-profile"):
+        read_telemetry(path)
+    draft = draft_profile(recognise_table(path, "n.txt"))
+    assert (draft.profile.layout.separator, draft.profile.layout.comment) == (separator, comment)
+    assert (draft.profile.frames.column, draft.profile.col.column, draft.profile.row.column) == ("1", "2", "3")
+    assert "column 2" in draft.still[1]
+    made = load(text, draft.profile.to_dict(), "n.txt").telemetry
+    assert made.frame.tolist() == [0, 0, 1]
+    np.testing.assert_array_equal(made.row_px, [475.25, 474.5, 211.5])
+
+
+def test_numbers_without_coordinates_and_times_beside_them_are_told_apart(tmp_path):
+    timed = "2026-01-01T00:00:00Z,10.5,20.5\n2026-01-01T00:00:01Z,11.5,21.5\n"
+    assert dict(recognise_table(write(tmp_path / "t.csv", timed), "t.csv").guess) == {
+        "time": "1",
+        "col": "2",
+        "row": "3",
+    }
+    with pytest.raises(RefusedInputError, match="1, 2, 3"):
+        draft_profile(recognise_table(write(tmp_path / "w.csv", "1,2,3\n4,5,6\n"), "w.csv"))
+
+
+def test_a_table_compressed_by_gzip_is_recognised_as_what_is_inside(load, tmp_path):
+    path = tmp_path / "own.csv.gz"
+    path.write_bytes(gzip.compress(OWN.encode()))
+    found = recognise_table(path, path.name)
+    assert found.columns == ("Row", "Col", "Time", "mag")
+    assert load(path.read_bytes(), draft_profile(found).profile.to_dict(), path.name).telemetry.row_px.tolist() == [
+        10.5,
+        11.5,
+    ]
+    Table(STARS).write(tmp_path / "t.fits", format="fits")
+    packed = tmp_path / "t.fits.gz"
+    packed.write_bytes(gzip.compress((tmp_path / "t.fits").read_bytes()))
+    with pytest.raises(RefusedInputError, match=r"--profile contract --out t-stars\.csv"):
+        read_size(packed, packed.name)

@@ -185,11 +185,11 @@ def _refuse_misfit(form: ExportFormat, source: Source, misfit_px: float, allowed
     """Refuse what does not follow the camera."""
     if misfit_px <= allowed_px:
         return
-    size = f"is up to {misfit_px:.2g} px away from it" if math.isfinite(misfit_px) else "does not cover"
+    size = f"is up to {misfit_px:.4g} px away from it" if math.isfinite(misfit_px) else "does not cover"
     rule = f" ({100 * form.share:g} % of the sensor's centroid_sigma_px)" if by_rule else ""
     raise RefusedInputError(
         f"{source.name} cannot be written as {form.name}: over the detector the nearest camera of {form.program} {size}"
-        f"{'' if math.isfinite(misfit_px) else ' all of it'}, where {allowed_px:.2g} px is allowed{rule}; choose a format "
+        f"{'' if math.isfinite(misfit_px) else ' all of it'}, where {allowed_px:.4g} px is allowed{rule}; choose a format "
         "with more terms, calibrate under a camera model nearer to that program's, or allow more."
     )
 

@@ -530,6 +530,49 @@ def _mend_sensor(actor: Actor, set_id: int, version: int | None, session: Sessio
     return sensors.edit_sensor(session, actor, row.sensor_id, mended, version)
 
 
+@telemetry_set_router.post("/telemetry/{set_id}/accept-as-new-sensor")
+async def accept_as_new_sensor(
+    request: Request,
+    actor: Who,
+    set_id: int,
+    forecast_sources: DryRunSources,
+    engine: Database,
+    settings: ServerSettings,
+    name: Annotated[str, Form(max_length=sensors.LONGEST_NAME)] = "",
+) -> Response:
+    """Register the sensor as the diagnosis of a set mends it under another name, with the set."""
+    made = _held_for_new_sensor(actor, set_id, name.strip(), forecast_sources, engine, settings)
+    outcome = await _with(
+        request, made, partial(_store_with_new_sensor, actor, forecast_sources.blobs, set_id, name.strip())
+    )
+    if outcome.refusal is not None:
+        raise outcome.refusal.error
+    row = outcome.made
+    return redirect(
+        f"/telemetry/{row.id}",
+        flash=f"{name.strip()} is registered as the diagnosis says, and {row.name} is its telemetry set {row.id}.",
+    )
+
+
+@contextmanager
+def _held_for_new_sensor(
+    actor: Actor, set_id: int, name: str, forecast_sources: ForecastSources, engine: Engine, settings: Settings
+) -> Iterator[PreparedUpload]:
+    row, document = _read_set(actor, set_id, engine)
+    with telemetry_sets.hold_for_new_sensor(document, row, forecast_sources, name, settings.telemetry_limits) as made:
+        yield made
+
+
+def _store_with_new_sensor(
+    actor: Actor, blobs: BlobStore, set_id: int, name: str, prepared: PreparedUpload, session: Session
+) -> TelemetrySet:
+    row = session.get_known(TelemetrySet, set_id)
+    document = session.get_known(Sensor, row.sensor_id).document
+    mended = telemetry_sets.mend_document(document, telemetry_sets.get_diagnosis(row)) | {"name": name}
+    made = sensors.register_sensor(session, actor, mended)
+    return telemetry_sets.store_prepared(session, actor, blobs, made.id, prepared, row.purpose)
+
+
 @telemetry_set_router.post("/telemetry/{set_id}/accept-mapping")
 async def accept_mapping(
     request: Request,

@@ -52,7 +52,9 @@ from boresight.telemetry.sensors import Sensor, parse_sensor
 from boresight.telemetry.working_table import MEDIA_TYPE, WorkingTableParts, find_image
 
 PURPOSES = ("calibration", "validation")
-MEDIA_TYPES = {".csv": "text/csv", ".jsonl": "application/x-ndjson", ".ndjson": "application/x-ndjson"}
+MEDIA_TYPES = {
+    ".csv": "text/csv", ".jsonl": "application/x-ndjson", ".ndjson": "application/x-ndjson", ".gz": "application/gzip",
+}  # fmt: skip
 MOST_OF_NAME = 200
 #: Seconds that an upload which is refused may look for the cause.
 REFUSAL_BUDGET_S = 2.0
@@ -344,6 +346,17 @@ def mend_document(document: Mapping[str, Any], found: Diagnosis) -> dict[str, An
         if name in names and key in mended:
             changed[key] = mended[key]
     return changed
+
+
+@contextmanager
+def hold_for_new_sensor(
+    document: Mapping[str, Any], row: TelemetrySet, sources: ForecastSources, name: str, limits: Limits = LIMITS
+) -> Iterator[PreparedUpload]:
+    """Check a set as one of a sensor under another name that is its own as the set's diagnosis mends it, without the database."""
+    mended = mend_document(document, get_diagnosis(row)) | {"name": name}
+    original, catalogue = sources.blobs.path(row.original_sha256), sources.catalogue()
+    with hold_prepared(mended, catalogue, original, row.name, limits, sources.catalogue_folder) as prepared:
+        yield prepared
 
 
 @contextmanager

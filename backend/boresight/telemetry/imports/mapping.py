@@ -36,6 +36,7 @@ from boresight.telemetry.imports.recognition import recognise_table
 from boresight.telemetry.imports.tables import MOST_BYTES, SourceTable, read_source
 from boresight.telemetry.imports.times import read_constant, read_times, tell_leap_seconds
 from boresight.telemetry.read.checks import Checks, Faults, floats, integers, scale_quaternions, texts
+from boresight.telemetry.read.compression import expanded
 from boresight.telemetry.read.limits import LIMITS, Limits
 from boresight.telemetry.read.readers import contract_table, write_table
 from boresight.telemetry.schema import OPTIONAL_COLUMNS, REQUIRED_COLUMNS, UNMATCHED, Telemetry, find_exposures
@@ -904,7 +905,9 @@ def import_by_likeliest(
     RefusedInputError
         When no profile reads it, or it is too large to be tried by each.
     """
-    if file.path.stat().st_size > MOST_BYTES_RECOGNISED:
+    with expanded(file.path, file.name, limits) as place:
+        size = place.stat().st_size
+    if size > MOST_BYTES_RECOGNISED:
         raise RefusedInputError(
             f"{file.name} has more than {MOST_BYTES_RECOGNISED / 1e6:.0f} MB, too many to try every mapping profile on: choose its "
             "profile yourself."

@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 
-from boresight.errors import RefusedInputError
+from boresight.errors import Fault, RefusedInputError
 from boresight.telemetry.imports.builtin import BUILT_IN
 from boresight.telemetry.imports.profile import (
     Axis,
@@ -35,15 +35,20 @@ from boresight.telemetry.imports.profile import (
     Wide,
 )
 from boresight.telemetry.imports.tables import (
+    COMMENT,
     SourceTable,
     detect_form,
     find_fits_columns,
     find_separators,
+    first_lines,
+    holds_no_name,
     read_head,
     read_source,
     split_row,
 )
+from boresight.telemetry.read.compression import expanded, name_inside
 from boresight.telemetry.read.formats import BYTE_ORDER_MARK, parse_json
+from boresight.telemetry.read.limits import LIMITS
 
 #: Bytes of a JSON document that is read whole to see what it holds.
 _MOST_JSON_BYTES: Final = 16_000_000
@@ -66,6 +71,8 @@ _SYNONYMS: Final[Mapping[str, tuple[str, ...]]] = {
 _QUATERNIONS: Final = (("qx", "qy", "qz", "qw"), ("q1", "q2", "q3", "q4"), ("qi", "qj", "qk", "qs"))
 #: Names of coordinates that do not say which of them is which, so that a person has to look.
 _OF_AN_IMAGE: Final = ("x", "y", "u", "v", "ximage", "yimage")
+_DAY = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}")
+_COORDINATES: Final = 2
 _NUMBERED = re.compile(r"^(.*?)(\d+)(.*)$")
 
 
@@ -74,7 +81,8 @@ class Recognised:
     """What a file is.
 
     `kind`: with its article. `columns`: names in their order. `layout`: how it is read, `auto` where that does.
-    `example`: the first cell of each column that was looked at.
+    `example`: the first cell of each column that was looked at. `guess`: columns by what their cells look like, where they have
+    no names but their numbers.
     """
 
     name: str
@@ -82,6 +90,7 @@ class Recognised:
     columns: tuple[str, ...]
     layout: Layout = field(default_factory=Layout)
     example: Mapping[str, str] = field(default_factory=dict)
+    guess: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def profile(self) -> Profile | None:
@@ -91,7 +100,7 @@ class Recognised:
     def rank(self, profiles: Iterable[Profile]) -> list[Profile]:
         """Return the profiles that fit, the likeliest first: that finds most columns, has the file's suffix, came last."""
         found = [(score, place, one) for place, one in enumerate(profiles) if (score := self._score(one)) > 0]
-        suffix = Path(self.name).suffix.lower().removeprefix(".") or "-"
+        suffix = name_inside(self.name).suffix.lower().removeprefix(".") or "-"
         found.sort(key=lambda one: (one[0], one[2].name.endswith(suffix), one[1]), reverse=True)
         return [one for _, _, one in found]
 
@@ -127,13 +136,14 @@ class Recognised:
         """The command that reads the file, or writes a first profile for it."""
         name = Path(self.name).name
         if (profile := self.profile) is not None:
-            return f"boresight import {name} --profile {profile.name} --out {Path(name).stem}-stars.csv"
+            return f"boresight import {name} --profile {profile.name} --out {name_inside(name).stem}-stars.csv"
         return f"boresight import {name} --print-profile > mine.json"
 
     def say(self) -> str:
         """Say in a clause what the file is and what to do with it."""
         listed = ", ".join([*self.columns[:_SHOWN], *(["..."] if len(self.columns) > _SHOWN else [])])
-        told = f"it is {self.kind} of another program, with {listed or 'no columns'}"
+        named = listed or "no columns" if self.layout.header else f"columns 1 to {len(self.columns)}"
+        told = f"it is {self.kind} of another program, with {named}"
         if (profile := self.profile) is not None:
             return (
                 f"{told}, which the built-in mapping profile {profile.name} reads: run `{self.command}`, or choose this profile "
@@ -168,7 +178,8 @@ def _list_columns(profile: Profile) -> Iterator[tuple[str, tuple[str, ...]]]:
 def recognise_table(path: Path, name: str) -> Recognised | None:
     """Return what table of another program a file is; None where it is none that an import reads."""
     try:
-        return _recognise(path, name)
+        with expanded(path, name, LIMITS) as place:
+            return _recognise(place, name)
     except (RefusedInputError, ValueError, OSError, NotImplementedError, csv.Error):  # of files that nothing can read
         return None
 
@@ -182,8 +193,9 @@ def leading_to_import(path: Path, name: str) -> Iterator[None]:
         found = recognise_table(path, name)
         if found is None or not found.is_of_another_program:
             raise
-        remedy = found.say()
-        raise RefusedInputError(f"{name} is not telemetry as it stands: {remedy}.") from error
+        remedy, fitting = found.say(), found.profile
+        faults = () if fitting is None else (Fault(None, "profile", f"send {fitting.name} with the file"),)
+        raise RefusedInputError(f"{name} is not telemetry as it stands: {remedy}.", faults) from error
 
 
 def _recognise(path: Path, name: str) -> Recognised | None:  # noqa: PLR0911 - one a form
@@ -217,14 +229,47 @@ def _recognise_text(name: str, head: bytes) -> Recognised | None:
     if b"\0" in head:
         return None
     separator, decimal = find_separators(head)
-    lines = [line for line in head.removeprefix(BYTE_ORDER_MARK).decode(errors="replace").splitlines() if line.strip()]
+    lines = first_lines(head)
     if not lines:
         return None
-    cells = [split_row(line, separator) for line in lines[:2]]
-    spelled = {";": "semicolons", "tab": "tabs"}.get(separator)
+    cells = [split_row(line, separator) for line in lines]
+    if len(cells[0]) > 1 and holds_no_name(cells[0]):
+        comment = COMMENT if head.removeprefix(BYTE_ORDER_MARK).lstrip().startswith(COMMENT.encode()) else ""
+        layout = Layout(format="text", separator=separator, decimal=decimal, header=False, comment=comment)
+        columns = tuple(str(number) for number in range(1, len(cells[0]) + 1))
+        example = dict(zip(columns, cells[0], strict=True))
+        return Recognised(name, "a table without a header", columns, layout, example, _guess(cells))
+    cells = [cells[0], cells[min(1, len(cells) - 1)]]
+    spelled = {";": "semicolons", "tab": "tabs", "space": "blanks"}.get(separator)
     kind = "a table" if spelled is None else f"a table whose columns are separated by {spelled}"
     layout = Layout() if spelled is None else Layout(format="text", separator=separator, decimal=decimal)
     return Recognised(name, kind, tuple(cells[0]), layout, dict(zip(cells[0], cells[-1], strict=False)))
+
+
+def _guess(rows: Sequence[Sequence[str]]) -> dict[str, str]:
+    """Return the columns, by number, that hold frames, times and coordinates as far as their cells look like it.
+
+    A time begins with its day; a first column of whole numbers that never fall is the frame; the first two others that hold
+    fractions, and nothing below zero, are x and y.
+    """
+    guess: dict[str, str] = {}
+    places: list[str] = []
+    for number, cells in enumerate(zip(*(row for row in rows if len(row) == len(rows[0])), strict=True), 1):
+        if all(_DAY.match(cell) for cell in cells):
+            guess.setdefault("time", str(number))
+            continue
+        try:
+            values = np.array([float(cell.replace(",", ".")) for cell in cells])
+        except ValueError:
+            continue
+        is_whole = all(cell.lstrip("-+").isdigit() for cell in cells)
+        if is_whole and number == 1 and len(rows[0]) > _COORDINATES and np.all(np.diff(values) >= 0):
+            guess["frame"] = str(number)
+        elif not is_whole and np.all(values >= 0):
+            places.append(str(number))
+    if len(places) >= _COORDINATES:
+        guess["col"], guess["row"] = places[:_COORDINATES]
+    return guess
 
 
 def _recognise_json(path: Path, name: str, start: bytes) -> Recognised | None:
@@ -288,13 +333,18 @@ def draft_profile(found: Recognised) -> Draft:
     """
     if (fitting := found.profile) is not None:
         return Draft(fitting, ())
-    names, wide = _find_names(found.columns)
+    names, wide = (dict(found.guess), None) if not found.layout.header else _find_names(found.columns)
     if "row" not in names or "col" not in names:
         raise RefusedInputError(
             f"{found.name} is {found.kind} with {', '.join(found.columns[:_SHOWN]) or 'no columns'}, none of which is named like "
             "the row and column of a star: name them in a mapping profile, as docs/how-to/map-my-telemetry.md shows."
         )
     still: list[str] = []
+    if not found.layout.header:
+        still.append(
+            f"what each column is: the file names none, and by their numbers column {names['col']} is taken for x and column "
+            f"{names['row']} for y"
+        )
     time = None if "time" not in names else _drafted_time(names["time"], found.example, still)
     profile = Profile(
         name="mine",

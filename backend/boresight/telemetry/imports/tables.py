@@ -23,6 +23,7 @@ from boresight.arrays import IntArray
 from boresight.errors import Fault, RefusedInputError
 from boresight.telemetry.imports.profile import DecimalMark, Format, Layout, Separator
 from boresight.telemetry.read.checks import Faults
+from boresight.telemetry.read.compression import expanded
 from boresight.telemetry.read.formats import (
     BYTE_ORDER_MARK,
     parse_json,
@@ -48,6 +49,14 @@ _SEXTRACTOR = re.compile(rb"#\s*1\s+[A-Za-z_]")
 _SEXTRACTOR_NUMBER = re.compile(r"\s*#\s*(\d+)\s")
 _LDAC = ("LDAC_IMHEAD",)
 _DECIMAL_COMMA = re.compile(r"\s*[-+]?(?:[0-9]+,[0-9]*|,[0-9]+)(?:[eE][-+]?[0-9]+)?\s*")
+#: A number, or a time that begins with its day.
+_VALUE = re.compile(
+    r"[-+]?(?:[0-9]+[.,]?[0-9]*|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?|nan|[0-9]{4}-[0-9]{2}-[0-9]{2}\S*|[0-9:.]+Z?",
+    re.IGNORECASE,
+)
+COMMENT = "#"
+#: Of a text that is looked at to see how it is written.
+_HEAD_BYTES, _LOOKED_AT = 65_536, 100
 _BAD_LINE = re.compile(r"data line (\d+)")
 _LISTED = 30
 #: Extensions of a FITS file that are looked at for an image.
@@ -108,13 +117,18 @@ class SourceTable:
 def read_source(
     path: Path, name: str, layout: Layout, wanted: Sequence[str] = (), limits: Limits = LIMITS
 ) -> SourceTable:
-    """Read a file; of several tables in it the first that has the wanted columns.
+    """Read a file, also one that is compressed by gzip; of several tables in it the first that has the wanted columns.
 
     Raises
     ------
     RefusedInputError
         When it cannot be read, or is larger than may be.
     """
+    with expanded(path, name, limits) as place:
+        return _read_source(place, name, layout, wanted, limits)
+
+
+def _read_source(path: Path, name: str, layout: Layout, wanted: Sequence[str], limits: Limits) -> SourceTable:
     form = layout.format if layout.format != "auto" else detect_form(path, name, layout)
     if form == "csv" and layout.format == "auto":
         form, layout = _by_separators(path, layout)
@@ -166,15 +180,37 @@ def _by_separators(path: Path, layout: Layout) -> tuple[Format, Layout]:
 
 def find_separators(head: bytes) -> tuple[Separator, DecimalMark]:
     """Tell by its first lines what separates a text's columns, and its decimal mark: a comma where cells have that and no point."""
-    lines = [line for line in head.removeprefix(BYTE_ORDER_MARK).decode(errors="replace").splitlines() if line.strip()]
-    header = lines[0] if lines and not head.startswith(b"PAR1") else ""
-    if header.lstrip().startswith(("{", "[")) or "," in header:
+    lines = [] if head.startswith(b"PAR1") else first_lines(head)
+    header = lines[0] if lines else ""
+    is_data = holds_no_name(re.split(r"[;\s]", header))
+    if header.lstrip().startswith(("{", "[")) or ("," in header and not (is_data and ";" in header)):
         return ",", "."
-    separator: Separator = ";" if ";" in header else "tab" if "\t" in header else ","
-    cells = [cell for line in lines[1:100] for cell in split_row(line, separator)]
+    separator: Separator = ";" if ";" in header else "tab" if "\t" in header else "space" if _is_spaced(lines) else ","
+    cells = [cell for line in lines[not is_data :] for cell in split_row(line, separator)]
     commas = any(_DECIMAL_COMMA.fullmatch(cell) for cell in cells)
     points = any(_DECIMAL_COMMA.fullmatch(cell.replace(".", ",")) for cell in cells if "." in cell)
     return separator, "," if separator != "," and commas and not points else "."
+
+
+def first_lines(head: bytes) -> list[str]:
+    """Return the first lines of a text that hold something; one that is cut, and comments before a table of numbers, left out."""
+    text = head.removeprefix(BYTE_ORDER_MARK).decode(errors="replace")
+    lines = [line for line in text.splitlines() if line.strip()]
+    if len(head) == _HEAD_BYTES and len(lines) > 1:
+        lines.pop()
+    told = [line for line in lines if not line.lstrip().startswith(COMMENT)]
+    return (told if told and holds_no_name(re.split(r"[,;\s]", told[0])) else lines)[:_LOOKED_AT]
+
+
+def holds_no_name(cells: Sequence[str]) -> bool:
+    """Whether cells are numbers and times alone, as no header's are."""
+    return any(cells) and all(not cell or _VALUE.fullmatch(cell.strip()) for cell in cells)
+
+
+def _is_spaced(lines: Sequence[str]) -> bool:
+    """Whether every line has as many words as the first, more than one."""
+    words = {len(line.split()) for line in lines}
+    return len(lines) > 1 and len(words) == 1 and words.pop() > 1
 
 
 def split_row(line: str, separator: str) -> list[str]:
@@ -191,7 +227,7 @@ def read_head(path: Path) -> bytes:
     if path.is_dir():
         raise RefusedInputError(f"{path} is a folder: name the file inside it.")
     with path.open("rb") as file:
-        return file.read(65_536)
+        return file.read(_HEAD_BYTES)
 
 
 def _refuse_size(path: Path, name: str, most: int, what: str) -> None:

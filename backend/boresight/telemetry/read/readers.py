@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from boresight.arrays import FloatArray, IntArray
 from boresight.errors import RefusedInputError
 from boresight.telemetry.read.checks import Checks, Faults, check_columns, make_arrays, scale_quaternions
+from boresight.telemetry.read.compression import expanded, is_gzip
 from boresight.telemetry.read.formats import Tables, csv_tables, format_at, json_tables
 from boresight.telemetry.read.limits import LIMITS, Limits
 from boresight.telemetry.read.parquet import (
@@ -46,8 +47,8 @@ def read_chunks(
     from boresight.telemetry.imports.recognition import leading_to_import  # noqa: PLC0415 - it imports this module
 
     name = name or path.name
-    with leading_to_import(path, name):
-        yield from iterate_chunks(open_tables(path, name, limits), name, frames, limits)
+    with expanded(path, name, limits) as place, leading_to_import(place, name):
+        yield from iterate_chunks(open_tables(place, name, limits), name, frames, limits)
 
 
 def iterate_chunks(tables: Tables, name: str, frames: int, limits: Limits = LIMITS) -> Iterator[Telemetry]:
@@ -74,9 +75,11 @@ def iterate_chunks(tables: Tables, name: str, frames: int, limits: Limits = LIMI
 
 
 def rows_in(path: Path) -> int | None:
-    """Return how many rows a file has where that is told cheaply, as Parquet does; None for text."""
+    """Return how many rows a file has where that is told cheaply, as Parquet does; None for text and what is compressed."""
     from boresight.telemetry.imports.recognition import leading_to_import  # noqa: PLC0415 - it imports this module
 
+    if is_gzip(path):
+        return None
     with leading_to_import(path, path.name):
         return rows_of_parquet(path, path.name) if format_at(path, path.name) == "Parquet" else None
 
@@ -177,12 +180,13 @@ def read_telemetry(path: Path, name: str | None = None, limits: Limits = LIMITS)
 
 def read_table(path: Path, name: str, limits: Limits = LIMITS) -> pa.Table:
     """Return the columns of a telemetry file as they stand in it."""
-    tables = open_tables(path, name, limits)
-    parts = list(tables.read())
-    if any(part.schema != parts[0].schema for part in parts):  # some cell is no number: then every cell is a text
-        tables = open_tables(path, name, limits, as_text=True)
+    with expanded(path, name, limits) as place:
+        tables = open_tables(place, name, limits)
         parts = list(tables.read())
-    tables.form.refuse()
+        if any(part.schema != parts[0].schema for part in parts):  # some cell is no number: then every cell is a text
+            tables = open_tables(place, name, limits, as_text=True)
+            parts = list(tables.read())
+        tables.form.refuse()
     plain = [part.cast(pa.schema([_plain(field) for field in part.schema])) for part in parts]
     return pa.concat_tables(plain, promote_options="default")
 
@@ -218,6 +222,8 @@ def stretches(path: Path, name: str, frames: int, limits: Limits = LIMITS) -> li
     """Cut a file into stretches of at least `PARTS * frames` frames."""
     from boresight.telemetry.imports.recognition import leading_to_import  # noqa: PLC0415 - it imports this module
 
+    if is_gzip(path):
+        return []
     with leading_to_import(path, name):
         if format_at(path, name) != "Parquet":
             return []
