@@ -59,7 +59,7 @@ def test_the_readme_lists_every_choice_of_a_calibration_as_it_is_declared():
 
 
 def test_the_readme_says_from_where_on_a_change_is_far():
-    (row,) = (line for line in README.splitlines() if line.startswith("| typical sigmas |"))
+    (row,) = (line for line in README.splitlines() if line.startswith("| change / typical σ |"))
     assert f"Beyond {FAR_TYPICAL_SIGMAS:g}:" in row
 
 
