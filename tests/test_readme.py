@@ -54,7 +54,7 @@ def test_the_readme_is_short():
 
 
 def test_the_reference_says_from_where_on_a_change_is_far():
-    (row,) = (line for line in REFERENCE["numbers"].splitlines() if line.startswith("| typical sigmas |"))
+    (row,) = (line for line in REFERENCE["numbers"].splitlines() if line.startswith("| change / typical σ |"))
     assert f"Beyond {FAR_TYPICAL_SIGMAS:g}:" in row
 
 

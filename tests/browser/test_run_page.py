@@ -9,7 +9,7 @@ from playwright.sync_api import expect
 
 from boresight.console.runs.pages.run import PARTS
 from boresight.figures import CHAPTERS
-from tests.browser.window import GLANCE, PHONE
+from tests.browser.window import GLANCE, OVERLAPS, PHONE
 from tests.browser.work import choose_filter, ends_as, queue
 from tests.effort import effort, few_of
 
@@ -328,6 +328,8 @@ def test_no_text_of_a_figure_lies_over_another_or_is_cut_on_a_phone_or_a_desk(pe
             window.open(f"/runs/{sequential_run}?part={part}")
             window.unfold()
             assert window.overlaps() == [], f"at {size['width']} px"
+        window.page.set_viewport_size(PHONE)  # where a window becomes narrow its figures are laid out anew
+        window.page.wait_for_function(f"() => !({OVERLAPS})().length")
 
 
 def test_the_parts_stay_in_sight_and_a_view_opens_its_large_figure(window, sequential_run):

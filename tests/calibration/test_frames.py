@@ -474,7 +474,7 @@ def test_the_view_holds_the_numbers_that_its_sentence_says_and_open_sigmas_where
 @pytest.mark.parametrize(
     ("theta", "words"),
     [
-        ([0.0, -1e-3, 0.0], "206.3 ± 2.1 arcsec about -y (the columns axis)"),
+        ([0.0, -1e-3, 0.0], "206.3 ± 2.1 arcsec about −y (the columns axis)"),
         ([1e-3, 1e-3, 0.0], "291.7 ± 2.1 arcsec about (0.71, 0.71, 0.00) in x, y, z of the detector"),
     ],
 )

@@ -249,7 +249,7 @@ def test_the_focal_length_is_in_micrometres_since_its_start_with_a_band_of_three
     drawn = draw("convergence", sequential_result)
     change_m = sequential_result.parameters.f_m - sequential_result.initial.f_m
     assert named(drawn, "Run")[0].y[-1] == pytest.approx(change_m * 1e6, rel=1e-4)
-    assert "µm" in drawn.layout.yaxis.title.text
+    assert "mm" in drawn.layout.yaxis.title.text
     outline = np.array(named(drawn, "Run ±3σ")[0].y, dtype=float)
     upper, lower = outline[: len(outline) // 2], outline[len(outline) // 2 :][::-1]
     sigma_um = np.array(sequential_result.history.sigma)[:, 0] * 1e6

@@ -58,7 +58,7 @@ def test_the_report_has_verdict_advice_parameters_trust_matching_provenance_and_
         sequential_result.advice[0],
         "ab" * 32,
         "boresight calibrate TELEMETRY --sensor SENSOR.json --method sqrf --match ",
-        "change / sigma",
+        "change / σ",
         "Stars to flag (HIP): <code>1000, 1017</code>",
         f"The {MOST_STARS} worst stars",
         "neighbouring frame",

@@ -367,7 +367,7 @@ def test_a_point_is_its_difference_from_the_baseline_of_now_with_three_sigmas_an
 ) -> None:
     figure, table = trend.draw(document), trend.table(document)
     focus, distortion = _named(figure, "Calibration ±3σ")
-    assert list(focus.y) == pytest.approx([2.0, 5.0])  # µm
+    assert list(focus.y) == pytest.approx([0.002, 0.005])  # mm
     assert list(focus.error_y.array) == pytest.approx([6.0, 6.0])
     assert list(distortion.y) == pytest.approx([10.0, 40.0])
     assert list(focus.x) == ["2026-01-02T01:00:00.000", "2026-01-05T01:00:00.000"]

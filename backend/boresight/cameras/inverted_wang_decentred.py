@@ -27,18 +27,14 @@ from boresight.cameras.model import CameraModel, Equations, Parameter, Role
 class InvertedWangDecentred(NamedTuple):
     """State of the camera, SI."""
 
-    f_m: Annotated[float, Parameter(Role.FOCAL, "f", "m", 8e-6, 1e-4, 100.0, shown=("mm", 1e3), change=("µm", 1e6))]
+    f_m: Annotated[float, Parameter(Role.FOCAL, "f", "m", 8e-6, 1e-4, 100.0, shown=("mm", 1e3))]
     m0_px: Annotated[float, Parameter(Role.ROW, "m0", "px", 30.0, -1e5, 1e5)]
     n0_px: Annotated[float, Parameter(Role.COLUMN, "n0", "px", 30.0, -1e5, 1e5)]
     b4_per_m4: Annotated[float, Parameter(Role.RADIAL, "b4", "m⁻⁴", 1e8, -1e15, 1e15)]
     b2_per_m2: Annotated[float, Parameter(Role.RADIAL, "b2", "m⁻²", 1e3, -1e8, 1e8)]
-    a1_rad: Annotated[
-        float, Parameter(Role.TILT, "a1", "rad", 0.01, -1.0, 1.0, shown=("mrad", 1e3), change=("mrad", 1e3))
-    ]
-    a2_rad: Annotated[
-        float, Parameter(Role.TILT, "a2", "rad", 0.01, -1.0, 1.0, shown=("mrad", 1e3), change=("mrad", 1e3))
-    ]
-    g_y: Annotated[float, Parameter(Role.ASPECT, "g_y", "1", 2e-4, 0.5, 2.0, change=("ppm", 1e6))]
+    a1_rad: Annotated[float, Parameter(Role.TILT, "a1", "rad", 0.01, -1.0, 1.0, shown=("mrad", 1e3))]
+    a2_rad: Annotated[float, Parameter(Role.TILT, "a2", "rad", 0.01, -1.0, 1.0, shown=("mrad", 1e3))]
+    g_y: Annotated[float, Parameter(Role.ASPECT, "g_y", "1", 2e-4, 0.5, 2.0)]
     b6_per_m6: Annotated[float, Parameter(Role.RADIAL, "b6", "m⁻⁶", 1e13, -1e22, 1e22)]
     p1_per_m: Annotated[float, Parameter(Role.DECENTRING, "p1", "m⁻¹", 0.1, -1e4, 1e4)]
     p2_per_m: Annotated[float, Parameter(Role.DECENTRING, "p2", "m⁻¹", 0.1, -1e4, 1e4)]

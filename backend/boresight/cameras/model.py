@@ -72,8 +72,8 @@ class Parameter(NamedTuple):
         Spread from unit to unit where a sensor file says nothing else.
     lowest, highest
         Beyond these a value is absurd.
-    shown, change
-        Unit of pages and how many of it one of the file's is, for values and for changes; the file's own where None.
+    shown
+        Unit of pages and figures, and how many of it one of the file's is; the file's own where None.
     """
 
     role: Role
@@ -83,7 +83,6 @@ class Parameter(NamedTuple):
     lowest: float
     highest: float
     shown: tuple[str, float] | None = None
-    change: tuple[str, float] | None = None
 
     @property
     def neutral(self) -> float | None:

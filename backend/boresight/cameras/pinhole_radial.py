@@ -52,8 +52,8 @@ SETTLED = 1e-6  # share of the root that its last step may be: one more step lea
 class PinholeRadial(NamedTuple):
     """State of the camera, SI."""
 
-    s: Annotated[float, Parameter(Role.ASPECT, "s", "1", 2e-4, 0.5, 2.0, change=("ppm", 1e6))]
-    f_m: Annotated[float, Parameter(Role.FOCAL, "f", "m", 8e-6, 1e-4, 100.0, shown=("mm", 1e3), change=("µm", 1e6))]
+    s: Annotated[float, Parameter(Role.ASPECT, "s", "1", 2e-4, 0.5, 2.0)]
+    f_m: Annotated[float, Parameter(Role.FOCAL, "f", "m", 8e-6, 1e-4, 100.0, shown=("mm", 1e3))]
     u0_px: Annotated[float, Parameter(Role.COLUMN, "u0", "px", 10.0, -1e5, 1e5)]
     v0_px: Annotated[float, Parameter(Role.ROW, "v0", "px", 10.0, -1e5, 1e5)]
     k1: Annotated[float, Parameter(Role.RADIAL, "k1", "1", 1e-2, -1e4, 1e4)]

@@ -52,7 +52,7 @@ from boresight.simulation.scenes import Scenario, calibration_scenario, simulate
 from boresight.simulation.sensors import SENSOR_NUMBERS, st16_sensor, st16_truth
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.read.readers import write_parquet
-from boresight.telemetry.sensors import sensor_document
+from boresight.telemetry.sensors import parse_sensor, sensor_document
 from boresight.uplink.table_definition import plain_definition
 
 WATCHED_NUMBERS, WATCHED_FRAMES, WATCHED_FRAMES_PER_S = (1, 5), 600, 1.0
@@ -192,6 +192,7 @@ class _Fleet:
         sensor = st16_sensor(number)
         names = CAMERA_MODELS[sensor.camera_model].parameter_names
         truth = dict(zip(names, st16_truth(number).tolist(), strict=True))
+        parse_sensor(sensor_document(sensor))  # the first of a camera compiles, for which no other writer should wait
         with open_writing(self.engine) as session:
             if sensor_queries.find_sensor(session, sensor.name) is None:
                 document = sensor_document(sensor)

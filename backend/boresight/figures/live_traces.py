@@ -45,7 +45,7 @@ def follow_parameters(figure: go.Figure, panels: Iterable[Panel], traces: Sequen
     for panel in panels if history else ():
         if history and panel.name in history.names:
             how = {"column": "parameters", "index": history.names.index(panel.name)}
-            how |= {"origin": panel.origin, "factor": panel.item.change_factor}
+            how |= {"origin": panel.origin, "factor": panel.item.factor}
             _mark(figure.select_traces(row=panel.row + 1, col=panel.column + 1), how)
 
 

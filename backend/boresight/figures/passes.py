@@ -30,15 +30,15 @@ def draw(result: Calibration) -> go.Figure:
     where, title = _places(result, found)
     for row, name in enumerate(found.vary, 1):
         item = quantity(name, result)
-        moved, sigma = (item.change_factor * column(each) for each in _departures(found, name))
+        moved, sigma = (item.factor * column(each) for each in _departures(found, name))
         figure.add_scatter(
             x=where, y=theme.short(moved), mode="lines+markers", name=item.symbol,
             line={"color": theme.translucent(style.colour, 0.4), "width": 1}, marker={"color": style.colour, "size": 7},
             error_y=theme.error_bars(theme.short(3 * sigma), style.colour), text=[state.name for state in found.states],
             customdata=theme.short(sigma), row=row, col=1,
-            hovertemplate=f"%{{text}}: %{{y:+.4g}} ±%{{customdata:.3g}} {item.change_unit} (σ)<extra></extra>",
+            hovertemplate=f"%{{text}}: %{{y:+.4g}} ±%{{customdata:.3g}} {item.unit} (σ)<extra></extra>",
         )  # fmt: skip
-        unit = f" ({item.change_unit})" if item.change_unit else ""
+        unit = f" ({item.unit})" if item.unit else ""
         figure.update_yaxes(title_text=f"Δ{item.markup}{unit}", row=row, col=1)
     height = 110 + PANEL_HEIGHT_PX * len(found.vary)
     theme.dress(figure, title=_headline(found), height_px=height, legend=False, hovermode="closest")

@@ -172,26 +172,24 @@ HEADINGS = (
     "initial",
     "final",
     "change",
-    "sigma",
-    "with misfit",
-    "unit",
-    "change / sigma",
-    "typical sigmas",
+    "± σ",
+    "noise σ",
+    "change / σ",
+    "change / typical σ",
 )
 
 
 @dataclass(frozen=True)
 class PrintedRow:
-    """One parameter, ready to print; the first unit is of the values, the second of change and sigma."""
+    """One parameter, ready to print: beside its change the sigma with misfit, then that of noise alone."""
 
     symbol: str
     unit: str
     initial: str
     final: str
     change: str
-    sigma: str
     with_misfit: str
-    change_unit: str
+    sigma: str
     worth: str
     typical: str
 
@@ -207,26 +205,18 @@ def printed_rows(result: Calibration) -> list[PrintedRow]:
 
 
 def _printed(row: ParameterRow, item: Quantity) -> PrintedRow:
-    known, change_sigma = _scaled(row.sigma, item.factor), _scaled(row.sigma, item.change_factor)
-    old, new, delta = (
-        _scaled(row.old, item.factor),
-        _scaled(row.new, item.factor),
-        _scaled(row.delta, item.change_factor),
+    old, new, delta, sigma, wide = (
+        _scaled(value, item.factor) for value in (row.old, row.new, row.delta, row.sigma, row.sigma_with_misfit)
     )
-    wide = _scaled(row.sigma_with_misfit, item.change_factor)
-    changes = find_power(delta, wide, large=LARGE)
-    values = find_power(old, new, large=LARGE)
-    if item.change_unit == item.unit:
-        values = changes = max(values, changes)
+    power = find_power(old, new, delta, wide, large=LARGE)
     return PrintedRow(
         symbol=item.symbol,
         unit=item.unit,
-        initial=digits(old, known, values),
-        final=digits(new, known, values),
-        change=_changed(delta, change_sigma, changes),
-        sigma=digits(change_sigma, change_sigma, changes),
-        with_misfit=digits(wide, wide, changes),
-        change_unit=item.change_unit,
+        initial=digits(old, sigma, power),
+        final=digits(new, sigma, power),
+        change=_changed(delta, sigma, power),
+        with_misfit=digits(wide, wide, power),
+        sigma=digits(sigma, sigma, power),
         worth=_signed(row.delta_over_sigma),
         typical=_signed(row.delta_over_typical) if row.estimated else MISSING,
     )

@@ -124,7 +124,7 @@ def _span(trend: Document, points: Points) -> tuple[str, str]:
 
 
 def _marks(figure: go.Figure, points: Points, name: str, zero: float, row: int) -> None:
-    factor = quantity(name).change_factor
+    factor = quantity(name).factor
     for counted, label in ((True, "Calibration ±3σ"), (False, "Not used")):
         shown = [point for point in points if point["counted"] is counted and name in point["parameters"]]
         colour = COUNTED if counted else LEFT_OUT
@@ -159,7 +159,7 @@ class Level:
 
 def _levels(trend: Document, name: str, zero: float, span: tuple[str, str]) -> list[Level]:
     """List the baseline of now over all time with its band, those of before from when to when, and the truth."""
-    factor, found = quantity(name).change_factor, []
+    factor, found = quantity(name).factor, []
     if trend["baselines"]:
         now = trend["baselines"][-1]
         reach = 3 * (now["sigma"].get(name) or 0.0) * factor if now["measured"] else 0.0
@@ -193,7 +193,7 @@ def _scale(
     span: tuple[str, str],
 ) -> None:
     """Scale a panel to what is new, and mark at its edges what lies beyond."""
-    factor = quantity(name).change_factor
+    factor = quantity(name).factor
     shown = sorted((point for point in points if name in point["parameters"]), key=lambda point: str(point["at_utc"]))
     values = np.array([(point["parameters"][name] - zero) * factor for point in shown])
     reach = np.array([3 * point["sigma"][name] * factor for point in shown])

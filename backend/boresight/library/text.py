@@ -42,7 +42,7 @@ def summary_lines(found: Calibration) -> Iterator[str]:
         yield f"left out: {left_out}"
     yield from _removed(found)
     yield ""
-    yield aligned([HEADINGS, *(row.cells for row in printed_rows(found))], left=(0, 1, 7))
+    yield aligned([HEADINGS, *(row.cells for row in printed_rows(found))], left=(0, 1))
     yield ""
     yield aligned([("verdict", verdict(found)), *_scores(found)], left=(0, 1))
     yield from _intervals(found)

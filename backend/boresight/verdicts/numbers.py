@@ -19,8 +19,6 @@ class Quantity:
     symbol: str
     unit: str
     factor: float
-    change_unit: str
-    change_factor: float
 
     @property
     def letters(self) -> tuple[str, str]:
@@ -37,7 +35,7 @@ class Quantity:
 
 def _make_quantity(parameter: Parameter) -> Quantity:
     own = (parameter.written_unit, 1.0)
-    return Quantity(parameter.symbol, *(parameter.shown or own), *(parameter.change or own))
+    return Quantity(parameter.symbol, *(parameter.shown or own))
 
 
 QUANTITIES = {
@@ -54,12 +52,12 @@ def quantity(name: str, result: Calibration | None = None) -> Quantity:
     symbols, units = (result.symbols, result.units) if result else ({}, {})
     symbol = re.sub(r"[^\w]", "", symbols.get(name) or name)
     unit = re.sub(r"[<>&]|^1$", "", units.get(name) or "")
-    return Quantity(symbol, unit, 1.0, unit, 1.0)
+    return Quantity(symbol, unit, 1.0)
 
 
 def change_label(item: Quantity) -> str:
-    """Axis label of a change, such as `Δf (µm)`."""
-    return f"Δ{item.markup} ({item.change_unit})" if item.change_unit else f"Δ{item.markup}"
+    """Axis label of a change, such as `Δf (mm)`."""
+    return f"Δ{item.markup} ({item.unit})" if item.unit else f"Δ{item.markup}"
 
 
 MISSING = "–"

@@ -120,4 +120,12 @@ panel?.addEventListener("input", ({ target }) => {
   }
   showCount();
 });
+
+/** The panel ends with the window wherever it begins, so that the buttons that sign are in sight. */
+function fitPanel() {
+  if (panel) panel.style.setProperty("--from", `${Math.max(panel.getBoundingClientRect().top, 0)}px`);
+}
+addEventListener("scroll", fitPanel, { passive: true });
+addEventListener("resize", fitPanel);
+fitPanel();
 showCount();

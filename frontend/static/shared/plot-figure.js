@@ -75,6 +75,7 @@ export class PlotFigure extends HTMLElement {
   #zoomTimer = 0;
   #costMs = 0;
   #paper = false;
+  #isNarrow = false;
   /** @type {Canvas} */
   canvas = make("div", { className: "figure-canvas", role: "img" });
   #words = make("p", { className: "figure-words", role: "status" });
@@ -221,7 +222,8 @@ export class PlotFigure extends HTMLElement {
   /** The figure's address, with the window that is looked at. @param {[number, number] | null} window */
   #address(window) {
     const address = new URL(this.getAttribute("src") ?? "", location.href);
-    if (!this.isSmall && this.canvas.clientWidth < NARROW_PX) address.searchParams.set("size", "narrow");
+    this.#isNarrow = this.#wantsNarrow;
+    if (this.#isNarrow) address.searchParams.set("size", "narrow");
     for (const [place, name] of ["x_from", "x_to"].entries()) if (window) address.searchParams.set(name, String(window[place]));
     return address.pathname + address.search;
   }
@@ -270,8 +272,15 @@ export class PlotFigure extends HTMLElement {
     return { width, height, autosize: false };
   }
 
+  get #wantsNarrow() {
+    return !this.isSmall && this.canvas.clientWidth < NARROW_PX;
+  }
+
+  /** Fit the drawing to its place; where that became narrow or wide, as by turning a phone, it is laid out anew. */
   #resize() {
-    if (isDrawn(this.canvas) && this.#figure) fit(this.canvas, this.#size());
+    if (!isDrawn(this.canvas) || !this.#figure || !this.canvas.clientWidth) return;
+    fit(this.canvas, this.#size());
+    if (!matchMedia("print").matches && this.#wantsNarrow !== this.#isNarrow) this.refresh(BACKGROUND);
   }
 
   /** @param {unknown} error */

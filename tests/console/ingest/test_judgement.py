@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from boresight.console.fleet.trend import Follower, Trend, TrendPoint, make_epoch
-from boresight.console.ingest.judgement import Reference, judge, judge_newest, reference_of
+from boresight.console.fleet.trend import Trend, TrendPoint, make_epoch
+from boresight.console.ingest.judgement import Reference, judge, judge_newest, make_follower, reference_of
 from boresight.console.ingest.rehearsal import rehearse
 from boresight.console.ingest.rules import RULES, PolicyRules, parse_rules
 from boresight.errors import RefusedInputError
@@ -58,7 +58,7 @@ RULE = PolicyRules()
 
 def judged(points, base, rules=RULE):
     """What a policy finds in each of some sets since a reference."""
-    follower, since, found = Follower(rules.false_alarm_rate), [], []
+    follower, since, found = make_follower(rules), [], []
     for one in points:
         own = follower.follow(one)
         found.append(judge(one, own, since, base, rules))
@@ -71,6 +71,19 @@ def test_sets_of_a_camera_that_did_not_change_are_asked_about_as_often_as_the_po
     base = [reference(drawn(rng, TRUTH)) for _ in range(trials)]
     asked = [judged([point(1, drawn(rng, TRUTH))], one, rules)[0].state == "ASKED" for one in base]
     assert abs(np.mean(asked) - 0.02) < 4 * np.sqrt(0.02 * 0.98 / trials)
+
+
+def test_with_a_forecast_each_of_the_two_tests_has_half_of_the_rate():
+    rng, rules = np.random.default_rng(8), PolicyRules(false_alarm_rate=0.04)
+    found = [
+        one
+        for _ in range(30)
+        for one in judged([point(k, drawn(rng, TRUTH)) for k in range(1, 61)], reference(drawn(rng, TRUTH)), rules)
+        if one.forecast is not None
+    ]
+    outside = np.mean([one.forecast.rejects for one in found])
+    assert abs(outside - 0.02) < 4 * np.sqrt(0.02 * 0.98 / len(found))
+    assert {one.holds.limit for one in found} == {one.forecast.limit for one in found}
 
 
 def test_a_drift_is_forecast_and_asked_once_the_baseline_is_left_and_a_jump_is_not():

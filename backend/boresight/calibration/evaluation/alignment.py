@@ -247,4 +247,4 @@ def _about(axis: FloatArray) -> str:
     largest = int(np.argmax(np.abs(axis)))
     if abs(axis[largest]) < MOSTLY:
         return f"about ({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f}) in x, y, z of the detector"
-    return f"about {'-' if axis[largest] < 0 else ''}{AXES[largest]}"
+    return f"about {'−' if axis[largest] < 0 else ''}{AXES[largest]}"

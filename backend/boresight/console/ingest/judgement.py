@@ -3,17 +3,20 @@
 Let theta be the new estimate with covariance P, theta_b the baseline's with B, and alpha the policy's false-alarm rate.
 
 - *It jumps* where it is outside of what the calibrations before it forecast of its time and temperature
-  (`estimation.pass_forecast`). The errors of the passes are in no other of these tests, so alpha times the number of sets is the
-  number of false jumps that is to be expected. P is of the set's own stars alone: a prior would tie it to the forecast.
+  (`estimation.pass_forecast`). The errors of the passes are in no other of these tests, so the test's level times the number of
+  sets is the number of false jumps that is to be expected. P is of the set's own stars alone: a prior would tie it to the forecast.
 - *It drifts* where all calibrations, this one among them, say that the camera at the baseline's temperature is no longer the
-  baseline: D^2 = (x - theta_b)^T (C + B)^-1 (x - theta_b) above the limit of alpha, x with covariance C what all say of it. Where
+  baseline: D^2 = (x - theta_b)^T (C + B)^-1 (x - theta_b) above its limit, x with covariance C what all say of it. Where
   the baseline is of one of these calibrations D is smaller than that, so it asks later and not more often. What comes and goes with
   the temperature is in the forecast, and no reason to load another set.
 - *It holds* otherwise: nothing is asked. People are asked once so many sets in a row did not hold.
 - *It is not judged* where it cannot be compared, and says why.
 
-As long as there are too few calibrations for a forecast, the baseline is the forecast: D^2 is that of theta, with P + B. All these
-tests share the baseline's error, so their false alarms come in bursts, as many on average.
+Both are asked at once, so each has the level alpha / 2, as in a sensor's drift test (`estimation.statistics.drift`): the chance
+that a set is asked about although nothing changed is alpha at most.
+
+As long as there are too few calibrations for a forecast, the baseline is the forecast, and its test alone has the level alpha: D^2
+is that of theta, with P + B. All these tests share the baseline's error, so their false alarms come in bursts, as many on average.
 
 A dry run walks over the calibrations of the past by the same functions. A set that would have been asked as a drift is the next
 reference, as though people had promoted it; of a jump the advice is to wait for the next set, and that is taken.
@@ -82,6 +85,11 @@ class PolicyFinding:
         return self.forecast is not None and not self.forecast.rejects
 
 
+def make_follower(rules: PolicyRules) -> Follower:
+    """Return who forecasts sets at the level of one of two tests."""
+    return Follower(rules.false_alarm_rate / 2)
+
+
 def make_reference(trend: Trend) -> Reference | None:
     """Return a sensor's baseline as a reference; None where it has none."""
     if trend.baseline is None:
@@ -114,7 +122,7 @@ def judge_newest(trend: Trend, run_id: int, rules: PolicyRules) -> PolicyFinding
         )
     if (refusal := _refuse(point, reference, rules)) is not None:
         return refusal
-    follower = Follower(rules.false_alarm_rate)
+    follower = make_follower(rules)
     earlier = [one for one in trend.independent if one.at_utc < point.at_utc]
     followed = [found for one in earlier if (found := follower.follow(one)) is not None]
     since = [one for one in followed if own is None or one.point.at_utc > own.at_utc]
@@ -173,7 +181,8 @@ def _hold(one: Followed, reference: Reference, rules: PolicyRules) -> ChiSquareT
     if not set(names) <= set(reference.names):
         return None
     state = one.found.state_at(_temperature(reference))
-    return tests.baseline_test(state, _base(reference, names), rules.false_alarm_rate)
+    level = rules.false_alarm_rate / (1 if one.found.test is None else 2)
+    return tests.baseline_test(state, _base(reference, names), level)
 
 
 def _refuse(point: TrendPoint, reference: Reference, rules: PolicyRules) -> PolicyFinding | None:

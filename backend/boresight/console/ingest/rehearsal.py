@@ -11,11 +11,12 @@ from collections.abc import Sequence
 from datetime import datetime
 from typing import Any
 
-from boresight.console.fleet.trend import Followed, Follower, Trend, TrendPoint
+from boresight.console.fleet.trend import Followed, Trend, TrendPoint
 from boresight.console.ingest.judgement import (
     PolicyFinding,
     Reference,
     judge,
+    make_follower,
     make_reference,
     reference_of,
 )
@@ -51,7 +52,7 @@ STATES = {"held": "WITHIN FORECAST", "unconfirmed": "UNCONFIRMED", "asked": "ASK
 
 def walk_over(points: Sequence[TrendPoint], trend: Trend, rules: PolicyRules) -> list[tuple[TrendPoint, PolicyFinding]]:
     """Judge one calibration after the other, with each that would have been asked as promoted, but for jumps."""
-    reference, since, follower = _first_reference(points, trend), list[Followed](), Follower(rules.false_alarm_rate)
+    reference, since, follower = _first_reference(points, trend), list[Followed](), make_follower(rules)
     walked: list[tuple[TrendPoint, PolicyFinding]] = []
     for point in points:
         own = follower.follow(point)

@@ -43,7 +43,7 @@ class PolicyRules:
     profile: str = _rule("", "Mapping profile", "Files are imported with it; none: they are telemetry as it is.")
     preset: str = _rule("first-calibration", "Preset", "Settings of the calibration of each file.")
     false_alarm_rate: float = _rule(
-        0.001, "False-alarm rate", "Chance that a set is found outside the forecast although nothing changed.", "", 1e-9, 0.05
+        0.001, "False-alarm rate", "Chance that a set is asked about although nothing changed.", "", 1e-9, 0.05
     )  # fmt: skip
     confirmations: int = _rule(
         1, "Sets in a row", "So many in a row outside the baseline before people are asked.", "sets", 1, 20

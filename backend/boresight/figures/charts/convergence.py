@@ -141,7 +141,7 @@ class ConvergencePanel(Panel):
 
     def change(self, value: FloatArray | float) -> FloatArray:
         """Turn SI values into changes in display units."""
-        return np.asarray((np.asarray(value, dtype=np.float64) - self.origin) * self.item.change_factor)
+        return np.asarray((np.asarray(value, dtype=np.float64) - self.origin) * self.item.factor)
 
 
 def draw(traces: Sequence[Trace], most_columns: int = 4) -> go.Figure:
@@ -219,9 +219,9 @@ def _written(item: Quantity, typical_sigma: float | None) -> Quantity:
     typical = (typical_sigma or 0.0) * item.factor
     if typical < LARGE:
         return item
-    power = int(np.floor(np.log10(typical * item.change_factor / item.factor)))
-    unit = f"10{str(power).translate(RAISED)} {item.change_unit}".strip()
-    return replace(item, change_factor=item.change_factor / 10.0**power, change_unit=unit)
+    power = int(np.floor(np.log10(typical)))
+    unit = f"10{str(power).translate(RAISED)} {item.unit}".strip()
+    return replace(item, factor=item.factor / 10.0**power, unit=unit)
 
 
 def _origin(name: str, traces: Sequence[Trace], histories: Sequence[History]) -> float:
@@ -252,13 +252,13 @@ def _draw_run(
             continue
         column = history.names.index(panel.name)
         value = panel.change(history.value[:, column])
-        reach = 3 * history.sigma[:, column] * panel.item.change_factor
+        reach = 3 * history.sigma[:, column] * panel.item.factor
         kept = keep_extremes([value, reach], max(limit, 40))
         x, value, reach = history.x[kept], value[kept], reach[kept]
         place = {"row": panel.row + 1, "col": panel.column + 1}
         band = theme.band(style, x, value - reach, value + reach, showlegend=not shown)
         figure.add_trace(band, **place)
-        hover = f"%{{y:+.5g}} ±%{{customdata:.3g}} {panel.item.change_unit}<extra>{style.label}</extra>"
+        hover = f"%{{y:+.5g}} ±%{{customdata:.3g}} {panel.item.unit}<extra>{style.label}</extra>"
         settings = {"customdata": theme.short(reach), "hovertemplate": hover, "showlegend": not shown}
         figure.add_trace(theme.line(style, x, value, **settings), **place)
         shown = True
@@ -348,7 +348,7 @@ def _draw_way(
     x, y, reach = history.x[kept], y[kept], reach[kept]
     figure.add_trace(theme.band(style, x, y - reach, y + reach), **where)
     figure.add_trace(theme.line(style, x, y, hoverinfo="skip"), **where)
-    return Panel(name, replace(item, change_factor=1 / float(sigma[-1])), float(value[-1]), row, col)
+    return Panel(name, replace(item, factor=1 / float(sigma[-1])), float(value[-1]), row, col)
 
 
 def table(result: Calibration) -> Table:

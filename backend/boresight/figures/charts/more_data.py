@@ -48,16 +48,16 @@ def _panel(
         if name not in part.sigma:
             continue
         frames, sigma = _curve(trace.result, part, name)
-        hover = f"%{{x:.0f}} frames: %{{y:.3g}} {item.change_unit}<extra>{style.label}</extra>"
+        hover = f"%{{x:.0f}} frames: %{{y:.3g}} {item.unit}<extra>{style.label}</extra>"
         options: dict[str, Any] = {"hovertemplate": hover, "showlegend": named, "mode": "lines+markers"}
-        curve = theme.line(style, frames, sigma * item.change_factor, **options)
+        curve = theme.line(style, frames, sigma * item.factor, **options)
         curve.update(marker={"size": [8] + [4] * (len(frames) - 1), "color": style.colour, "line": {"width": 0}})
         figure.add_trace(curve, **where)
-        seen.append([frames, sigma * item.change_factor])
+        seen.append([frames, sigma * item.factor])
     for update, values in zip((figure.update_xaxes, figure.update_yaxes), np.concatenate(seen, axis=1), strict=True):
         ticks = round_ticks(values)
         update(tickvals=ticks, ticktext=[_tick(tick) for tick in ticks], **where)
-    unit = f" ({item.change_unit})" if item.change_unit else ""
+    unit = f" ({item.unit})" if item.unit else ""
     figure.update_yaxes(title={"text": f"σ of {item.markup}{unit}", "standoff": 4}, **where)
 
 

@@ -121,14 +121,14 @@ def _draw_way(
     if name not in way.names:
         return []
     item, column = quantity(name, result), way.names.index(name)
-    value = (way.value[:, column] - (result.initial.get(name) or 0.0)) * item.change_factor
-    reach = 3 * way.sigma[:, column] * item.change_factor
+    value = (way.value[:, column] - (result.initial.get(name) or 0.0)) * item.factor
+    reach = 3 * way.sigma[:, column] * item.factor
     kept = keep_extremes([value, reach], limit)
     x, value, reach = way.x[kept], value[kept], reach[kept]
     shown = place == {"row": 1, "col": 1}
     drawn = replace(style, label=f"{style.label} · {way.what}", dash=way.dash or style.dash)
     figure.add_trace(theme.band(drawn, x, value - reach, value + reach), **place)
-    hover = f"%{{y:+.5g}} ±%{{customdata:.3g}} {item.change_unit}<extra>{drawn.label}</extra>"
+    hover = f"%{{y:+.5g}} ±%{{customdata:.3g}} {item.unit}<extra>{drawn.label}</extra>"
     settings = {"customdata": theme.short(reach), "hovertemplate": hover, "showlegend": shown}
     figure.add_trace(theme.line(drawn, x, value, **settings), **place)
     late = slice(int(LATER * len(x)) if way.what == "filter" else 0, None)

@@ -24,6 +24,7 @@ from boresight.console.pages.rendering import render
 from boresight.console.runs import comparisons
 from boresight.console.runs.comparisons import ComparedRun, Comparison, UnlikeModelsError, joint
 from boresight.console.runs.pages.list import RunNames, read_names
+from boresight.console.runs.tables import TERMINAL_RUN_STATES
 from boresight.errors import RefusedInputError
 from boresight.estimation.filters import FILTERS
 from boresight.figures import FIGURES, WIDE
@@ -126,7 +127,10 @@ def answer(found: Comparison) -> ComparedAnswer:
     others = [k for k in range(len(found.compared)) if k != found.reference]
     known = [k for k in others if found.contrasts[k] is not None]
     if not known:
-        return ComparedAnswer("standby", "None of the runs has a result to compare yet.")
+        waits = any(one.run.state not in TERMINAL_RUN_STATES for one in found.compared)
+        lacking = "Fewer than two of the runs have a result"
+        do = "wait until another has ended" if waits else "choose runs that SUCCEEDED"
+        return ComparedAnswer("standby", f"{lacking}: {do}.")
     far = [k for k in known if (test := joint(found.contrasts[k])) is not None and test["p"] < UNLIKELY]
     largest = max((_largest(found, k) for k in known), key=lambda one: one[0])
     worst = f"at most {number(largest[0], 2)} σ ({quantity(largest[1]).symbol})" if largest[1] else "not at all"
@@ -176,9 +180,7 @@ def together(found: Comparison) -> list[ComparedCell]:
         if k == found.reference:
             cells.append(ComparedCell("reference", ""))
         elif test is None:
-            cells.append(
-                ComparedCell(MISSING, "no result yet" if against is None else "no σ: the same data, other method")
-            )
+            cells.append(ComparedCell(MISSING, "no result" if against is None else "no σ: the same data, other method"))
         else:
             far = test["p"] < UNLIKELY
             words = "differ" if far else "no difference found"
@@ -239,7 +241,7 @@ def _refusal(compared: Sequence[ComparedRun]) -> str | None:
             " methods differ: compare runs of one set."
         )
     if not any(one.calibration.parameters for one in compared):
-        return "None of these runs has a result yet: reload this page when they have ended."
+        return "None of these runs has a result: choose runs that SUCCEEDED."
     return None
 
 

@@ -63,7 +63,7 @@ def make_origin(run: Run, sets: Sequence[TelemetrySet], result: Calibration | No
         "prior": None if result.prior is None else make_prior_view(run, result, result.prior),
         "passes": {
             "answer": say_passes(result),
-            "heads": [(name, quantity(name, result).change_unit) for name in varied],
+            "heads": [(name, quantity(name, result).unit) for name in varied],
             "rows": list_pass_rows(sets, result),
         }
         if len(result.inputs.passes) > 1
@@ -124,8 +124,8 @@ def list_pass_rows(sets: Sequence[TelemetrySet], result: Calibration) -> list[Pa
         for name in found.vary if found and state else ():
             item, last = quantity(name, result), found.states[-1] if found else None
             if state is not None and last is not None:
-                moved = item.change_factor * (state.parameters[name] - last.parameters[name])
-                departures.append(f"{number(moved)} ± {number(item.change_factor * state.sigma[name], 2)}")
+                moved = item.factor * (state.parameters[name] - last.parameters[name])
+                departures.append(f"{number(moved)} ± {number(item.factor * state.sigma[name], 2)}")
         chi2 = MISSING if one.chi2 is None or not one.pairs else f"{number(one.chi2 / one.pairs)}"
         address = addresses.get(one.sha256 or "")
         rows.append(PassRow(one.name, address, one.start_utc, one.frames, one.stars, chi2, level, word, departures))
