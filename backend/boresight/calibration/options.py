@@ -674,7 +674,7 @@ def said(name: str, value: Any) -> str:
 
 
 def get_method_title(method: str) -> str:
-    """Return a method's title; a name without one stands for itself."""
+    """Return a method's title; its name where it has none."""
     return METHODS[method].title if method in METHODS else method
 
 

@@ -178,7 +178,7 @@ def _user_id(session: Session, name: str) -> int | None:
 
 @dataclass(frozen=True)
 class _Fleet:
-    """Fills the store as the analyst, and goes on as those whose turn it is; each missing item is one transaction."""
+    """Fills the store: each act by the person whose role it takes, each missing item in one transaction."""
 
     engine: Engine
     blobs: BlobStore

@@ -134,7 +134,7 @@ class AttitudeSeries:
 
 @dataclass(frozen=True)
 class PairingRule:
-    """How attitudes are paired; seconds, and rad/s for the rate of what has no neighbour."""
+    """How attitudes are paired; seconds, and rad/s for the rate of an attitude without a neighbour."""
 
     tolerance_s: float = 0.5
     longest_gap_s: float = 10.0

@@ -208,7 +208,7 @@ def sigma_in_scale(A: FloatArray) -> FloatArray:
 
 
 def _sigma_of(values: FloatArray, vectors: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
-    """The same of what is decomposed already."""
+    """Return the same from eigenvalues and eigenvectors."""
     variance = (vectors[:, known] ** 2 / values[known]).sum(axis=1)
     touched = (np.abs(vectors[:, ~known]) > 1e-4).any(axis=1)
     return np.asarray(np.where(touched, np.inf, np.sqrt(variance)))

@@ -133,7 +133,7 @@ def find_span(curves: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArr
 
 
 def _draw_band(figure: go.Figure, key: CurveKey, found: Sequence[Any], *, named: bool, runs: int) -> None:
-    """Add one band, in the grey of what is no run."""
+    """Add one band in grey, the colour of everything that is not a run."""
     curves = [(np.asarray(one.x, dtype=np.float64), np.asarray(one.y, dtype=np.float64)) for one in found]
     x, low, high = find_span(curves)
     if not len(x):

@@ -46,7 +46,7 @@ def half_solve(L, right, n_columns):
 
 @loop("f3 f3 f2 f3 f3 f2", first=False)
 def filter_passes(A, right, W, known, known_right, border):
-    """Filter passes whose own parameters walk, beside a border of what is common to all.
+    """Filter passes whose own parameters follow a random walk, beside the parameters common to all (the border).
 
     A (n_passes, m, m) and right (n_passes, m, n_border) are of each pass alone, W (n_passes, m) is the information between a pass
     and the one before it. Fills `known` and `known_right`, the same of all passes up to each; takes what the passes know from

@@ -114,7 +114,7 @@ class Cell:
 
     @property
     def factor(self) -> float | None:
-        """How many times smaller our error is than the printed one, beyond `SAME_KIND`; None of what is no error."""
+        """How many times smaller our error is than the printed one, beyond `SAME_KIND`; None for a number that is not an error."""
         if not self.error or abs(self.printed) <= SAME_KIND * self.error:
             return None
         return abs(self.printed) / self.error

@@ -78,12 +78,12 @@ class NestedTest:
 
     @property
     def log_corrected(self) -> float:
-        """Logarithm of the p-value that counts how many tests were looked at."""
+        """Logarithm of the p-value, corrected for the number of tests."""
         return min(0.0, self.log_p + math.log(self.looked_at))
 
     @property
     def p_corrected(self) -> float:
-        """p-value that counts how many tests were looked at."""
+        """p-value, corrected for the number of tests."""
         return math.exp(self.log_corrected)
 
     @property

@@ -232,7 +232,7 @@ SWAPPED = MIRRORS["swapped_axes"]
 
 
 def both(one: Hypothesis, other: Hypothesis) -> Hypothesis:
-    """Return the hypothesis that two hold at once; of what both say the other's stands."""
+    """Return one hypothesis that makes the changes of both; where both change the same thing, the second counts."""
     plain, first, second = TelemetryMapping(), one.mapping, other.mapping
     merged = {
         name: getattr(second, name) if getattr(second, name) != default else getattr(first, name)

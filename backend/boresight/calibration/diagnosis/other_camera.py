@@ -187,7 +187,7 @@ def _why_not(own: KnownCamera, fit: CameraFit) -> str:
 
 
 def _fit(camera: KnownCamera, stars: _Stars) -> CameraFit:
-    """Return how a set fits a camera; of the sensor file and of what was measured, what fits better."""
+    """Return how well a set fits a camera, by the parameters of the sensor file or the measured ones, whichever fit better."""
     sensor = camera.sensor
     off = ~_near_detector(stars, sensor)
     on = np.flatnonzero(~off)

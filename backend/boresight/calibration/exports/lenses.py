@@ -375,7 +375,7 @@ def _slope(function: Callable[[FloatArray], FloatArray], at: FloatArray, step: f
 
 
 def _sigma(J: FloatArray, camera: _Camera, P: FloatArray, off: Callable[[FloatArray], FloatArray]) -> FloatArray:
-    """One standard deviation (n,) of what is fitted, from the covariance of the camera's parameters."""
+    """Standard deviations (n,) of the fitted coefficients, from the covariance of the camera's parameters."""
     deviations = np.sqrt(np.maximum(np.diag(P), 0.0))
     step = 1e-3 * np.where(deviations > 0, deviations, 1.0)
     change = np.stack(

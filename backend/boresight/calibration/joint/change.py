@@ -38,7 +38,7 @@ BY_DATE_DAYS = 1.0
 
 
 def check_change(settings: CalibrationSettings) -> None:
-    """Refuse a degree of what is no polynomial, and events of what does not step."""
+    """Refuse a degree without a polynomial, and events without steps."""
     if settings.degree != "1" and settings.vary_as not in {"temperature", "drift"}:
         raise RefusedInputError(
             "A degree is of a polynomial: choose --vary-as temperature or drift, or leave --degree out."

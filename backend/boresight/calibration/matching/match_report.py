@@ -331,7 +331,7 @@ def counted(places: NDArray[np.int8], phrases: Sequence[str]) -> dict[str, int]:
 
 
 def _summarise(values: NDArray[np.float64]) -> Tolerance:
-    """Median and 95th percentile; nulls of nothing."""
+    """Return median and 95th percentile; None where there are no values."""
     values = values[np.isfinite(values)]
     if not len(values):
         return Tolerance(median=None, p95=None)

@@ -38,7 +38,7 @@ from boresight.verdicts.verdict import LEVEL_OF_STATUS, LEVELS
 
 
 def symbol(name: str) -> Markup:
-    """Return a parameter's letter in the papers, its index set low; a name without one stands for itself."""
+    """Return a parameter's letter in the papers with its index as a subscript; its name where it has none."""
     letter, index = quantity(name).letters
     return Markup("{}<sub>{}</sub>").format(letter, index) if index else Markup("{}").format(letter)
 

@@ -215,7 +215,7 @@ def _panels(traces: Sequence[Trace], histories: Sequence[History], most_columns:
 
 
 def _written(item: Quantity, typical_sigma: float | None) -> Quantity:
-    """Put the power of ten of what typically is large into the unit, which is then the same however far a run has come."""
+    """Put the power of ten of a typical value into the unit, so that it is the same however far a run has come."""
     typical = (typical_sigma or 0.0) * item.factor
     if typical < LARGE:
         return item

@@ -190,7 +190,7 @@ AXES = ("R", "P₀", "Q in precisions", "order")
 
 
 def grids(records: Sequence[Mapping[str, Any]]) -> list[Finding]:
-    """Write the grid of what W leaves open; nothing where none was run."""
+    """Write the grid of the settings that W leaves open; none where it was not run."""
     found = compare(records)
     ours = [one for one in found if [one[axis] for axis in AXES] == ["full", "ours", 0.0, ORDERS[0]]]
     about = f"the {len(PRINTED_A)} printed means of criterion A"

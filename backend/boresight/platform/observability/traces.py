@@ -28,7 +28,7 @@ NOTHING: Attributes = MappingProxyType({})
 
 @dataclass(frozen=True)
 class Span:
-    """A span that has begun; one of nothing where traces are off."""
+    """A span that has begun; it records nothing where traces are off."""
 
     _span: Any = field(default=None, repr=False)
     traceparent: str | None = None
@@ -119,7 +119,7 @@ class Traces:
     def tell_past(
         self, name: str, parent: str | None, begin_ns: int, end_ns: int, attributes: Attributes = NOTHING
     ) -> None:
-        """Add a span of what is over."""
+        """Add a span that is over already."""
         self.begin(name, parent, attributes, at_ns=begin_ns).end(max(begin_ns, end_ns))
 
     def close(self) -> None:

@@ -153,7 +153,7 @@ class RequestMiddleware:
 
 
 def _begin_span(traces: Traces, scope: Scope, headers: Mapping[bytes, bytes]) -> Span | None:
-    """Begin the span of a request, in its caller's trace where that names one; none of what is no act of anybody."""
+    """Begin the span of a request, in its caller's trace where that names one; requests that are nobody's act have none."""
     if scope["path"].startswith(UNTRACED):
         return None
     parent = read_traceparent(headers.get(b"traceparent", b"").decode("latin-1"))

@@ -209,7 +209,7 @@ def _list_tests(found: Choice) -> Iterator[TestRow]:
 
 
 def _p(test: TermTest) -> str:
-    """Print a p-value, corrected for how many tests were looked at."""
+    """Print a p-value, corrected for the number of tests."""
     return shown_p(test.log10_p_corrected).removeprefix("= ")
 
 
