@@ -94,6 +94,8 @@ def take_it_on_board(people, made):
         at.next("Export")
         window.page.wait_for_url(re.compile(r"/uplink$"))
         at.next("Record SENT")
+        for key in ("Escape", "Enter"):  # the link has the focus again, and opens the dialog again
+            window.page.keyboard.press(key)
         window.page.locator("dialog[open] select").select_option(index=1)
         at.confirm("Record SENT", Source="Pass 4711")
         at.next("Record LOADED")

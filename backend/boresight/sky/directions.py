@@ -105,7 +105,7 @@ class TimelessError(RefusedInputError):
 
     def __init__(self, stars: int) -> None:
         super().__init__(
-            f"{stars} matched stars take their direction from the catalogue, which needs a time: "
+            f"{stars:,} matched stars take their direction from the catalogue, which needs a time: "
             "add a time_utc column (ISO 8601, UTC), for images give --times, or give ra_deg and dec_deg."
         )
         self.stars = stars

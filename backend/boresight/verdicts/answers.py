@@ -109,7 +109,7 @@ def answer_convergence(result: Calibration) -> Answer:
     """Say where the estimate settled, and whether it ended inside the bands that it drew on its way."""
     history = read_history(result)
     if history is None:
-        return _nothing(result, "No history was stored.")
+        return _nothing(result, "No history was stored.", "Drawn as the run goes on.")
     if result.status == "running":
         return Answer("standby", f"Running: {history.axis} {count(history.x[-1])}.")
     first, free = settled_step(result), len(history.free)
@@ -145,7 +145,7 @@ def answer_rms(result: Calibration) -> Answer:
         words = "Tail and aggregate agree" if meet else "Tail and aggregate differ"
         return Answer("normal" if meet else "caution", f"{words}: {both}{old}.")
     if rms.initial is None or rms.final is None:
-        return _nothing(result, "No RMS arc error was computed.")
+        return _nothing(result, "No RMS arc error was computed.", "Drawn as the run goes on.")
     sigma = sigma_of_rms(rms.final, result.pairs)
     reach = "" if sigma is None else f" ± {urad(3 * sigma, 2)}"
     level = "standby" if result.status == "running" else "normal" if rms.final < rms.initial else "caution"
@@ -189,9 +189,9 @@ def answer_radial(result: Calibration) -> Answer:
     return Answer("normal", f"{said}.") if said else _nothing(result, "The radial difference was not computed.")
 
 
-def _nothing(result: Calibration, never: str) -> Answer:
+def _nothing(result: Calibration, never: str, later: str = "Computed when the run ends.") -> Answer:
     if result.status == "running":
-        return Answer("standby", "Computed when the run ends.")
+        return Answer("standby", later)
     return Answer("off", never)
 
 

@@ -22,6 +22,16 @@ document.addEventListener("click", (event) => {
   else dialog.close();
 });
 
+/** A link to a dialog of this page opens it at each press, and has the focus again once it is closed. */
+document.addEventListener("click", (event) => {
+  const link = around(event, 'a[href*="#"]');
+  if (!(link instanceof HTMLAnchorElement) || link.hash.length < 2 || link.pathname + link.search !== location.pathname + location.search) return;
+  const dialog = find(`#${CSS.escape(link.hash.slice(1))}`, HTMLElement);
+  if (!(dialog instanceof HTMLDialogElement) || !dialog.matches(".act-dialog")) return;
+  event.preventDefault();
+  open(dialog);
+});
+
 document.addEventListener("change", ({ target }) => {
   const name = target instanceof HTMLInputElement && target.files?.length ? target.dataset.opens : undefined;
   const dialog = name && find(`#${CSS.escape(name)}`, HTMLDialogElement);

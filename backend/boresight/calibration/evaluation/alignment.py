@@ -246,5 +246,6 @@ def _fixed(value: float, sigma: float) -> str:
 def _about(axis: FloatArray) -> str:
     largest = int(np.argmax(np.abs(axis)))
     if abs(axis[largest]) < MOSTLY:
-        return f"about ({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f}) in x, y, z of the detector"
+        x, y, z = np.round(axis, 2) + 0.0  # no negative zero
+        return f"about ({x:.2f}, {y:.2f}, {z:.2f}) in x, y, z of the detector"
     return f"about {'−' if axis[largest] < 0 else ''}{AXES[largest]}"
