@@ -243,3 +243,11 @@ def test_a_real_prometheus_scrapes_a_server_and_evaluates_every_expression(prome
     rules = prometheus.get("/rules").json()["data"]["groups"][0]["rules"]
     assert {rule["health"] for rule in rules} <= {"ok", "unknown"}
     assert len(rules) == len(RULES)
+
+
+def test_age_and_last_restore_test_of_backups_have_a_panel_and_an_alert_each():
+    shown = {name for panel in DASHBOARD["panels"] for one in panel["targets"] for name, _ in NAME.findall(one["expr"])}
+    alerted = {name for rule in RULES for name, _ in NAME.findall(rule["expr"])}
+    kept = {f"boresight_{name}" for name in GAUGES if name.startswith("backup_")}
+    assert len(kept) == 3
+    assert kept <= shown & alerted

@@ -5,6 +5,7 @@ import re
 import pytest
 
 from boresight.console.alignments import queries
+from boresight.console.pages.rendering import TEMPLATES
 from boresight.platform.db.sessions import open_reading
 from tests.console.alignments.pairs import aligned, ask, ended, run_of, trackers
 from tests.served import PASSWORD
@@ -39,6 +40,15 @@ def test_the_page_of_one_has_verdict_rotations_gates_and_figure_and_says_how_to_
     assert "uplink packages" in page
     assert "boresight table encode --alignment" in page
     assert row["verdict"] in page
+
+
+def test_each_sentence_of_advice_leads_to_its_section_of_the_guide(house, row, monkeypatch):
+    monkeypatch.setitem(TEMPLATES.globals, "has_documentation", lambda: True)
+    found = house.person("ada").get(f"/api/v1/alignments/{row['id']}/result").json()
+    page = _read(house, "ada", f"/alignments/{row['id']}?guide=1")
+    assert "alignment_temperature" in found["advice_codes"]
+    for code in found["advice_codes"]:
+        assert f'href="/docs/how-to/respond-to-advice.html#advice-{code.replace("_", "-")}"' in page
 
 
 def test_the_form_starts_one_and_keeps_what_was_typed_when_it_is_refused(house, row):

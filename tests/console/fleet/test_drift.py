@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from boresight.calibration.advice_kinds import ADVICE_KINDS
 from boresight.console.fleet import trend as drift
 from boresight.console.fleet.trend import Trend, _periods, read_trend
 from boresight.console.fleet.trend_document import advise, make_trend_document
@@ -144,6 +145,7 @@ def test_the_advice_follows_drift_and_data(session, days, slope, answer):
     _mission(session, rng, list(days), slope)
     advice = advise(read_trend(session, 1))
     assert advice.answer == answer
+    assert advice.code in ADVICE_KINDS
     assert advice.sentence.endswith(".")
     assert advice.reasons
 

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from pyarrow import csv as pa_csv
 from sqlalchemy import func, select
 
+from boresight.calibration.advice_kinds import ADVICE_KINDS
 from boresight.cameras import CAMERA_MODELS
 from boresight.console import list_queries as lists
 from boresight.console.fleet import queries as sensor_queries
@@ -25,6 +26,7 @@ from boresight.console.fleet.pages.sensor import baseline_values
 from boresight.console.fleet.pages.sensors import EXAMPLE, FIELDS, compute_optics, read_document
 from boresight.console.fleet.service import MOST_CHOICES
 from boresight.console.fleet.tables import Sensor
+from boresight.console.pages.rendering import TEMPLATES
 from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
@@ -440,3 +442,10 @@ def test_a_control_character_in_what_is_sought_is_refused_with_its_place(large):
         pytest.raises(RefusedInputError, match=r"find has the control character U\+0000"),
     ):
         sensors.list_choices(session, find="GE\x00O")
+
+
+def test_whether_to_recalibrate_leads_to_its_section_of_the_guide(site, monkeypatch):
+    monkeypatch.setitem(TEMPLATES.globals, "has_documentation", lambda: True)
+    for address in ("/sensors/1", "/sensors/1/trend"):
+        (code,) = re.findall(r"respond-to-advice\.html#advice-trend-([a-z-]+)\"", site.visitor("ada").get(address))
+        assert f"trend_{code.replace('-', '_')}" in ADVICE_KINDS
