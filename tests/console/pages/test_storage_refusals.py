@@ -2,11 +2,13 @@
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from types import SimpleNamespace
 
 import pytest
 from fastapi.routing import APIRoute
 
 from boresight.console import pages
+from boresight.console.access.openid_connect import ProviderLogOut
 from boresight.console.approvals.pages import gates as gate_report
 from boresight.console.fleet.pages import new_sensor
 from boresight.console.ingest import policies
@@ -54,6 +56,7 @@ FORMS = {  # who sends which form to which page
     "/parameter-sets/{set_id:int}/uplink/activate": ("olga", {"source": "pass 9", "password": PASSWORD}),
     "/login": ("ada", {"name": "ada", "password": PASSWORD}),
     "/login/second-factor": ("ada", {"factor": "123456"}),
+    "/login/single-sign-on/back-channel-log-out": ("ada", {"logout_token": "signed"}),
     "/logout": ("ada", {}),
     "/sensors/{sensor_id:int}/gates": ("adele", {"action": "set", "reason": "x"}),
     "/alarms/{alarm_id:int}/{step}": ("ada", {"text": "Seen.", "version": "1"}),
@@ -115,7 +118,19 @@ FORMS = {  # who sends which form to which page
 }
 
 
-NEEDED = {"/alarms/{alarm_id:int}/{step}": "drifting", "/ingest/{decision_id:int}/answer": "decided"}  # fixtures
+NEEDED = {
+    "/alarms/{alarm_id:int}/{step}": "drifting",
+    "/ingest/{decision_id:int}/answer": "decided",
+    "/login/single-sign-on/back-channel-log-out": "provided",
+}  # fixtures
+
+
+@pytest.fixture
+def provided(site):
+    async def read_log_out(_: str) -> ProviderLogOut:
+        return ProviderLogOut("https://provider.example", "sam", 0.0)
+
+    site.app.state.identity_provider = SimpleNamespace(read_log_out=read_log_out)
 
 
 @pytest.fixture
