@@ -186,7 +186,7 @@ def test_the_panels_of_the_dashboard_cover_its_width_without_overlap():
         for x in range(panel["gridPos"]["x"], panel["gridPos"]["x"] + panel["gridPos"]["w"])
         for y in range(panel["gridPos"]["y"], panel["gridPos"]["y"] + panel["gridPos"]["h"])
     ]
-    assert len(cells) == len(set(cells)) == 24 * 36
+    assert len(cells) == len(set(cells)) == 24 * 40
     assert len({panel["id"] for panel in DASHBOARD["panels"]}) == len(DASHBOARD["panels"])
 
 

@@ -447,5 +447,7 @@ def test_a_control_character_in_what_is_sought_is_refused_with_its_place(large):
 def test_whether_to_recalibrate_leads_to_its_section_of_the_guide(site, monkeypatch):
     monkeypatch.setitem(TEMPLATES.globals, "has_documentation", lambda: True)
     for address in ("/sensors/1", "/sensors/1/trend"):
-        (code,) = re.findall(r"respond-to-advice\.html#advice-trend-([a-z-]+)\"", site.visitor("ada").get(address))
+        (code,) = re.findall(
+            r"respond-to-advice\.html#advice-trend-([a-z-]+)\"", site.visitor("ada").get(f"{address}?guide=1")
+        )
         assert f"trend_{code.replace('-', '_')}" in ADVICE_KINDS

@@ -2,12 +2,17 @@
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from types import SimpleNamespace
 
 import pytest
 from fastapi.routing import APIRoute
 
 from boresight.console import pages
+<<<<<<< HEAD
 from boresight.console.alignments.tables import Alignment, AlignmentRequest
+=======
+from boresight.console.access.openid_connect import ProviderLogOut
+>>>>>>> field2
 from boresight.console.approvals.pages import gates as gate_report
 from boresight.console.fleet.pages import new_sensor
 from boresight.console.ingest import policies
@@ -56,6 +61,7 @@ FORMS = {  # who sends which form to which page
     "/parameter-sets/{set_id:int}/uplink/activate": ("olga", {"source": "pass 9", "password": PASSWORD}),
     "/login": ("ada", {"name": "ada", "password": PASSWORD}),
     "/login/second-factor": ("ada", {"factor": "123456"}),
+    "/login/single-sign-on/back-channel-log-out": ("ada", {"logout_token": "signed"}),
     "/logout": ("ada", {}),
     "/sensors/{sensor_id:int}/gates": ("adele", {"action": "set", "reason": "x"}),
     "/alarms/{alarm_id:int}/{step}": ("ada", {"text": "Seen.", "version": "1"}),
@@ -121,6 +127,7 @@ FORMS = {  # who sends which form to which page
 }
 
 
+<<<<<<< HEAD
 NEEDED = {  # fixtures
     "/alarms/{alarm_id:int}/{step}": "drifting",
     "/ingest/{decision_id:int}/answer": "decided",
@@ -128,6 +135,21 @@ NEEDED = {  # fixtures
     "/alignment-requests/{request_id:int}/sign": "asked",
     "/alignment-requests/{request_id:int}/withdraw": "asked",
 }
+=======
+NEEDED = {
+    "/alarms/{alarm_id:int}/{step}": "drifting",
+    "/ingest/{decision_id:int}/answer": "decided",
+    "/login/single-sign-on/back-channel-log-out": "provided",
+}  # fixtures
+
+
+@pytest.fixture
+def provided(site):
+    async def read_log_out(_: str) -> ProviderLogOut:
+        return ProviderLogOut("https://provider.example", "sam", 0.0)
+
+    site.app.state.identity_provider = SimpleNamespace(read_log_out=read_log_out)
+>>>>>>> field2
 
 
 @pytest.fixture
