@@ -5,11 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-<<<<<<< HEAD
-from boresight.console.alignments import queries
-=======
-from boresight.console.alignments import service
->>>>>>> field2
+from boresight.console.alignments import queries, service
 from boresight.console.pages.rendering import TEMPLATES
 from boresight.platform.db.sessions import open_reading
 from tests.console.alignments.pairs import aligned, ask, ended, run_of, trackers

@@ -8,11 +8,8 @@ import pytest
 from fastapi.routing import APIRoute
 
 from boresight.console import pages
-<<<<<<< HEAD
-from boresight.console.alignments.tables import Alignment, AlignmentRequest
-=======
 from boresight.console.access.openid_connect import ProviderLogOut
->>>>>>> field2
+from boresight.console.alignments.tables import Alignment, AlignmentRequest
 from boresight.console.approvals.pages import gates as gate_report
 from boresight.console.fleet.pages import new_sensor
 from boresight.console.ingest import policies
@@ -127,20 +124,14 @@ FORMS = {  # who sends which form to which page
 }
 
 
-<<<<<<< HEAD
 NEEDED = {  # fixtures
     "/alarms/{alarm_id:int}/{step}": "drifting",
     "/ingest/{decision_id:int}/answer": "decided",
+    "/login/single-sign-on/back-channel-log-out": "provided",
     "/alignments/{alignment_id:int}/submit": "asked",
     "/alignment-requests/{request_id:int}/sign": "asked",
     "/alignment-requests/{request_id:int}/withdraw": "asked",
 }
-=======
-NEEDED = {
-    "/alarms/{alarm_id:int}/{step}": "drifting",
-    "/ingest/{decision_id:int}/answer": "decided",
-    "/login/single-sign-on/back-channel-log-out": "provided",
-}  # fixtures
 
 
 @pytest.fixture
@@ -149,7 +140,6 @@ def provided(site):
         return ProviderLogOut("https://provider.example", "sam", 0.0)
 
     site.app.state.identity_provider = SimpleNamespace(read_log_out=read_log_out)
->>>>>>> field2
 
 
 @pytest.fixture
