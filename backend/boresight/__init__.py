@@ -125,6 +125,7 @@ if TYPE_CHECKING:
         read_sensor,
         read_telemetry,
         simulate,
+        simulate_images,
     )
     from boresight.library.pointings import PointingPlan
     from boresight.library.remote import RunFailedError
@@ -166,6 +167,7 @@ _PLACES = {
         "read_sensor",
         "read_telemetry",
         "simulate",
+        "simulate_images",
     ),
     "boresight.library.results": (
         "Assessment",
@@ -250,6 +252,7 @@ __all__ = [
     "read_sensor",
     "read_telemetry",
     "simulate",
+    "simulate_images",
 ]
 
 

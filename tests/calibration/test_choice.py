@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import binom, chi2, norm
+from scipy.stats import binom, chi2, ncx2, norm
 from scipy.stats import f as fisher
 
 from benchmarks.choice import LENSES
@@ -12,7 +12,14 @@ from boresight.calibration.choice.choose import choose
 from boresight.calibration.choice.cross_validation import cross_validate
 from boresight.calibration.choice.detector_change import ChangeOverDetector
 from boresight.calibration.choice.fits import Fits, seen_by, whitened_at
-from boresight.calibration.choice.nested_tests import LEVEL, Noise, count_tests, log_survival, nested_test
+from boresight.calibration.choice.nested_tests import (
+    LEVEL,
+    Noise,
+    count_tests,
+    critical_drop,
+    log_survival,
+    nested_test,
+)
 from boresight.calibration.choice.result import State, Sufficiency, parse_choice
 from boresight.calibration.choice.search import DECISIVE, fit_ladders
 from boresight.calibration.choice.terms import Subset, base, find_terms, largest, list_subsets, radial_orders
@@ -228,6 +235,23 @@ def test_a_weak_term_is_missed_rather_than_another_camera_named():
         other = fits.fit(subset("inverted_wang", "principal point", "radial r³"))
         assert chosen.camera.name == "pinhole_radial"
         assert other.chi2 < chosen.chi2 - 5.41
+
+
+def test_a_term_is_missed_as_often_as_the_power_of_its_test_says():
+    """The benchmark's Kannala-Brandt lens: in 40 frames its r⁵ is below the threshold, in 150 far above."""
+    of = next(one for one in LENSES if one.camera == "kannala_brandt")
+    short = Subset(CAMERA_MODELS[of.camera], of.subset.terms[:-1])
+    found = []
+    for frames in (40, 150):
+        camera, truth = lens(of.camera, **of.values)
+        arcs = field(np.random.default_rng([14, frames]), camera, truth, frames=frames, noise_px=1e-9, stated_px=0.1)
+        fits = Fits(whitened_at(arcs, camera, truth), sensor(of.camera))
+        missing = fits.fit(short).chi2 - fits.fit(of.subset).chi2
+        noise = Noise(1.0, fits.arcs.n_arcs)
+        threshold = critical_drop(noise, 1, count_tests(short, terms=1) * len(CAMERA_MODELS))
+        found.append(float(ncx2.sf(threshold, 1, missing)))
+    assert found[0] == pytest.approx(0.3, abs=0.12)
+    assert found[1] > 0.95
 
 
 def test_three_tenths_of_a_pixel_of_tangential_distortion_are_found():

@@ -25,8 +25,8 @@ from tests.library.test_import import HEAVY, loaded_by
 from tests.stores import open_migrated, url_in
 
 COMMANDS = (
-    "calibrate", "choose", "match", "evaluate", "convert", "assess", "reproduce", "check", "simulate", "report", "export", "table",
-    "serve", "demo", "warm", "migrate", "backup", "restore", "user", "audit",
+    "calibrate", "choose", "match", "evaluate", "convert", "assess", "reproduce", "check", "simulate", "report", "export", "submit",
+    "table", "serve", "demo", "warm", "migrate", "backup", "restore", "user", "audit",
 )  # fmt: skip
 PASSWORD = "correct horse battery"
 

@@ -74,6 +74,31 @@ def test_a_report_and_a_package_come_from_the_server(run, files, house):
     assert (files / "a.zip").read_bytes() == (files / "b.zip").read_bytes()
 
 
+def test_a_set_is_assessed_and_submitted_on_a_server_as_here(run, files, house):
+    candidate, told = house.candidate(), files / "gates.json"
+    done = run("assess", candidate["name"], "--json", told)
+    assert done.exit_code == 0, done.stderr
+    on_server, here = json.loads(told.read_text()), bs.assess(house.result, house.sensor_file(), progress=False)
+    assert on_server.keys() == here.to_dict().keys()
+    assert [gate["name"] for gate in on_server["gates"]] == [gate.name for gate in here.gates]
+    assert candidate["name"].startswith(f"PS-{on_server['sensor']}-")
+    assert done.stdout.startswith("gate ")
+    assert on_server["words"] in done.stdout.splitlines()[-1]
+    for words in (
+        ("assess", candidate["id"], "--sensor", files / "sensor.json"),
+        ("submit", "--reason", "None named."),
+    ):
+        assert (run(*words).exit_code, run(*words).stderr.count("\n")) == (1, 1)
+    asked = files / "request.json"
+    done = run("submit", candidate["name"], "--reason", "It moved.", "--json", asked)
+    assert done.exit_code == 0, done.stderr
+    request = json.loads(asked.read_text())
+    assert (request["parameter_set_id"], request["state"], request["reason"]) == (candidate["id"], "OPEN", "It moved.")
+    assert f"request {request['id']} is OPEN" in done.stdout
+    made = run("submit", "--run", house.finished(), "--reason", "It moved again.", "--json", "-")
+    assert json.loads(made.stdout)["parameter_set_id"] != candidate["id"]
+
+
 def test_without_a_key_and_with_a_wrong_one_it_is_refused_in_one_line(run, files, monkeypatch):
     words = ("calibrate", files / "telemetry.csv", "--sensor", files / "sensor.json")
     monkeypatch.setenv(API_KEY, "wrong")

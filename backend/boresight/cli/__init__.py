@@ -31,6 +31,7 @@ from boresight.cli.reproduce import reproduce, simulate
 from boresight.cli.schema import schema
 from boresight.cli.sensor import sensor
 from boresight.cli.serve import demo, serve
+from boresight.cli.submit import submit
 from boresight.cli.table import export, table
 from boresight.cli.worker import scheduler, warm, worker
 
@@ -74,6 +75,7 @@ for command in (
     report,
     schema,
     sensor,
+    submit,
     export,
     table,
     reproduce,

@@ -22,6 +22,7 @@ from boresight.cli.output import (
     tell,
     write_json,
 )
+from boresight.cli.remote import find_set, open_client, server_option
 from boresight.cli.sensor import place_sensor, site_option
 from boresight.errors import RefusedInputError
 from boresight.images.limits import is_image
@@ -318,30 +319,50 @@ def _shadow_lines(shadow: dict[str, Any]) -> Iterator[str]:
 
 
 @click.command()
-@click.argument("calibration", type=INPUT_FILE)
-@click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Sensor file, JSON.")
+@click.argument("calibration", metavar="CALIBRATION|PARAMETER_SET", type=INPUT_FILE)
+@click.option("--sensor", "sensor_file", type=INPUT_FILE, help="Sensor file, JSON; needed without --server.")
 @click.option("--against", type=INPUT_FILE, help="The incumbent's parameters; the sensor file's if left out.")
 @click.option("--validate", "telemetry", type=INPUT_FILE, help="Held-out telemetry; the calibration's own if left out.")
 @click.option("--profile", "profile_file", type=INPUT_FILE, help="Gate profile, JSON; the default limits if left out.")
+@server_option
 @json_option
 def assess(
     calibration: Path,
-    sensor_file: Path,
+    sensor_file: Path | None,
     against: Path | None,
     telemetry: Path | None,
     profile_file: Path | None,
+    server_url: str | None,
     json_file: str | None,
 ) -> None:
     """Compare CALIBRATION, a JSON of `boresight calibrate`, with limits and with the incumbent.
 
     Every gate answers PASS, MARGINAL, NO-DATA or FAIL, and the worst is the verdict. The exit code is 0 whatever the
     verdict is. Scripts read `verdict` and `blocking` from --json.
+
+    With --server a PARAMETER_SET of that server, PS-<sensor>-<n> or its number, is compared with the limits and the incumbent of
+    its sensor, on the server's own validation frames.
     """
     check_writable(json_file)
-    with progress("reading the calibration") as report:
-        found = library.assess(
-            calibration, sensor_file, validate=telemetry, against=against, profile=profile_file, progress=report
+    given = (sensor_file, against, telemetry, profile_file)
+    if server_url is None and sensor_file is None:
+        raise click.MissingParameter(param_hint="'--sensor'", param_type="option")
+    if server_url is not None and any(one is not None for one in given):
+        raise RefusedInputError(
+            "A server has the sensor, its incumbent, validation frames and limits: leave --sensor, --against, --validate and "
+            "--profile out with --server."
         )
+    if server_url is not None:
+        from boresight.library.remote import member
+
+        with open_client(server_url) as server:
+            named = find_set(server, str(calibration))
+            found = server.assess(named).as_assessment(member(named.document, "sensor", str))
+    elif sensor_file is not None:
+        with progress("reading the calibration") as report:
+            found = library.assess(
+                calibration, sensor_file, validate=telemetry, against=against, profile=profile_file, progress=report
+            )
     write_json(found.to_dict(), json_file)
     if json_file != "-":
         click.echo("\n".join(_gate_lines(found)))

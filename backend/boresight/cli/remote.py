@@ -11,13 +11,14 @@ from boresight.errors import UnauthenticatedError
 
 if TYPE_CHECKING:
     from boresight.library.client import Client
+    from boresight.library.remote import ParameterSet
 
 #: The environment variable with the key.
 API_KEY = "BORESIGHT_API_KEY"
 
-server_option = click.option(
-    "--server", "server_url", metavar="URL", help=f"Do it on this server, with the API key in {API_KEY}."
-)
+_HELP = f"Do it on this server, with the API key in {API_KEY}."
+server_option = click.option("--server", "server_url", metavar="URL", help=_HELP)
+required_server_option = click.option("--server", "server_url", metavar="URL", required=True, help=_HELP)
 
 
 def first_message(url: str | None) -> str:
@@ -35,3 +36,8 @@ def open_client(url: str) -> Client:
             f"A server needs an API key: create one on its page Users and keys, and set {API_KEY} to it."
         )
     return Client(url, key)
+
+
+def find_set(server: Client, named: str) -> ParameterSet:
+    """Read a parameter set of a server by its name, or its number."""
+    return server.parameter_set(int(named) if named.isdecimal() else named)

@@ -10,7 +10,7 @@ import click
 
 from boresight.cli.input import INPUT_FILE
 from boresight.cli.output import REFUSED, check_writable, tell, write_bytes
-from boresight.cli.remote import open_client, server_option
+from boresight.cli.remote import find_set, open_client, server_option
 from boresight.library.text import aligned
 from boresight.settings import read_settings
 
@@ -32,7 +32,7 @@ def export(
     check_writable(file, "ZIP")
     if server_url is not None:
         with open_client(server_url) as server:
-            named = server.parameter_set(int(parameter_set) if parameter_set.isdecimal() else parameter_set)
+            named = find_set(server, parameter_set)
             content = server.export(named, flight_software_version=flight_software, table_id=table_id)
         write_bytes(content, file)
         tell(f"{named.name}: {hashlib.sha256(content).hexdigest()}  {file}", file)

@@ -904,8 +904,21 @@ def simulate(
 
 
 @_on_kernels
-def simulate_images(scenario: str | os.PathLike[str] | Mapping[str, Any], frames: int, folder: Path) -> list[Path]:
-    """Write FITS images of the first frames of a scenario, seen from orbit, into a folder; returns the files."""
+@_on_kernels
+def simulate_images(
+    scenario: str | os.PathLike[str] | Mapping[str, Any], frames: int, folder: str | os.PathLike[str]
+) -> list[Path]:
+    """Write FITS images of the first frames of a scenario, seen from orbit, into a folder; returns the files.
+
+    Parameters
+    ----------
+    scenario
+        As `simulate`.
+    frames
+        How many; each is one image.
+    folder
+        Where they are written; it is made.
+    """
     import numpy as np
 
     from boresight.simulation import images
@@ -916,7 +929,7 @@ def simulate_images(scenario: str | os.PathLike[str] | Mapping[str, Any], frames
     made = images.simulate_images(
         one, optics, np.random.default_rng(one.seed), load_catalogue(read_settings().catalogue_folder)
     )
-    return images.write_images(folder, made, optics)
+    return images.write_images(Path(folder), made, optics)
 
 
 def make_scenarios(

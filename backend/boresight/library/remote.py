@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from boresight.library.diagnosis import Diagnosis
     from boresight.library.inputs import SensorSource, TelemetrySource
     from boresight.library.progress import Report
-    from boresight.library.results import Calibration
+    from boresight.library.results import Assessment, Calibration
+    from boresight.verdicts.gates import GateAnswer
 
 PREFIX = "/api/v1"
 PROBLEM = "urn:boresight:problem:"
@@ -210,8 +211,27 @@ class GateReport:
     verdict: str
     words: str
     blocking: list[str]
-    gates: list[dict[str, Any]] = field(repr=False)
+    waived: list[str]
+    gates: list[GateAnswer] = field(repr=False)
     sha256: str
+
+    def as_assessment(self, sensor: str) -> Assessment:
+        """Return what `boresight.assess` would of the sensor with this name."""
+        from boresight.calibration.calibration import to_plain
+        from boresight.library.results import Assessment
+        from boresight.verdicts.gates import GateReport as Judged
+
+        judged = Judged(
+            gates=self.gates, verdict=self.verdict, words=self.words, blocking=self.blocking, waived=self.waived
+        )
+        return Assessment(
+            sensor=sensor,
+            verdict=self.verdict,
+            words=self.words,
+            blocking=self.blocking,
+            gates=self.gates,
+            document={**to_plain(judged), "sensor": sensor},
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -645,7 +665,14 @@ def read_parameter_set(parameter_set: ParameterSet | int | str) -> Operation[Par
 def assess(parameter_set: ParameterSet | int) -> Operation[GateReport]:
     """Hold a parameter set against its gates."""
     answer = yield _post(f"/parameter-sets/{_id(parameter_set)}:assess")
-    return parse_record(GateReport, answer.document())
+    from boresight.verdicts.gates import parse_report
+
+    document = answer.document()
+    try:
+        judged = parse_report(document)
+    except RefusedInputError as error:
+        raise UnavailableError(f"The server's GateReport is not complete ({error}): {FOREIGN}.") from error
+    return parse_record(GateReport, {**document, "gates": judged.gates})
 
 
 def submit(parameter_set: ParameterSet | int, reason: str) -> Operation[Approval]:
