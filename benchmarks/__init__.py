@@ -81,7 +81,7 @@ PARTS: dict[str, Part] = {
         "ground:measure", "cameras on the ground at 20 to 80 degrees with the air and without, and the real field: bias and finding"
     ),
     "diagnosis": Part(
-        "diagnosis:measure", "what is named of 48 wrong inputs, each mistake alone and in pairs, and what is mended wrongly"
+        "diagnosis:measure", "what is named of wrong inputs, each mistake alone and in pairs, and what is mended wrongly"
     ),
     "pointings": Part(
         "pointings:measure", "how soon planned pointings pass the gate of observability, beside chance and the paper's sets"
