@@ -293,13 +293,13 @@ async def submit_alignment(request: Request, actor: Who, alignment_id: int) -> R
     if outcome.refusal is not None:
         refused = RefusedForm("submit", outcome.refusal, typed)
         return await read_again(request, partial(_page, request, actor, alignment_id, refused))
-    return redirect(f"/alignments/{alignment_id}#approval", flash=f"Request {outcome.made.id} waits for an approver.")
+    return redirect(f"/alignments/{alignment_id}", flash=f"Request {outcome.made.id} waits for an approver.")
 
 
 @router.get("/alignment-requests/{request_id:int}")
 def alignment_request_page(session: Reading, request_id: int) -> Response:
     """Lead to the alignment of a request, where it is signed."""
-    return redirect(f"/alignments/{session.get_known(AlignmentRequest, request_id).alignment_id}#approval")
+    return redirect(f"/alignments/{session.get_known(AlignmentRequest, request_id).alignment_id}")
 
 
 @router.post("/alignment-requests/{request_id:int}/sign", response_class=HTMLResponse)
@@ -341,7 +341,7 @@ async def _closed(
     outcome = await attempt(request, change, prove)
     if outcome.refusal is None:
         said = f"Request {request_id} is {outcome.made.state}."
-        return redirect(f"/alignments/{outcome.made.alignment_id}#approval", flash=said)
+        return redirect(f"/alignments/{outcome.made.alignment_id}", flash=said)
 
     def again(session: Session) -> HTMLResponse:
         number = session.get_known(AlignmentRequest, request_id).alignment_id

@@ -139,7 +139,7 @@ def _alignments(session: Session, actor: Actor, policy: Policy) -> WaitingItems:
         WaitingAction(
             "standby",
             f"Alignment {row.alignment_id} waits for your signature.",
-            f"/alignments/{row.alignment_id}#approval",
+            f"/alignments/{row.alignment_id}",
             "Review",
         )
         for row in able[:MOST_ACTIONS]
