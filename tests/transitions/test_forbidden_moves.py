@@ -48,6 +48,7 @@ BESIDE = {
     "assess",
     "waive",
     "export",
+    "hand-over",
     "read-back",
     "activate",
     "resolve",
