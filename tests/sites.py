@@ -34,6 +34,7 @@ from boresight.platform.audit import log as audit
 from boresight.platform.blobs.opening import open_blobs
 from boresight.platform.blobs.tables import Blob
 from boresight.platform.db.sessions import migrate, open_engine, open_writing, utc_now
+from boresight.platform.web import static_files
 from boresight.server import create_app
 from boresight.settings import Settings, read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
@@ -245,3 +246,10 @@ def answer_points(page):
     """Answer every point of a request's panel: ticked, with a reason."""
     ticks = re.findall(r'name="(tick:[^"]+)"', page)
     return dict.fromkeys(ticks, "1") | {tick.replace("tick", "reason", 1): "Known and accepted." for tick in ticks}
+
+
+def put_documentation(folder: Path, patch: pytest.MonkeyPatch) -> None:
+    """Let pages find a built documentation, so that they lead there."""
+    (folder / "index.html").touch()
+    of_product = static_files.folder
+    patch.setattr(static_files, "folder", lambda name: folder if name == "documentation" else of_product(name))

@@ -6,10 +6,10 @@ from dataclasses import replace
 import pytest
 
 from boresight.console.alignments import queries, service
-from boresight.console.pages.rendering import TEMPLATES
 from boresight.platform.db.sessions import open_reading
 from tests.console.alignments.pairs import aligned, ask, ended, run_of, trackers
 from tests.served import PASSWORD
+from tests.sites import put_documentation
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def test_the_page_of_one_has_verdict_rotations_gates_and_figure_and_says_how_to_
     assert row["verdict"] in page
 
 
-def test_each_sentence_of_advice_leads_to_its_section_of_the_guide(house, row, monkeypatch):
+def test_each_sentence_of_advice_leads_to_its_section_of_the_guide(house, row, tmp_path, monkeypatch):
     read = service.read_result
 
     def read_with_advice(*given):
@@ -51,7 +51,7 @@ def test_each_sentence_of_advice_leads_to_its_section_of_the_guide(house, row, m
         return replace(found, advice=["The pairs scatter."], advice_codes=["alignment_scatter"]), report
 
     monkeypatch.setattr(service, "read_result", read_with_advice)
-    monkeypatch.setitem(TEMPLATES.globals, "has_documentation", lambda: True)
+    put_documentation(tmp_path, monkeypatch)
     page = _read(house, "ada", f"/alignments/{row['id']}?guide=1")
     assert page.count('href="/docs/how-to/respond-to-advice.html#advice-alignment-scatter"') == 1
 

@@ -26,7 +26,6 @@ from boresight.console.fleet.pages.sensor import baseline_values
 from boresight.console.fleet.pages.sensors import EXAMPLE, FIELDS, compute_optics, read_document
 from boresight.console.fleet.service import MOST_CHOICES
 from boresight.console.fleet.tables import Sensor
-from boresight.console.pages.rendering import TEMPLATES
 from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
@@ -47,6 +46,7 @@ from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing, utc_now
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.telemetry.sensors import parse_sensor
+from tests.sites import put_documentation
 from tests.stores import open_migrated, url_in
 
 
@@ -444,8 +444,8 @@ def test_a_control_character_in_what_is_sought_is_refused_with_its_place(large):
         sensors.list_choices(session, find="GE\x00O")
 
 
-def test_whether_to_recalibrate_leads_to_its_section_of_the_guide(site, monkeypatch):
-    monkeypatch.setitem(TEMPLATES.globals, "has_documentation", lambda: True)
+def test_whether_to_recalibrate_leads_to_its_section_of_the_guide(site, tmp_path, monkeypatch):
+    put_documentation(tmp_path, monkeypatch)
     for address in ("/sensors/1", "/sensors/1/trend"):
         (code,) = re.findall(
             r"respond-to-advice\.html#advice-trend-([a-z-]+)\"", site.visitor("ada").get(f"{address}?guide=1")

@@ -249,7 +249,7 @@ def test_the_numbers_are_those_of_the_results(results):
 
 def test_one_method_twice_has_no_panel_and_runs_without_results_ask_for_patience(site, read):
     assert method_panel([one(1), one(2)]) is None
-    assert "have ended" in method_panel([one(1), one(2, "svd")]).refusal
+    assert "has a result" in method_panel([one(1), one(2, "svd")]).refusal
     other = site.add_run("batch")
     assert "When to use which" not in read(site.visitor("victor").get(f"/compare?runs=1,{other}"))
 

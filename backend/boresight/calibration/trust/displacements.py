@@ -387,7 +387,9 @@ def expect(sums: ScoreSums, named: Sequence[str], others: Sequence[str] = ()) ->
     groups = [np.concatenate([every[sums.places[name]] for name in group]) for group in (named, others) if group]
     places = np.concatenate(groups)
     found = _find_directions(sums, places)
-    noise = (found.left - float(found.fall @ found.fall)) / (sums.n_arcs - len(found.P) - len(found.fall))
+    k, freedom = len(found.fall), sums.n_arcs - len(found.P)
+    # fields that take up most of a small set leave nothing to tell the noise from
+    noise = (found.left - float(found.fall @ found.fall)) / (freedom - k) if 2 * k < freedom else found.left / freedom
     size = 1 / np.sqrt(np.maximum(sums.squares[places], np.finfo(float).tiny))
     F, s = found.F * np.outer(size, size) / noise, found.s * size / noise
     towards = found.towards * size

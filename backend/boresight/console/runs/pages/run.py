@@ -663,9 +663,9 @@ def list_run_gates(session: Session, made: ParameterSet | None) -> dict[str, Any
         return None
     report = approval_queries.find_newest_report(session, made.id)
     if report is None:
-        return {"words": "", "rows": []}
+        return {"report": None, "rows": []}
     found = gates.lay_waivers(session, report)
-    return {"words": found.words, "rows": gate_rows(found.gates, found.blocking)}
+    return {"report": found, "rows": gate_rows(found.gates, found.blocking)}
 
 
 def find_parameter_set(session: Session, run: Run) -> ParameterSet | None:
