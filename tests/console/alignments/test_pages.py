@@ -165,6 +165,8 @@ def test_the_inbox_leads_an_approver_to_the_page_where_it_is_signed_or_refused(h
     assert (approved.status_code, approved.headers["location"]) == (303, place)
     assert _requests(house, good)[0] == (number, "APPROVED", 2)
     assert _dialogs(_read(house, "ada", place)) == _dialogs(_read(house, "alan", place)) == []
+    late = _post(house, "alan", f"/alignment-requests/{number}/sign", **{**sent, "version": "2"}, decision="APPROVE")
+    assert (late.status_code, _dialogs(late.text), 'class="notice notice-serious"' in late.text) == (409, [], True)
     assert line not in _read(house, "alan", "/approvals")
 
 
