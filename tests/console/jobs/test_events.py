@@ -248,6 +248,10 @@ STREAMS = 500
 KEPT = 16
 
 
+def _of_runs(events):
+    return (told for told in events if told["event"] != "audit")  # a log-in may be told late
+
+
 def step(run_id: int, fraction: float) -> dict[str, Any]:
     points = {"after": None, "frame": [int(100 * fraction)], "parameters": [[1.0, None]]}
     return {"kind": "progress", "run_id": run_id, "attempt": 1, "fraction": fraction, "history": points}
@@ -264,7 +268,7 @@ def test_who_comes_back_is_told_the_progress_that_was_missed_and_nothing_twice(h
     with following(house.person("victor"), last, history=7) as events:
         next(events)
         feed.hear(step(7, 0.4))
-        heard = [next(events) for _ in range(3)]
+        heard = [next(_of_runs(events)) for _ in range(3)]
     assert [told["event"] for told in heard] == ["progress"] * 3
     assert [told["data"]["fraction"] for told in heard] == [0.2, 0.3, 0.4]
 
@@ -284,9 +288,9 @@ def test_who_comes_back_with_a_place_of_another_server_is_told_that_progress_was
         rows = next(events)["id"].rpartition(".")[0]
     with following(house.person("victor"), f"{rows}.{progress}") as events:
         next(events)
-        missed = next(events)
+        missed = next(_of_runs(events))
         house.app.state.broadcast.hear(step(7, 0.5))
-        after = next(events)
+        after = next(_of_runs(events))
     assert missed["event"] == "missed"
     assert EventCursor.parse(missed["id"]).progress == house.app.state.broadcast.progress - 1
     assert after["data"]["fraction"] == 0.5
