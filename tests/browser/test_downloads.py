@@ -10,7 +10,7 @@ import pytest
 pytestmark = pytest.mark.browser
 
 SINGLE = 1e-6  # figures are sent in single precision
-UNITS = {"f_m": 1e6, "b4_per_m4": 1e-8, "a1_rad": 1e3, "a2_rad": 1e3, "g_y": 1e6}
+UNITS = {"f_m": 1e3, "b4_per_m4": 1e-8, "a1_rad": 1e3, "a2_rad": 1e3}
 SMALLEST_BAR = 0.1
 PARTS = {
     "parameters": "result",

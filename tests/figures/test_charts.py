@@ -245,15 +245,15 @@ def test_free_parameters_have_panels_and_fixed_ones_null_sigmas_and_none(sequent
     assert FIGURES["convergence"].table(fixed)["sigma_g_y"] == [None] * 200
 
 
-def test_the_focal_length_is_in_micrometres_since_its_start_with_a_band_of_three_sigmas(sequential_result):
+def test_the_focal_length_is_in_millimetres_since_its_start_with_a_band_of_three_sigmas(sequential_result):
     drawn = draw("convergence", sequential_result)
     change_m = sequential_result.parameters.f_m - sequential_result.initial.f_m
-    assert named(drawn, "Run")[0].y[-1] == pytest.approx(change_m * 1e6, rel=1e-4)
+    assert named(drawn, "Run")[0].y[-1] == pytest.approx(change_m * 1e3, rel=1e-4)
     assert "mm" in drawn.layout.yaxis.title.text
     outline = np.array(named(drawn, "Run ±3σ")[0].y, dtype=float)
     upper, lower = outline[: len(outline) // 2], outline[len(outline) // 2 :][::-1]
-    sigma_um = np.array(sequential_result.history.sigma)[:, 0] * 1e6
-    assert (upper - lower) / 2 == pytest.approx(3 * sigma_um, rel=1e-3)
+    sigma_mm = np.array(sequential_result.history.sigma)[:, 0] * 1e3
+    assert (upper - lower) / 2 == pytest.approx(3 * sigma_mm, rel=1e-3)
 
 
 def test_truth_is_drawn_only_where_a_simulation_knows_it(sequential_result):
@@ -273,7 +273,7 @@ def test_batch_and_baseline_are_levels_beside_a_filter_over_frames_that_share_th
     assert level.y[0] == level.y[1]
     moved = {name: 1.001 * value for name, value in sequential_result.initial.items()}
     level = named(FIGURES["convergence"].draw([Trace("Run", sequential_result, baseline=moved)]), "baseline")[0]
-    assert level.y[0] == pytest.approx((moved["f_m"] - sequential_result.initial.f_m) * 1e6, rel=1e-4)
+    assert level.y[0] == pytest.approx((moved["f_m"] - sequential_result.initial.f_m) * 1e3, rel=1e-4)
     for name in ("convergence", "rms", "frame-observability"):
         assert draw(name, sequential_result).layout.meta["axis"] == "frame"
 

@@ -100,7 +100,7 @@ def test_levels_stand_where_chance_and_the_bound_put_them_and_predictions_begin_
     assert levels == pytest.approx([-bound, bound])
     first = draw("more-data", sequential_result).data[0]
     assert values(first, "x")[0] == sequential_result.trust.more_data.frames
-    assert values(first)[0] == pytest.approx(sequential_result.sigma.f_m * 1e6, rel=1e-4)
+    assert values(first)[0] == pytest.approx(sequential_result.sigma.f_m * 1e3, rel=1e-4)
     assert draw("more-data", sequential_result).layout.xaxis.type == "log"
 
 
@@ -368,7 +368,7 @@ def test_a_point_is_its_difference_from_the_baseline_of_now_with_three_sigmas_an
     figure, table = trend.draw(document), trend.table(document)
     focus, distortion = _named(figure, "Calibration ±3σ")
     assert list(focus.y) == pytest.approx([0.002, 0.005])  # mm
-    assert list(focus.error_y.array) == pytest.approx([6.0, 6.0])
+    assert list(focus.error_y.array) == pytest.approx([0.006, 0.006])
     assert list(distortion.y) == pytest.approx([10.0, 40.0])
     assert list(focus.x) == ["2026-01-02T01:00:00.000", "2026-01-05T01:00:00.000"]
     shown = _named(figure, "Not used")[0]
@@ -395,12 +395,12 @@ def test_an_old_value_far_away_stands_at_the_edge_with_its_number_and_the_scale_
     first = _point(1, parameters={"f_m": 0.0165, "b2_per_m2": 10.0})
     figure = trend.draw(document | {"points": [first, *crowd], "baselines": [ground, _period(2, None)]})
     low, high = figure.layout.yaxis.range
-    assert -20 < low < -4.2
-    assert 7.9 < high < 20
+    assert -0.02 < low < -0.0042
+    assert 0.0079 < high < 0.02
     up, down = _named(figure, trend.BEYOND)
-    assert (up.text, down.text) == (("run 1 +500",), ("PS-ST1-1 \u2212400",))
-    assert low < down.y[0] < -4.2
-    assert 7.9 < up.y[0] < high
+    assert (up.text, down.text) == (("run 1 +0.5",), ("PS-ST1-1 \u22120.4",))
+    assert low < down.y[0] < -0.0042
+    assert 0.0079 < up.y[0] < high
     assert (up.marker.symbol, down.marker.symbol) == ("triangle-up", "triangle-down")
 
 
