@@ -398,7 +398,7 @@ def test_an_old_value_far_away_stands_at_the_edge_with_its_number_and_the_scale_
     assert -0.02 < low < -0.0042
     assert 0.0079 < high < 0.02
     up, down = _named(figure, trend.BEYOND)
-    assert (up.text, down.text) == (("run 1 +0.5",), ("PS-ST1-1 \u22120.4",))
+    assert (up.text, down.text) == (("run 1 +0.500",), ("PS-ST1-1 \u22120.400",))
     assert low < down.y[0] < -0.0042
     assert 0.0079 < up.y[0] < high
     assert (up.marker.symbol, down.marker.symbol) == ("triangle-up", "triangle-down")
