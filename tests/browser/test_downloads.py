@@ -10,7 +10,7 @@ import pytest
 pytestmark = pytest.mark.browser
 
 SINGLE = 1e-6  # figures are sent in single precision
-UNITS = {"f_m": 1e3, "b4_per_m4": 1e-8, "a1_rad": 1e3, "a2_rad": 1e3, "g_y": 1e6}
+UNITS = {"f_m": 1e3, "b4_per_m4": 1e-8, "a1_rad": 1e3, "a2_rad": 1e3}
 SMALLEST_BAR = 0.1
 PARTS = {
     "parameters": "result",
@@ -110,7 +110,6 @@ def test_the_csv_of_rms_has_tail_and_aggregate(run_page):
         close(curves[word]["y"], 1e6 * floats(table[f"{word}_rms_rad"]))
 
 
-@pytest.mark.full
 def test_the_csv_of_the_radial_difference_has_the_curve_and_its_band(run_page):
     table = run_page.csv("radial")
     line, band = run_page.drawn("radial")[:2]
@@ -120,7 +119,6 @@ def test_the_csv_of_the_radial_difference_has_the_curve_and_its_band(run_page):
     close(sorted(band["y"]), np.sort(np.concatenate([-reach, reach])))
 
 
-@pytest.mark.full
 def test_the_csv_of_observability_has_the_bars_and_the_directions(run_page, initial):
     table = run_page.csv("observability")
     bars, directions = run_page.drawn("observability")
@@ -136,7 +134,6 @@ def test_the_csv_of_coverage_has_every_cell(run_page):
     assert [count or 0 for row in cells["z"] for count in row] == floats(table["stars"]).tolist()
 
 
-@pytest.mark.full
 def test_the_csv_of_parameter_changes_has_bars_and_points(run_page, initial):
     table = run_page.csv("parameters")
     bars, points = run_page.drawn("parameters")
@@ -145,7 +142,6 @@ def test_the_csv_of_parameter_changes_has_bars_and_points(run_page, initial):
     close(points["x"], floats(table["delta_in_typical_sigma"]))
 
 
-@pytest.mark.full
 def test_the_csv_of_the_distortion_has_both_curves(run_page):
     table = run_page.csv("distortion")
     _, new, old = run_page.drawn("distortion")[:3]
@@ -169,7 +165,6 @@ def test_the_png_of_a_figure_is_the_chart_on_white(run_page, name):
     on_white(run_page.window, download(run_page.window, run_page.figure(name), "PNG"))
 
 
-@pytest.mark.full
 def test_the_drawings_of_a_telemetry_set_are_saved_alike(people, telemetry):
     with people.seat("analyst") as window:
         window.open(f"/telemetry/{telemetry['calibration']}")

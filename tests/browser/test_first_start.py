@@ -13,7 +13,7 @@ from tests.browser.work import choose_upload
 pytestmark = pytest.mark.browser
 
 SINGLE = 1e-6  # figures are sent in single precision
-CHANGE_UNITS = {"f_m": 1e3, "b4_per_m4": 1e-8, "a1_rad": 1e3, "a2_rad": 1e3, "g_y": 1e6}
+CHANGE_UNITS = {"f_m": 1e3, "b4_per_m4": 1e-8, "a1_rad": 1e3, "a2_rad": 1e3}
 SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻−", "0123456789--")
 
 
