@@ -20,7 +20,7 @@ from boresight.cli.calibrate import calibrate
 from boresight.cli.choose import choose
 from boresight.cli.convert import convert
 from boresight.cli.diagnose import diagnose
-from boresight.cli.evaluate import assess, check, evaluate, match
+from boresight.cli.evaluate import assess, check, evaluate, match, submit
 from boresight.cli.extract import extract
 from boresight.cli.importing import import_telemetry
 from boresight.cli.mission_control import openc3, yamcs
@@ -31,7 +31,6 @@ from boresight.cli.reproduce import reproduce, simulate
 from boresight.cli.schema import schema
 from boresight.cli.sensor import sensor
 from boresight.cli.serve import demo, serve
-from boresight.cli.submit import submit
 from boresight.cli.table import export, table
 from boresight.cli.worker import scheduler, warm, worker
 
