@@ -107,7 +107,7 @@ def test_a_change_of_ones_account_by_another_is_told_and_who_may_not_log_in_is_t
 
 
 def test_every_kind_of_message_is_made_of_records_that_exist():
-    assert len(KINDS) == len({kind.title for kind in KINDS.values()}) == 13
+    assert len(KINDS) == len({kind.title for kind in KINDS.values()}) == 15
     assert all(kind.records.groups == 1 for kind in KINDS.values())
 
 
