@@ -11,6 +11,7 @@ from boresight.console import list_queries as lists
 from boresight.console.access import users
 from boresight.console.alarms import rules
 from boresight.console.alarms.rules import check_chain
+from boresight.console.alignments.tables import Alignment, AlignmentRequest
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals import threads
 from boresight.console.approvals.tables import Approval
@@ -20,12 +21,13 @@ from boresight.console.messages.service import Choice, Outlets
 from boresight.console.messages.tables import Message, MessageAddress
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.queries import claim, finish
+from boresight.console.transitions import move
 from boresight.console.webhooks.service import MOST_ATTEMPTS
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
 from boresight.platform.actors import COMMAND_LINE, POLICY
 from boresight.platform.audit import log as audit
 from boresight.platform.db.secret_box import SecretBox
-from boresight.platform.db.sessions import Session, open_writing
+from boresight.platform.db.sessions import Session, open_writing, utc_now
 from boresight.platform.jobs.message_transport import CheckedAddress
 from tests.passwords import approve
 
@@ -82,6 +84,24 @@ def test_a_request_is_told_to_who_may_sign_it_and_its_outcome_to_who_has_a_part_
         promoted = session.get_known(ParameterSet, row.id)
         approvals.promote(session, people["dee"], row.id, promoted.version)
         assert {who for who, kind, _ in _told(session) if kind == "promoted"} == {*"abcder"}
+
+
+def test_an_alignment_is_told_to_approvers_without_a_part_in_it_and_its_end_to_the_submitter(
+    session, people, subscribe, finished_run
+):
+    for name in ("ana", "bo", "cy", "eve", "root"):
+        subscribe(name, "alignment-waits", "alignment-decided")
+    run = finished_run(session, people["bo"].user_id)  # who launched one of its runs does not sign
+    both = dict.fromkeys(("sensor_a_id", "sensor_b_id"), 1) | dict.fromkeys(("run_a_id", "run_b_id"), run.id)
+    made = Alignment(**both, options={}, created_utc=utc_now(), created_by=people["ana"].user_id, state="QUEUED")
+    audit.append(session, people["ana"], "requested", f"alignments/{session.put(made).id}")
+    asked = {"result_sha256": "0" * 64, "reason": "x", "submitted_utc": utc_now(), "state": "OPEN"}
+    row = session.put(AlignmentRequest(alignment_id=made.id, submitted_by=people["ana"].user_id, **asked))
+    audit.append(session, people["ana"], "submitted", f"alignment-requests/{row.id}")
+    page = f"/alignment-requests/{row.id}"
+    assert _told(session) == {("c", "alignment-waits", page)}
+    move(session, people["cy"], row, "APPROVED", "approved")
+    assert _told(session) == {("c", "alignment-waits", page), ("a", "alignment-decided", page)}
 
 
 def test_the_end_of_a_run_is_told_to_who_launched_it_and_an_alarm_to_everybody_who_asked(

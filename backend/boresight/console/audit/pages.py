@@ -201,6 +201,8 @@ PAGE_OF_NOUN = {
     "alignments": "alignments",
     "alignment-requests": "alignment-requests",
     "alarms": "alarms",
+    "change-proposals": "change-proposals",
+    "ingest-decisions": "ingest",
 }
 
 router = APIRouter()
