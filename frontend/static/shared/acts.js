@@ -32,11 +32,15 @@ document.addEventListener("click", (event) => {
   open(dialog);
 });
 
-document.addEventListener("change", ({ target }) => {
-  const name = target instanceof HTMLInputElement && target.files?.length ? target.dataset.opens : undefined;
+/** Open the dialog that an input names once a file is chosen. @param {EventTarget | null} input */
+function openOf(input) {
+  const name = input instanceof HTMLInputElement && input.files?.length ? input.dataset.opens : undefined;
   const dialog = name && find(`#${CSS.escape(name)}`, HTMLDialogElement);
   if (dialog && !dialog.open) open(dialog);
-});
+}
+
+document.addEventListener("change", ({ target }) => openOf(target));
+findAll("input[data-opens]", HTMLInputElement).forEach(openOf); // chosen before this script ran
 
 document.addEventListener("submit", (event) => {
   const dialog = event.submitter?.closest("dialog.act-dialog");
