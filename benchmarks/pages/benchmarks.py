@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Mapping
+from textwrap import shorten
 from typing import Any
 
 from benchmarks import PARTS, ROOT
@@ -437,7 +438,7 @@ def _diagnosis(found: Found) -> str:
             one["set"], " and ".join(one["mistakes"]),
             ", ".join(f"`{name}`" for name in one["causes"]) + "".join(f" or `{name}`" for name in one["alternatives"]),
             f"{one['exposures_solved']} of {one['exposures']}", "yes" if one["right"] else "no",
-            "yes" if one["wrongly_mended"] else "no", number(one["took_s"]), one["today"].replace("|", "/")[:160],
+            "yes" if one["wrongly_mended"] else "no", number(one["took_s"]), shorten(one["today"].replace("|", "/"), 160, placeholder=" …"),
         ]
         for one in found["inputs"]
     ]  # fmt: skip
