@@ -438,7 +438,8 @@ def _diagnosis(found: Found) -> str:
             one["set"], " and ".join(one["mistakes"]),
             ", ".join(f"`{name}`" for name in one["causes"]) + "".join(f" or `{name}`" for name in one["alternatives"]),
             f"{one['exposures_solved']} of {one['exposures']}", "yes" if one["right"] else "no",
-            "yes" if one["wrongly_mended"] else "no", number(one["took_s"]), shorten(one["today"].replace("|", "/"), 160, placeholder=" …"),
+            "yes" if one["wrongly_mended"] else "no", number(one["took_s"]),
+            shorten(one["today"].replace("|", "/"), 160, placeholder=" …"),
         ]
         for one in found["inputs"]
     ]  # fmt: skip
