@@ -31,7 +31,8 @@ what was found where F is large, and no more than nought +- t^1/2 where it is sm
 
     det(I + T F)^-1/2 exp(s^T (F + T^-1)^-1 s / 2),
 
-from which all directions of a group together tell its size. All t_g of a grid are weighed by it, flat in their logarithms before.
+from which all directions of a group together tell its size. All t_g of a grid up to the likeliest are weighed by it, flat in their
+logarithms before.
 One group are the departures that are named, the other what else a lens or a detector may do: no field is just as it is called.
 
 What the test may miss follows before any data speak. A departure c falls short of being noticed once in ten times where its
@@ -92,6 +93,8 @@ OWN_SHARE = 1e-2
 CLEAR = 3.0
 #: Variances of coefficients in units of their fields' own noise that are weighed.
 SIZES = np.geomspace(0.1, 1e8, 19)
+#: And how much larger than the likeliest they may be.
+BEYOND = 4.0
 #: Normal deviate that nine in ten stay below.
 NINE_IN_TEN = 1.2816
 #: Frames whose rows are made at a time: they stay in the processor's cache.
@@ -403,6 +406,8 @@ def expect(sums: ScoreSums, named: Sequence[str], others: Sequence[str] = ()) ->
         d.append(half[:, 1:].T @ half[:, 0])
         square.append(half[:, 1:].T @ half[:, 1:])
     weight = np.exp(np.array(logs) - max(logs))
+    # where one direction alone shows, sizes beyond the likeliest hardly lose likelihood, and without end they would tell most
+    weight *= (sizes <= BEYOND * sizes[int(np.argmax(logs))]).all(axis=1)
     weight /= weight.sum()
     mean, apart = weight @ np.array(d), np.array(d) - weight @ np.array(d)
     return mean, np.tensordot(weight, np.array(square), 1) + apart.T @ (weight[:, None] * apart)
