@@ -33,11 +33,11 @@ import numpy as np
 from benchmarks import Report, held
 from benchmarks.stars import uniform_field
 from boresight.arrays import FloatArray
-from boresight.calibration.estimate import covariance
 from boresight.cameras import CAMERA_MODELS
 from boresight.estimation import arcs as arcsets
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
+from boresight.estimation.batch import covariance
 from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import start
 from boresight.estimation.statistics.consistency import chi_square, nees

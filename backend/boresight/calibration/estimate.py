@@ -266,7 +266,7 @@ def run_batch(
     searched = _search(problem, parameters, settings, fitted, cancelled).begun_from(begin, restarts)
     if searched.lowest is not None:
         fitted = _rewhitened(fit, searched.lowest.x)
-    P = covariance(parameters.with_prior(fitted.A))
+    P = batch.covariance(parameters.with_prior(fitted.A))
     estimate = Estimate(
         fitted.x, fitted.A, P, fitted.chi2, fitted.status, max(len(steps) - 1, 0), tuple(steps), searched=searched
     )
@@ -373,7 +373,7 @@ def _of_stars(
     chi2 = batch.normal_equations(problem.whitened(how.x), how.x, parameters.free, parameters.scale).chi2
     status = found.status if rested or found.status != "converged" else "max_iterations"
     robust = Robustness(TUNING, effect.left_out, effect.stars, how.x, plain.x, "stars")
-    P = covariance(parameters.with_prior(A))
+    P = batch.covariance(parameters.with_prior(A))
     return Estimate(how.x, A, P, chi2, status, max(len(steps) - 1, 0), tuple(steps), robust=robust)
 
 
@@ -397,7 +397,7 @@ def _of_cosine(problem: Problem, parameters: Parameters, estimate: Estimate) -> 
     if judged is None:
         return estimate
     return replace(
-        estimate, A=judged.A, P=covariance(judged.A), chi2=judged.chi2, remarks=(Advice(judged.remark, "cosine"),)
+        estimate, A=judged.A, P=batch.covariance(judged.A), chi2=judged.chi2, remarks=(Advice(judged.remark, "cosine"),)
     )
 
 
@@ -407,14 +407,6 @@ def _report_batch(steps: tuple[batch.Step, ...], listen: ReportEstimate) -> None
     unknown = np.full((len(step.sigma), len(step.sigma)), np.nan)
     estimate = Estimate(step.x, unknown, np.diag(step.sigma**2), step.chi2, "running", iteration, steps)
     listen(estimate, 1 - 0.7**iteration, f"iteration {iteration}: chi-square {step.chi2:.6g}")
-
-
-def covariance(A: FloatArray) -> FloatArray:
-    """Invert the information over its determined directions; `batch.sigma_in_scale` says where that is infinite."""
-    if not np.isfinite(A).all():
-        return np.full_like(A, np.nan)
-    values, vectors, known = batch.determined(A)
-    return np.asarray((vectors[:, known] / values[known]) @ vectors[:, known].T)
 
 
 def claim(A: FloatArray, P: FloatArray, start: FloatArray) -> float:

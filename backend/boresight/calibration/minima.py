@@ -140,6 +140,8 @@ def look_about_filter(
     prior: Prior | None,
 ) -> Searched:
     """Search about the fit of the set on which a filter ended at x (n_parameters,), SI; nothing is taken up."""
+    if problem.arcs.n_stars > MOST_STARS:  # before the fit, which only the search needs
+        return NOT_SEARCHED
     arcs = problem.whitened(x)
     fitted = batch.fit(arcs, x, free, scale, prior=prior, cancelled=cancelled)
     found = look_for_minima(problem, free, scale, np.inf, fitted, cancelled, prior)

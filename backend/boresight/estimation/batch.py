@@ -202,6 +202,14 @@ def determined(A: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]
     return values, vectors, values > RANK_TOLERANCE * max(values.max(initial=0.0), np.finfo(float).tiny)
 
 
+def covariance(A: FloatArray) -> FloatArray:
+    """Invert the information over its determined directions; `sigma_in_scale` says where that is infinite."""
+    if not np.isfinite(A).all():
+        return np.full_like(A, np.nan)
+    values, vectors, known = determined(A)
+    return np.asarray((vectors[:, known] / values[known]) @ vectors[:, known].T)
+
+
 def sigma_in_scale(A: FloatArray) -> FloatArray:
     """One-sigma of each free parameter in typical sigmas; infinite where an undetermined direction touches it."""
     return _sigma_of(*determined(A))

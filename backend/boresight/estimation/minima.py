@@ -357,8 +357,7 @@ def _spread_of_minima(surface: CostSurface, found: Sequence[BatchFit], variance:
     total = np.zeros((len(surface.free), len(surface.free)))
     for one, weight in zip(found, share / share.sum(), strict=True):
         z = (one.x - found[0].x)[surface.free] / surface.scale
-        values, vectors, known = batch.determined(surface.equations(one.x).A)
-        total += weight * (np.outer(z, z) + (vectors[:, known] / values[known]) @ vectors[:, known].T * variance)
+        total += weight * (np.outer(z, z) + batch.covariance(surface.equations(one.x).A) * variance)
     return total
 
 

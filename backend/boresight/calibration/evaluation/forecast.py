@@ -29,12 +29,12 @@ from boresight.calibration.advice import remedies, too_few
 from boresight.calibration.calibrate import choose_match_mode, select_free_parameters
 from boresight.calibration.calibration import Observability
 from boresight.calibration.corrections import with_directions
-from boresight.calibration.estimate import Estimate, Parameters, covariance, never, run_batch
+from boresight.calibration.estimate import Estimate, Parameters, never, run_batch
 from boresight.calibration.matching.matched import Dataset
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.result import numbers, observability_view
-from boresight.estimation.batch import normal_equations, sigma_in_scale
+from boresight.estimation.batch import covariance, normal_equations, sigma_in_scale
 from boresight.estimation.singular_values import Selection
 from boresight.estimation.statistics.observability import Observability as Observed
 from boresight.estimation.statistics.observability import further_covariance, observability

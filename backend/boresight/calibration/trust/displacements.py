@@ -79,9 +79,9 @@ import numpy as np
 
 from boresight import kernels
 from boresight.arrays import FloatArray, IntArray
-from boresight.calibration.estimate import covariance
 from boresight.calibration.trust.fitted_set import FittedSet
 from boresight.estimation.arcs import ArcSet
+from boresight.estimation.batch import covariance
 from boresight.estimation.blocks import in_blocks
 from boresight.estimation.statistics.special import chdtri, fdtrc
 

@@ -21,11 +21,12 @@ from numpy.typing import NDArray
 
 from boresight import kernels
 from boresight.arrays import BoolArray, FloatArray
-from boresight.calibration.estimate import Estimate, Parameters, covariance
+from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
+from boresight.estimation.batch import covariance
 from boresight.estimation.blocks import in_blocks
 from boresight.kernels.frame_sums import frame_sums
 from boresight.sky.catalogue import Catalogue

@@ -58,12 +58,12 @@ from numpy.polynomial.legendre import legval
 from boresight.arrays import FloatArray
 from boresight.calibration.advice_kinds import Advice
 from boresight.calibration.calibration import Covariance, ModelMisfit, TrustTest, Values
-from boresight.calibration.estimate import covariance
 from boresight.calibration.trust.departures import SOUGHT, find_quantities, half_diagonal
 from boresight.calibration.trust.displacements import Score, ScoreSums, expect, find_score
 from boresight.calibration.trust.fitted_set import FittedSet
 from boresight.calibration.trust.trust_tests import STAYING, gate_of_test
 from boresight.cameras.model import Role
+from boresight.estimation.batch import covariance
 from boresight.estimation.robust import measure_huber_effect
 from boresight.estimation.statistics.consistency import chi_square
 from boresight.estimation.statistics.special import chdtrc
@@ -233,11 +233,8 @@ def _of_departures(
             break
         best = joint[place]
         taken.append(left[place])
-    others = [
-        name
-        for name in SMOOTH
-        if name in scores and name not in taken and any(gate_of_test(one) == LENS for one in counted)
-    ]
+    of_lens = any(gate_of_test(one) == LENS for one in counted)
+    others = [name for name in SMOOTH if of_lens and name in scores and name not in taken]
     if not taken and not others:
         return np.zeros_like(sums.A), ()
     d, uncertainty = expect(sums, taken, others)

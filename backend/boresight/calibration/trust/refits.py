@@ -38,11 +38,11 @@ from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray
 from boresight.calibration.calibration import DroppedParameter, HalvesMap, HalvesTest, TwoHalves
-from boresight.calibration.estimate import covariance
 from boresight.calibration.minima import MOST_RESTARTS, LowerMinimum
 from boresight.calibration.trust.fitted_set import ARCSEC, FittedSet, Unavailable, chosen, grid, nested, probability
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
+from boresight.estimation.batch import covariance
 from boresight.estimation.minima import LOWER, CostSurface, is_within_reach
 from boresight.estimation.statistics.consistency import chi_square
 from boresight.estimation.statistics.special import chdtrc, chdtri

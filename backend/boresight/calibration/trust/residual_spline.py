@@ -25,7 +25,7 @@ from boresight.calibration.trust.flaws import find_flaw
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import CameraModel
 from boresight.estimation import residual_spline as splines
-from boresight.estimation.batch import determined
+from boresight.estimation.batch import covariance
 from boresight.estimation.residual_spline import Fit, PixelRows
 from boresight.estimation.statistics.consistency import CLEAR_SIGMAS
 
@@ -114,8 +114,7 @@ def _explanation(fitted: FittedSet, fit: Fit, camera: CameraModel) -> SplineExpl
         return None
     gamma, beta = (splines.write_as_spline(data.row, data.col, field) for field in found)
     g, taken = data.g - data.M @ gamma[:, 0], data.M @ beta
-    values, vectors, known = determined(beta.T @ taken)
-    inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T
+    inverse = covariance(beta.T @ taken)
     left = splines.find_spectrum(
         data.row, data.col, data.M - taken @ inverse @ taken.T, g - taken @ inverse @ (beta.T @ g)
     )

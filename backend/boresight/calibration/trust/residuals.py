@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from boresight.arrays import BoolArray, FloatArray
 from boresight.calibration.calibration import Residuals
-from boresight.calibration.estimate import covariance
 from boresight.calibration.evaluation.pixel_residuals import FreeCovariance, pixel_residuals
 from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, nested
 from boresight.estimation.arcs import ArcSet
+from boresight.estimation.batch import covariance
 
 MOST_FRAMES = 1500
 MOST_SHOWN = 2000

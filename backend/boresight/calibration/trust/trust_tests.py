@@ -24,13 +24,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from boresight.calibration.calibration import TrustTest
-from boresight.calibration.estimate import covariance
 from boresight.calibration.trust.displacements import Score, ScoreSums
 from boresight.calibration.trust.field import two_sided
 from boresight.calibration.trust.fitted_set import FAMILY_LEVEL, FittedSet, probability
 from boresight.calibration.trust.innovations import deviates
 from boresight.calibration.trust.residuals import StarResiduals
 from boresight.calibration.trust.stars import StarTable
+from boresight.estimation.batch import covariance
 from boresight.estimation.statistics.consistency import CONFIDENCE
 from boresight.estimation.statistics.special import chdtrc, ndtr
 

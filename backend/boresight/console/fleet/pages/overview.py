@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Annotated, Any
@@ -97,18 +97,24 @@ def _requests(session: Session, where: Mapping[str, Any], level: str, words: str
     return WaitingItems(lists.count(session, "approvals", where), first)
 
 
+def _first_of(told: Iterable[tuple[str, str]], label: str) -> WaitingItems:
+    """Count the waiting items that a sentence and an address tell of, and write the first few."""
+    every = list(told)
+    return WaitingItems(len(every), [WaitingAction("standby", *one, label) for one in every[:MOST_ACTIONS]])
+
+
 def _mentions(remarks: Sequence[Remark]) -> WaitingItems:
     """Write where others mentioned a person who has not answered."""
-    first = [
-        WaitingAction(
-            "standby",
-            f"{remark.printed_name} mentions you on request {remark.approval_id}.",
-            f"/approvals/{remark.approval_id}#remark-{remark.id}",
-            "Answer",
-        )
-        for remark in remarks[:MOST_ACTIONS]
-    ]
-    return WaitingItems(len(remarks), first)
+    return _first_of(
+        (
+            (
+                f"{remark.printed_name} mentions you on request {remark.approval_id}.",
+                f"/approvals/{remark.approval_id}#remark-{remark.id}",
+            )
+            for remark in remarks
+        ),
+        "Answer",
+    )
 
 
 def _proposals(session: Session, actor: Actor) -> WaitingItems:
@@ -117,16 +123,13 @@ def _proposals(session: Session, actor: Actor) -> WaitingItems:
         for row in proposals.list_open_proposals(session)
         if proposals.explain_why_not_decide(session, actor, row) is None
     ]
-    first = [
-        WaitingAction(
-            "standby",
-            f"A change of the {proposals.TITLES[row.kind]} waits for a second person.",
-            f"/change-proposals/{row.id}",
-            "Review",
-        )
-        for row in able[:MOST_ACTIONS]
-    ]
-    return WaitingItems(len(able), first)
+    return _first_of(
+        (
+            (f"A change of the {proposals.TITLES[row.kind]} waits for a second person.", f"/change-proposals/{row.id}")
+            for row in able
+        ),
+        "Review",
+    )
 
 
 def _alignments(session: Session, actor: Actor, policy: Policy) -> WaitingItems:
@@ -135,16 +138,13 @@ def _alignments(session: Session, actor: Actor, policy: Policy) -> WaitingItems:
         for row in alignment_queries.list_newest_requests(session, MOST_ALIGNMENTS, state="OPEN")
         if alignment_approval.explain_why_not_sign(session, actor, row, policy) is None
     ]
-    first = [
-        WaitingAction(
-            "standby",
-            f"Alignment {row.alignment_id} waits for your signature.",
-            f"/alignments/{row.alignment_id}",
-            "Review",
-        )
-        for row in able[:MOST_ACTIONS]
-    ]
-    return WaitingItems(len(able), first)
+    return _first_of(
+        (
+            (f"Alignment {row.alignment_id} waits for your signature.", f"/alignments/{row.alignment_id}")
+            for row in able
+        ),
+        "Review",
+    )
 
 
 def _alarms(session: Session, actor: Actor, names: Mapping[int, str]) -> WaitingItems:
