@@ -39,6 +39,8 @@ OF_RUNS = (  # need a set that was promoted, or a filter that was watched, which
     "test_refused_approval.py", "test_run_page.py", "test_same_numbers.py",
 )  # fmt: skip
 OF_THE_SITE = ("tests/browser/test_documentation_pages.py", "tests/test_documentation_site.py")
+# So that the helpers of tests say what differs, as the tests do.
+pytest.register_assert_rewrite(*(f"tests.{folder.name}" for folder in TESTS.iterdir() if folder.is_dir()))
 FIRST = ("browser", "workers", "test_new_things.py", "benchmarks", "transitions", "test_wheel.py")  # takes longest
 
 
