@@ -4,8 +4,11 @@ import html
 import re
 from datetime import datetime
 from urllib.parse import quote
+from uuid import UUID
 
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from boresight.console.access import preferences, users
 from boresight.console.access.queries import write_preference
@@ -123,6 +126,14 @@ def test_numbers_in_sentences_are_written_as_in_tables_and_what_people_wrote_or_
         '<i data-at="-1,200"><code>-1,200</code><q>5% of 1,200</q><input value="-5%"><svg><path d="M-1,200"/></svg></i>'
     )
     assert show_numbers(kept) == kept
+    assert show_numbers("<p>from -1.2e-05 to 3e+10</p>") == f"<p>from {minus}1.2·10⁻⁵ to 3·10¹⁰</p>"
+
+
+@example("26d2f85e27011179f2e80f119e0552e3", UUID("26d2f85e-1e11-4179-92e8-0f119e0552e3"), "gap-")
+@given(st.text("0123456789abcdef", min_size=7, max_size=64), st.uuids(), st.sampled_from(["", "gap-", "sha256:"]))
+def test_no_checksum_or_identifier_in_a_sentence_is_taken_for_a_number(digest, uuid, before):
+    page = f"<p>{before}{digest}, {uuid}, {str(uuid)[:8]}</p>"
+    assert show_numbers(page) == page
 
 
 def test_fields_are_filled_in_as_times_are_shown(site):

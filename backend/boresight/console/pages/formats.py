@@ -92,11 +92,13 @@ def show_times(page: str, style: TimeStyle) -> str:
 #: A number as a terminal or a log has it: a hyphen for the sign, commas, a power of ten with an e, a % without a space, urad. Each
 #: begins with one of few letters, which a page of many is searched for quickly.
 PLAIN_NUMBER = re.compile(
-    r"[-,%eu](?:(?<![\w.,/#‐-]-)(?<=-)(?=\.?\d)|(?<=\d,)(?=\d{3}(?:,\d{3})*(?![\d,]))|(?<=\d%)|(?<=\de)[+-]?\d+(?!\w)"
+    r"[-,%eu](?:(?<![\w.,/#‐-]-)(?<=-)(?=\.?\d)|(?<=\d,)(?=\d{3}(?:,\d{3})*(?![\d,]))|(?<=\d%)|(?<=\de)[+-]?\d{1,3}(?![\w-])"
     r"|(?<!\wu)(?<=u)rad(?!\w))"
 )
 #: What stands before a comma that parts thousands.
 THOUSANDS = re.compile(r"(?:^|[^\w.,-])\d{1,3}(?:,\d{3})*$")
+#: What stands before the e of a power of ten, and not before an e among the digits of a checksum.
+MANTISSA = re.compile(r"(?:^|[^\w.,-]|(?<!\w)-)\d(?:\.\d+)?$")
 MOST_DIGITS = 40
 QUOTED = ("<q", "<blockquote", "<title")  # what people wrote
 
@@ -109,16 +111,16 @@ def show_numbers(page: str) -> str:
         if ">" not in tag or tag.startswith((*AS_WRITTEN, *QUOTED)):
             return found[0]
         text = found[0]
+        before = max(found.start() - MOST_DIGITS, 0), found.start()
         if text == ",":
-            is_number = THOUSANDS.search(page, max(found.start() - MOST_DIGITS, 0), found.start())
-            return NARROW_SPACE if is_number else text
+            return NARROW_SPACE if THOUSANDS.search(page, *before) else text
         if text == "-":
             return MINUS
         if text == "%":
             return f"{NARROW_SPACE}%"
         if text == "urad":
             return "µrad"
-        return f"·10{str(int(text[1:])).translate(RAISED)}"
+        return f"·10{str(int(text[1:])).translate(RAISED)}" if MANTISSA.search(page, *before) else text
 
     return PLAIN_NUMBER.sub(show, page)
 
