@@ -53,7 +53,11 @@ PATIENCE_MS = 240_000  # nothing here is a claim about speed, and a machine may 
 TRACES = """figure => figure._fullData.map(t => Object.fromEntries(
     ["type", "name", "x", "y", "z", "text", "customdata", "fill", "visible"].map(key => [key, plain(t[key])])
 ))"""
-SETTLED = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 50))))"
+# A page that is about to be left may draw nothing any more, and an evaluation has no time limit of its own.
+SETTLED = """new Promise(done => {
+    requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 50)));
+    setTimeout(done, 5000);
+})"""
 HIGHEST_PX = 420
 #: Where the first figure's axes begin, as soon as they are drawn, or what stands in its place.
 FIRST = """() => {
