@@ -95,6 +95,7 @@ SCROLLED = """() => [...document.querySelectorAll("table[data-pinned]")].map(tab
 COLUMNS = 12  # a name, a unit and ten runs
 
 
+@pytest.mark.full
 def test_of_many_runs_what_is_compared_and_the_reference_stay_in_sight_while_the_others_are_scrolled(
     people, batch_run, sequential_run
 ):

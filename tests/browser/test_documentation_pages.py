@@ -33,6 +33,7 @@ def address(built_site):
     server.server_close()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("width", few_of([390, 1440], 1))
 def test_a_page_of_the_documentation_fits_and_keeps_nobody_out(browser, address, width):
     context = browser.new_context(viewport={"width": width, "height": 900}, reduced_motion="reduce")

@@ -51,6 +51,7 @@ def test_a_preset_keeps_what_was_typed_and_its_campaign_is_followed_to_its_end(p
         window.holds_in_themes_and_widths("campaign")
 
 
+@pytest.mark.full
 def test_more_options_are_opened_and_chosen_by_keyboard_alone(people, telemetry):
     with people.seat("analyst") as window:
         window.open(f"/runs/new?set={telemetry['calibration']}")

@@ -46,6 +46,7 @@ def test_a_run_without_enough_stars_says_so_and_shows_no_number(people, sparse_s
         assert set(window.result(run_id)["sigma"].values()) == {None}
 
 
+@pytest.mark.full
 def test_a_run_whose_data_are_lost_fails_with_its_cause_and_what_to_try(people, installation, sparse_set):
     with people.seat("analyst") as window:
         known = window.read(f"/api/v1/telemetry-sets/{sparse_set}")

@@ -28,6 +28,7 @@ def action(number):
     }
 
 
+@pytest.mark.full
 def test_the_tab_counts_what_waits_and_what_has_come_is_told_once_where_it_was_asked_for(people):
     with people.seat("approver") as window:
         waiting = [action(1), action(2)]

@@ -49,6 +49,7 @@ CONTRACT = {
 }  # fmt: skip
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_writes_the_contracts_document_and_finds_the_truth(method, calibrated, make_telemetry):
     document = calibrated(make_telemetry(1, frames=80), method=method, validation=make_telemetry(2))
@@ -87,7 +88,7 @@ def by_every_method():
         yield pytest.param(model, method, marks=[] if here else pytest.mark.full)
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(8)
 @pytest.mark.parametrize(("model", "method"), list(by_every_method()))
 def test_every_camera_by_every_method_ends_at_the_truth_as_its_sigmas_say_and_no_batch_is_called_curved(
     model, method, catalogue
@@ -133,6 +134,7 @@ def test_a_covariance_that_does_not_hold_is_said_with_what_to_hold_and_that_mend
     assert not is_curved(result.observability.chi2_rise)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("method", METHODS)
 def test_the_matrix_of_the_document_is_the_square_of_its_sigmas(method, sensor, calibrated, make_telemetry):
     document = calibrated(make_telemetry(3), method=method, free=("f_m", "b2_per_m2"))
@@ -209,6 +211,7 @@ def test_a_cancel_stops_every_method(method, sensor, catalogue, make_telemetry):
         ).to_dict()
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("method", METHODS)
 def test_progress_carries_a_document_from_which_figures_can_draw(method, calibrated, make_telemetry, monkeypatch):
     heard = []

@@ -85,6 +85,7 @@ def test_every_stored_example_keeps_the_schema_and_comes_back_the_same(name):
     assert holds(once.to_dict(), document)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("method", METHODS)
 def test_a_result_of_every_method_keeps_the_schema_and_comes_back_the_same(
     calibrated, make_telemetry, tmp_path, method

@@ -51,6 +51,7 @@ def spoiled(sets, catalogue, catalogue_folder):
     return one, diagnose(one.telemetry, one.sensor, catalogue, cache_folder=catalogue_folder)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("case", few_of([*FIRST, *(one for one in SIMULATED if one not in FIRST)], 3), ids=str)
 def test_a_mistake_is_named_and_its_mend_matches_the_true_stars(sets, catalogue, catalogue_folder, case):
     name, mistakes = case

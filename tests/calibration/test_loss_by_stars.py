@@ -69,6 +69,7 @@ def test_of_gaussian_noise_95_percent_of_the_information_is_left(catalogue):
     assert np.mean(shares) == pytest.approx(0.95, abs=0.03)
 
 
+@pytest.mark.full
 def test_heavy_tails_cost_least_squares_more_than_the_loss_by_stars(catalogue):
     rng, telemetry = RNG(4), field(9, frames=150, noise_px=0.0)
     noise = st16().centroid_sigma_px * rng.standard_t(2.2, size=(2, len(telemetry)))

@@ -194,6 +194,7 @@ def nees(found):
     return float(d @ np.linalg.solve(np.array(found.covariance.matrix), d))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("changes", few_of([{"sigma_dex_per_mag": 0.2}, {"sigma_px": 0.05, "curve_px": 0.1}], 1))
 def test_applied_from_the_data_the_sigmas_are_true_where_the_stated_noise_misleads(catalogue, changes):
     n, of, inside = effort(4, 200), {"stated": [], "from-data": []}, {"stated": 0, "from-data": 0}

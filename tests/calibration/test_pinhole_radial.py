@@ -53,6 +53,7 @@ def results(scenario, telemetry, catalogue):
     return calibrated
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("method", few_of(["batch", "sqrf", "ekf", "ukf"], 2))
 def test_every_method_finds_the_truth_within_what_it_claims(results, method):
     result = results(method)

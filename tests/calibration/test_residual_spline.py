@@ -48,6 +48,7 @@ def judged(telemetry, sensor, catalogue, **settings):
     return case(telemetry, sensor, catalogue, **settings).trust
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("method", METHODS)
 def test_what_a_radial_model_leaves_of_a_tangential_lens_is_said_with_the_model_that_has_it(method, catalogue):
     telemetry = seen_by("brown_conrady", TANGENTIAL, 3, parity=-1)

@@ -135,7 +135,7 @@ def off(document, other):
     )
 
 
-@pytest.mark.few(1)
+@pytest.mark.full
 @pytest.mark.parametrize("method", ["sqrf", "angular", "svd"])
 def test_a_few_dense_fields_are_taken_in_at_once_and_end_where_the_batch_does(dense_calibrated, method):
     for seed in (0, 1, 3):

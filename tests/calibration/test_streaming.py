@@ -85,6 +85,7 @@ def test_every_method_gives_the_same_bits_from_a_file_in_pieces_whoever_computes
     assert same_in_pieces(*long_set, sensor, catalogue, frames, match="given", **choices)["status"] == "converged"
 
 
+@pytest.mark.full
 def test_no_size_of_the_pieces_changes_a_bit(long_set, sensor, catalogue):
     with mock.patch("boresight.calibration.calibrate.evaluate_result", lambda found, *_, **__: found):
         whole = in_memory(long_set[1], sensor, catalogue, match="given")

@@ -25,6 +25,7 @@ from tests.effort import effort
 from tests.estimation.fields import TRUTH
 
 
+@pytest.mark.full
 def test_two_halves_of_clean_sets_differ_as_their_covariances_say(sensor, catalogue):
     parts = [to_plain(two_halves(case(field(1000 + seed, frames=30), sensor, catalogue).ground)) for seed in range(60)]
     test = chi_square(sum(part["chi2"]["value"] for part in parts), 8 * 60)
@@ -321,6 +322,7 @@ def _line(x, y, sigma):
     return np.sum(w * x * y) / np.sum(w * x * x), 1 / np.sqrt(np.sum(w * x * x))
 
 
+@pytest.mark.full
 def test_a_constant_camera_is_called_drifting_in_no_more_sets_than_the_level(sensor, catalogue):
     parts = [to_plain(whiteness(case(field(seed), sensor, catalogue).ground)) for seed in range(60)]
     assert sum(not part["white"] for part in parts) <= 4  # more of 60 at 2 % is a chance of 0.7 %
@@ -329,6 +331,7 @@ def test_a_constant_camera_is_called_drifting_in_no_more_sets_than_the_level(sen
     assert np.mean(of_one < 0.05) < 0.17
 
 
+@pytest.mark.full
 def test_a_good_batch_is_outside_its_bounds_as_often_as_chance_and_corrected_for_what_frames_decided(sensor, catalogue):
     sets = effort(6, 12)
     parts = [to_plain(nis_over_time(case(field(seed, frames=60), sensor, catalogue).ground)) for seed in range(sets)]

@@ -214,6 +214,7 @@ def test_steps_at_events_are_those_that_are_beyond_chance(sensor, catalogue):
     assert step.sentence.endswith(f"at {events[1]}")
 
 
+@pytest.mark.full
 def test_a_walk_lies_between_one_camera_and_one_for_each_pass(sensor, catalogue):
     sets = moved(STEPS, days=[0, 1, 2, 3])
     sigma = [
@@ -276,6 +277,7 @@ def test_passes_in_files_give_the_numbers_of_passes_in_memory(sensor, catalogue,
     assert differences(whole.to_dict(), pieces.to_dict()) == []
 
 
+@pytest.mark.full
 def test_errors_of_the_last_pass_are_spread_as_its_covariance_says(sensor, catalogue):
     rng, total, sets = np.random.default_rng(9), 0.0, 100
     link = Linked(np.array([0]), np.array([[0.0], [4.0], [4.0]]))

@@ -156,6 +156,7 @@ def test_a_size_of_a_stored_file_that_was_edited_is_named(store, tmp_path):
     assert (found.exit_code, f"{path.name[:12]} (of no row): another size" in found.stderr) == (1, True)
 
 
+@pytest.mark.full
 def test_twenty_bits_flipped_in_stored_files_are_twenty_noticed(store, tmp_path):
     accepted(store("migrate"))
     dice = random.Random(13)  # noqa: S311 - the same flips every time

@@ -186,6 +186,7 @@ def test_what_is_not_given_keeps_the_default_of_the_settings(boresight, simulate
     assert result["inputs"]["settings"] == CalibrationSettings().document()
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("words", "kept"),
     [

@@ -280,6 +280,7 @@ def in_folder(folder, *words):
     )
 
 
+@pytest.mark.full
 def test_a_report_goes_to_standard_output_and_no_file_is_made(calibration, tmp_path):
     done = in_folder(tmp_path, "report", calibration, "--out", "-")
     assert done.returncode == 0, done.stderr

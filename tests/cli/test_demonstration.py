@@ -90,6 +90,7 @@ def filled(tmp_path_factory):
     return demonstration
 
 
+@pytest.mark.full
 def test_the_demonstration_is_made_in_under_ten_seconds_of_one_processor(filled):
     assert filled.took_s < 10.0
 
@@ -162,6 +163,7 @@ def test_making_it_again_changes_nothing_and_gives_the_same_log_ins(filled):
     assert sum("its batch run is there already" in sentence for sentence in filled.said[already:]) == 6
 
 
+@pytest.mark.full
 def test_archived_sets_and_edited_people_are_left_as_they_are(tmp_path):
     demonstration = Demonstration(tmp_path)
     demonstration.create()
@@ -177,6 +179,7 @@ def test_archived_sets_and_edited_people_are_left_as_they_are(tmp_path):
     assert demonstration.content() == before
 
 
+@pytest.mark.full
 def test_a_demonstration_that_was_interrupted_is_completed(tmp_path, monkeypatch):
     demonstration = Demonstration(tmp_path)
     with monkeypatch.context() as interruption:

@@ -180,6 +180,7 @@ def many(engine):
     return engine
 
 
+@pytest.mark.full
 @pytest.mark.sqlite("timed is this thread, and PostgreSQL computes in a process of its own")
 def test_a_page_of_fifty_thousand_runs_is_there_within_a_tenth_of_a_second(many):
     took = {}
@@ -195,6 +196,7 @@ def test_a_page_of_fifty_thousand_runs_is_there_within_a_tenth_of_a_second(many)
     assert statistics.median(took.values()) < QUICK_S, took
 
 
+@pytest.mark.few(16)
 @pytest.mark.parametrize("table", lists.NAMES, ids=lambda table: table.__name__)
 def test_every_listed_table_has_its_newest_rows_narrowed_by_each_filter(store, table):
     with open_reading(store) as session:

@@ -56,6 +56,7 @@ def test_every_choice_of_a_calibration_is_described_where_settings_are_given(ope
     assert set(shape["properties"]["settings"]["properties"]) == set(OPTIONS)
 
 
+@pytest.mark.few(10)
 @pytest.mark.parametrize("verb", VERBS, ids=lambda operation: operation["operationId"])
 def test_get_of_a_verb_is_405_and_says_what_it_takes(verb, house):
     path = re.sub(r"{\w+}", "1", verb["path"])

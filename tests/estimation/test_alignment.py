@@ -170,6 +170,7 @@ def test_it_is_the_dense_least_squares_over_all_attitudes_rotation_and_cameras(o
     assert found.chi2 == pytest.approx(np.sum((weight @ least) ** 2), rel=1e-9)
 
 
+@pytest.mark.full
 def test_outliers_are_named_and_a_sound_set_loses_next_to_none():
     """30 of 100 pairs wrong by a degree or by twenty sigmas are left out, and no other."""
     rng = np.random.default_rng(4)
@@ -207,6 +208,7 @@ def assert_chi_square(values, dof):
     )
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     "choices",
     few_of(
@@ -249,6 +251,7 @@ def test_the_rotation_to_load_is_that_between_the_reported_attitudes():
     assert np.mean(of_frames) > np.mean(nees)
 
 
+@pytest.mark.full
 def test_what_the_cameras_share_does_not_average_down():
     """With four hundred pairs the sigma stays that of the cameras; without it the errors are several sigmas."""
     naive = []
@@ -296,6 +299,7 @@ def test_a_slope_over_temperature_is_found_and_recovered_and_none_is_invented():
     assert binomtest(invented, rounds, 0.01).pvalue > 0.001
 
 
+@pytest.mark.full
 def test_a_drift_a_day_is_found_where_temperature_does_not_explain_it():
     drift = np.array([3000.0, 0.0, -9000.0]) * ARCSEC
     for seed in range(10):

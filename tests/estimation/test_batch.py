@@ -164,6 +164,7 @@ def test_an_infinite_threshold_is_least_squares_and_one_below_every_arc_leaves_n
     assert paid.information_share == 0
 
 
+@pytest.mark.full
 def test_under_gaussian_noise_sigmas_stay_honest_and_cost_a_fortieth():
     total, beyond, widened = 0.0, 0.0, []
     for seed in range(SETS):
@@ -177,6 +178,7 @@ def test_under_gaussian_noise_sigmas_stay_honest_and_cost_a_fortieth():
     assert np.mean(widened) == pytest.approx(1.026, abs=0.01)
 
 
+@pytest.mark.full
 def test_with_two_stars_in_a_hundred_wrong_it_stays_near_the_truth_and_least_squares_does_not():
     robust, plain = 0.0, []
     for seed in range(SETS):
@@ -231,6 +233,7 @@ def test_its_information_equals_the_plain_sandwich():
     np.testing.assert_allclose(worth.held, held, rtol=1e-5, atol=1e-6 * np.abs(held).max())
 
 
+@pytest.mark.full
 def test_its_errors_are_spread_as_the_sandwich_says_and_a_third_wider_than_those_of_arclengths():
     held, claimed, errors, errors_of_arcs = 0.0, 0.0, [], []
     for seed in range(COSINE_SETS):

@@ -31,6 +31,7 @@ def degrees(sums, t):
     return [int(kept[link.of == place].sum()) for place in OWN]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("truth", [(0, 0), (1, 0), (2, 1), (3, 0)], ids=str)
 def test_a_degree_is_too_high_as_rarely_as_the_level_says(truth):
     sets, wrong, right = effort(400, 4000), 0, 0

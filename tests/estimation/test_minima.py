@@ -171,6 +171,7 @@ def spread_of(problem, free, scale):
     return found, minima.measure_spread(found, path, 1.0, np.random.default_rng(3))
 
 
+@pytest.mark.full
 def test_the_spread_of_a_bent_valley_is_the_integral_over_a_grid(monkeypatch):
     monkeypatch.setattr(minima, "ENOUGH", 3000.0)
     monkeypatch.setattr(minima, "MOST_DRAWS", 20_000)
@@ -206,6 +207,7 @@ def errors_in_spread(sets):
         )
 
 
+@pytest.mark.full
 def test_errors_of_sparse_sets_are_within_their_spread():
     within, claimed = np.array(list(errors_in_spread(6))).T
     assert len(within) >= 4
@@ -238,6 +240,7 @@ def coverage(exposures, stars, sets):
     return inside / known
 
 
+@pytest.mark.full
 def test_profile_intervals_hold_the_truth():
     assert coverage(10, 12, 8) > 0.7
 

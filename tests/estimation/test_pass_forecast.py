@@ -45,6 +45,7 @@ def test_the_forecast_is_that_of_dense_conditioning_on_all_passes():
     assert found.forecast.covariance / np.outer(model.scale, model.scale) == pytest.approx(covariance, rel=1e-5)
 
 
+@pytest.mark.full
 def test_false_jumps_are_as_many_as_the_level_says_at_most_and_come_by_themselves():
     rng, alpha, passes, trials = np.random.default_rng(11), 0.02, 80, effort(20, 60)
     told = []

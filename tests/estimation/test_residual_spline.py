@@ -236,6 +236,7 @@ def test_the_tail_of_a_weighted_sum_of_chi_squares_is_that_of_its_special_cases_
         assert rs.quadratic_tail(q, w) == pytest.approx(imhof, rel=0.05, abs=1e-4)
 
 
+@pytest.mark.full
 def test_with_the_right_model_it_claims_something_at_the_stated_rate():
     n = effort(60, 400)
     p = np.array([

@@ -162,6 +162,7 @@ def test_the_sum_of_two_equal_values_has_a_slope_where_neither_has():
     assert abs((ahead - behind)[1] / 2 - slope[1]) > 1e-8
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("model", STAR_MODELS)
 def test_the_covariance_of_overlapping_combinations_is_that_of_many_noisy_exposures(model):
     rng = np.random.default_rng(6)
@@ -196,6 +197,7 @@ def test_the_gain_form_equals_the_information_form(method, linearisations, noise
     np.testing.assert_array_equal(forms[1].dof, forms[0].dof)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("model", STAR_MODELS)
 def test_every_model_is_consistent_over_many_sets(model):
     errors = []

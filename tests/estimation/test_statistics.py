@@ -269,6 +269,7 @@ def _drawn(rng: np.random.Generator, mean: np.ndarray, covariance: np.ndarray) -
     return mean + SPREADS * (L @ rng.standard_normal(K))
 
 
+@pytest.mark.full
 def test_the_baseline_test_keeps_its_false_alarm_rate_and_with_diagonal_covariances_would_not() -> None:
     rng = np.random.default_rng(7)
     P, B = _covariance(rng, 1.0), _covariance(rng, 0.3)
@@ -280,6 +281,7 @@ def test_the_baseline_test_keeps_its_false_alarm_rate_and_with_diagonal_covarian
     assert np.mean(found) > 2 * ALPHA
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("thermal", [0.0, 0.4])
 def test_the_slope_test_raises_no_more_false_alarms_than_it_says(thermal: float) -> None:
     rng = np.random.default_rng(11)

@@ -128,6 +128,7 @@ def test_where_the_sums_were_taken_does_not_matter():
     assert gaps == pytest.approx([0.0, 0.0], abs=1e-7)
 
 
+@pytest.mark.full
 def test_a_drift_is_found_without_bias_and_lies_in_its_intervals_as_often_as_they_say():
     truth, days, sets = np.array([0.15, 0.4]), np.full(29, 1.5), effort(40, 200)
     logs, inside = [], {1.0: [], 3.841458820694124: []}

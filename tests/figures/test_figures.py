@@ -28,6 +28,7 @@ def words(drawn: go.Figure) -> str:
     return " ".join(str(annotation.text) for annotation in drawn.layout.annotations)
 
 
+@pytest.mark.few(12)
 @EVERY_FIGURE
 @pytest.mark.parametrize("method", ["sequential", "batch"])
 def test_a_finished_run_is_drawn_in_svg_with_something_on_it_as_a_pure_function(
@@ -56,6 +57,7 @@ class Watched(Calibration):
         return super().__getattribute__(name)
 
 
+@pytest.mark.few(12)
 @EVERY_FIGURE
 def test_every_member_may_be_missing_and_the_figure_says_what_is(figure, sequential_result):
     whole = Watched(**vars(sequential_result))
@@ -84,6 +86,7 @@ def test_a_comparison_gives_each_run_its_own_colour_and_a_legend_entry(figure, s
         assert "#d9730d" in text or figure.name in FIRST_RUN_ONLY
 
 
+@pytest.mark.few(8)
 @EVERY_FIGURE
 def test_zoom_survives_a_refresh_and_white_is_one_template_away(figure, sequential_result):
     first, second = (figure.draw([Trace("Run", sequential_result)]) for _ in range(2))
@@ -94,6 +97,7 @@ def test_zoom_survives_a_refresh_and_white_is_one_template_away(figure, sequenti
     assert first.layout.font.color is None
 
 
+@pytest.mark.few(8)
 @EVERY_FIGURE
 def test_a_label_cannot_bring_markup_into_the_page(figure, sequential_result):
     labels = ["<b>bold</b><a href='x'>link</a>", "other"]
@@ -116,6 +120,7 @@ def test_the_table_has_columns_of_one_length_and_no_thinning(figure, method, seq
 MOST_BYTES = 400_000
 
 
+@pytest.mark.few(12)
 @EVERY_FIGURE
 @pytest.mark.parametrize("names", [("filter",), ("batch",), ("filter", "batch")], ids="-".join)
 def test_every_figure_has_something_to_draw_of_the_example(figure, names):

@@ -161,7 +161,7 @@ def test_putting_thinning_off_ends_with_the_block_and_an_empty_window_is_refused
         focus(go.Figure(), 3, 3)
 
 
-@pytest.mark.few(8)
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", FIGURES)
 def test_no_figure_of_twenty_long_runs_is_over_500_kb(name, long_result):
     alone, many = ([Trace(f"Run {k} · ST-1", long_result) for k in range(n_runs)] for n_runs in (1, 20))

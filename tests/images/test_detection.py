@@ -44,7 +44,7 @@ def normalised(found, row, col):
     return (errors**2 / found.covariance[:, :2])[near], int((~near).sum())
 
 
-@pytest.mark.few(2)
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("optics", "gain"),
     [
@@ -117,6 +117,7 @@ def test_a_set_whose_stars_stay_in_place_loses_no_star_to_hot_pixels():
     assert len(detect(images[0], common, options)) >= 0.9 * len(detect(images[0], alone, options)) > 20
 
 
+@pytest.mark.full
 def test_trails_give_no_star_and_their_pixels_are_counted(night, catalogue):
     optics = replace(Optics(zero_magnitude_e=3e5), trails=3.0)
     images = list(simulate_images(night, optics, np.random.default_rng(6), catalogue))
@@ -133,6 +134,7 @@ def test_trails_give_no_star_and_their_pixels_are_counted(night, catalogue):
         assert normalised(found, image.row_px, image.col_px)[1] <= 1
 
 
+@pytest.mark.full
 def test_saturated_stars_are_flagged_and_widened(night, catalogue):
     optics = Optics(zero_magnitude_e=8e6, bits=12, gain_e_per_dn=4.0)
     images = list(simulate_images(night, optics, np.random.default_rng(7), catalogue))

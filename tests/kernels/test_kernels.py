@@ -366,6 +366,7 @@ WORK = loops.scratch(40, 11, 50)
 # Wahba.
 
 
+@pytest.mark.full
 @settings(max_examples=effort(12, 60))
 @given(seed=st.integers(0, 2**32), n=st.integers(2, 14), noise=st.sampled_from([0.0, 1e-5, 1e-3]))
 def test_newton_steps_from_a_triad_reach_the_rotation_of_the_singular_values(seed, n, noise):
@@ -607,6 +608,7 @@ def test_two_detections_in_one_place_have_no_arc():
 # Attitude covariance.
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("n", [4, 12])
 def test_the_attitude_covariance_is_that_of_many_draws_of_noise_and_parameters(n):
     rng = np.random.default_rng(n)

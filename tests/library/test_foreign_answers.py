@@ -48,6 +48,7 @@ FOREIGN = {
 }
 
 
+@pytest.mark.few(20)
 @pytest.mark.parametrize("answer", FOREIGN.values(), ids=FOREIGN)
 @pytest.mark.parametrize(
     "ask",

@@ -179,6 +179,7 @@ def test_the_document_follows_its_schema(study):
     assert {cell["cause"] for row in rows for cell in row["cells"]} <= set(CAUSES)
 
 
+@pytest.mark.full
 def test_the_head_counts_every_printed_number_once_and_nothing_circular(study):
     cells = [
         (table["number"], row["label"], cell)

@@ -128,6 +128,7 @@ def study():
         return wu.run(wu.Plan(quick=True, frames=effort(60, 120), judges=effort(15, 30), sets=2, processes=1), None)
 
 
+@pytest.mark.full
 def test_the_document_follows_its_schema(study):
     assert study["schema"] == "boresight.reproduction/1"
     assert [table["number"] for table in study["tables"]] == ["2", "3", "4", "4.2"]
@@ -377,6 +378,7 @@ def test_nought_is_printed_without_a_sign_and_powers_of_ten_are_raised():
     ]  # fmt: skip
 
 
+@pytest.mark.full
 def test_a_set_is_the_same_whenever_it_is_run_and_too_few_images_are_refused():
     once, again = (run_trial(Trial(7, 40, 10), None) for _ in range(2))
     assert once == again

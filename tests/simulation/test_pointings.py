@@ -101,6 +101,7 @@ def _observe(plan, candidates, catalogue, rng):
     )  # fmt: skip
 
 
+@pytest.mark.full
 def test_a_forecast_comes_true_in_the_claimed_sigmas_and_in_the_errors(sky, catalogue):
     candidates, A_1, _ = sky
     plan = plan_pointings(candidates, A_1, KNOWN, HALF_HOUR)

@@ -293,7 +293,7 @@ def answers(number, parity, frames, catalogue, folder, x=None):
     return np.array(told)
 
 
-@pytest.mark.few(2)
+@pytest.mark.full
 @pytest.mark.parametrize("case", few_of([(1, 1), (3, -1), *((number, 1) for number in range(2, 7))], 2))
 def test_under_a_ground_calibration_rich_fields_of_either_parity_are_recognised_and_none_wrongly(
     case, catalogue, folder

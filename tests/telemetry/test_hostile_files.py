@@ -56,6 +56,7 @@ def names():
     return [name if name in QUICK else pytest.param(name, marks=pytest.mark.full) for name in hostile_files.FILES]
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("name", names())
 def test_a_hostile_file_ends_soon_and_in_little_memory(name, reading, tmp_path):
     path = tmp_path / name

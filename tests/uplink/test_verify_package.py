@@ -99,6 +99,7 @@ TAMPERED = {
 }
 
 
+@pytest.mark.few(5)
 @pytest.mark.filterwarnings("ignore:Duplicate name")
 @pytest.mark.parametrize("how", TAMPERED)
 def test_a_package_that_was_touched_is_refused(run, package, how):

@@ -398,6 +398,7 @@ def status(name, score, **entry):
     return next(one.status for one in report.gates if one.name == name)
 
 
+@pytest.mark.full
 def test_a_set_exactly_at_the_limit_is_failed_no_more_often_than_once_in_forty_times_or_so(catalogue):
     better, worse = known(TRUTH), known(TRUTH + 0.02 * SENSOR.typical_sigma)
     limit = scores(better, worse, 1, catalogue, frames=1500)["validation-rms-incumbent"].value

@@ -40,6 +40,7 @@ def test_a_worker_keeps_the_memory_that_it_will_need_again(cluster):
     assert set(thresholds) == {None}, "every array of 64 kB would be given back and come again in pages that fault"
 
 
+@pytest.mark.full
 def test_the_scheduler_and_the_nannies_leave_the_server_its_processor(cluster):
     nannies = list(cluster._local.workers.values())
     assert [type(nanny) for nanny in nannies] == [Nanny, Nanny]

@@ -77,6 +77,7 @@ def start_cluster():
         process.wait()
 
 
+@pytest.mark.full
 def test_a_run_on_a_killed_scheduler_is_computed_again_by_the_next(make_store, start_dispatcher, start_cluster):
     store = make_store(scheduler=f"tcp://127.0.0.1:{free_port()}", lease_s="600")
     (run_id,) = store.launch("stuck")

@@ -60,6 +60,7 @@ def processes(folder: Path, kind: str = "piece") -> list[int]:
     return [int(path.name.split("-")[-2]) for path in paths]
 
 
+@pytest.mark.full
 def test_two_workers_compute_the_pieces_of_one_run_and_their_results_come_in_order(start):
     found = start(piecework.spread, start.folder).result(60)
 
@@ -69,6 +70,7 @@ def test_two_workers_compute_the_pieces_of_one_run_and_their_results_come_in_ord
     assert found["told"] == sorted(found["told"])
 
 
+@pytest.mark.full
 def test_a_piece_whose_worker_is_killed_is_computed_by_the_run_with_the_same_result(start):
     own = next(iter(start.client.run(os.getpid, workers=sorted(start.client.nthreads())[:1]).values()))
     run = start(piecework.spread, start.folder)

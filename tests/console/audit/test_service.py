@@ -220,6 +220,7 @@ def test_an_export_verifies_and_tells_the_head_of_the_log_and_whether_four_eyes_
         _export(small_log, "xml")
 
 
+@pytest.mark.full
 def test_any_flipped_bit_is_found(small_log):
     whole, chosen = _export(small_log), np.random.default_rng(1)
     for place in range(len(whole)):

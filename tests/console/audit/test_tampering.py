@@ -206,6 +206,7 @@ def test_every_sealed_table_has_a_row_and_all_is_as_it_was_written(store):
     assert report.rows == sum(count or 0 for count in counts.values())
 
 
+@pytest.mark.few(40)
 @pytest.mark.parametrize("table", SEALED)
 def test_any_lasting_column_of_a_sealed_row_edited_by_hand_is_found(store, attacker, table):
     with attacker as connection:

@@ -193,6 +193,7 @@ def test_only_an_analyst_stops_and_launches_again(session, people, launch, move)
         move(session, people["ana"], 99)
 
 
+@pytest.mark.full
 def test_a_thousand_sensors_are_one_transaction_of_few_statements_with_every_run_on_record(engine, people, blobs):
     with open_writing(engine) as session:
         add_fleet(session, blobs, SENSOR, 1000 - 1)

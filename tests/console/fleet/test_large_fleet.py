@@ -98,6 +98,7 @@ def hold(page: str, name: str) -> list[str]:
     return re.findall(rf'name="{name}-(\d+)"', page)
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("path", PAGES)
 def test_a_page_asks_the_store_for_as_much_of_a_thousand_sensors_as_of_three_hundred(fleets, path):
     asked = {}

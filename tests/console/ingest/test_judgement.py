@@ -66,6 +66,7 @@ def judged(points, base, rules=RULE):
     return found
 
 
+@pytest.mark.full
 def test_sets_of_a_camera_that_did_not_change_are_asked_about_as_often_as_the_policy_says():
     rng, rules, trials = np.random.default_rng(5), PolicyRules(false_alarm_rate=0.02), 4000
     base = [reference(drawn(rng, TRUTH)) for _ in range(trials)]
@@ -73,6 +74,7 @@ def test_sets_of_a_camera_that_did_not_change_are_asked_about_as_often_as_the_po
     assert abs(np.mean(asked) - 0.02) < 4 * np.sqrt(0.02 * 0.98 / trials)
 
 
+@pytest.mark.full
 def test_with_a_forecast_each_of_the_two_tests_has_half_of_the_rate():
     rng, rules = np.random.default_rng(8), PolicyRules(false_alarm_rate=0.04)
     found = [

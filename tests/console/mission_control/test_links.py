@@ -134,6 +134,7 @@ def test_a_pass_becomes_one_set_once_it_is_over(ground):
         assert (decision.source, decision.state) == ("ARCHIVE", "CALIBRATING")
 
 
+@pytest.mark.full
 def test_what_comes_late_is_taken_alone_and_what_is_older_than_the_look_back_is_left(ground):
     ground.enable()
     for minute in (60, 62, 64):
@@ -150,6 +151,7 @@ def test_what_comes_late_is_taken_alone_and_what_is_older_than_the_look_back_is_
     assert sum(map(len, ground.taken())) == 6
 
 
+@pytest.mark.full
 def test_a_pass_without_an_end_is_cut_and_an_outage_is_made_up_for_piece_by_piece(ground):
     ground.enable()
     for minute in range(0, 300, 5):
@@ -165,7 +167,7 @@ def test_a_pass_without_an_end_is_cut_and_an_outage_is_made_up_for_piece_by_piec
     assert sorted(chain(*ground.taken())) == list(range(0, 300, 5))
 
 
-@pytest.mark.few(1)
+@pytest.mark.full
 @pytest.mark.parametrize("seed", few_of(range(2), 1))
 def test_each_row_is_taken_once_by_two_servers_over_an_archive_that_fails_and_fills_late(ground, seed, monkeypatch):
     ground.enable()

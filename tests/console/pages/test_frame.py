@@ -394,6 +394,7 @@ def finished(house):
     return house.finished()
 
 
+@pytest.mark.few(24)
 @pytest.mark.usefixtures("finished")
 @pytest.mark.parametrize("path", PATHS)
 def test_no_page_ends_in_a_server_error_whatever_its_address_says(path, house):

@@ -66,6 +66,7 @@ def test_every_order_of_a_table_is_one_that_the_database_knows(name):
     assert any(column.head for column in TABLES[name].columns)
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("name", TABLES)
 def test_every_order_and_every_column_of_a_table_opens_as_page_and_as_file(site, name):
     table, visitor = TABLES[name], site.visitor("both")
@@ -158,6 +159,7 @@ def fleet(site):
         assert visitor.post("/sensors", document=json.dumps(document)).status_code == 303
 
 
+@pytest.mark.few(5)
 @pytest.mark.usefixtures("fleet")
 @pytest.mark.parametrize(
     ("query", "names"),

@@ -148,6 +148,7 @@ def test_a_run_without_a_result_has_no_report_and_says_its_state(house):
     assert answer.json()["detail"].startswith(f"Run {run_id} is QUEUED and has no result;")
 
 
+@pytest.mark.full
 def test_two_hundred_launches_at_once_are_all_queued(house):
     from concurrent.futures import ThreadPoolExecutor  # noqa: PLC0415 - only here
 

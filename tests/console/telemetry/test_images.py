@@ -121,7 +121,7 @@ def symbols(page):
     return found
 
 
-@pytest.mark.few(1)
+@pytest.mark.full
 @pytest.mark.parametrize("parity", few_of([1, -1], 1))
 def test_a_frame_s_stars_and_matches_lie_where_its_picture_shows_them(house, parity, catalogue, tmp_path):
     dusk = of_parity(small_night(2), parity)
@@ -173,6 +173,7 @@ def test_a_viewer_may_look_at_a_frame_s_picture_and_who_is_not_logged_in_may_not
         assert not refused.content.startswith(b"\x89PNG")
 
 
+@pytest.mark.full
 def test_the_hash_of_each_image_stays_with_its_frame_in_store_and_export(house, night, content, tmp_path):  # noqa: F811 - a fixture
     row = send(house, register(house, night), content).json()
     hashes = [hashlib.sha256(body).hexdigest() for body in content.values()]
@@ -191,6 +192,7 @@ def test_the_hash_of_each_image_stays_with_its_frame_in_store_and_export(house, 
     assert set(read_telemetry(tmp_path / "again.csv").unknown["image_sha256"].to_pylist()) == set(hashes)
 
 
+@pytest.mark.full
 def test_an_image_that_is_not_the_one_its_frame_was_extracted_from_is_not_drawn(house, night, content):  # noqa: F811 - a fixture
     row = send(house, register(house, night), content).json()
     first, second = content

@@ -83,7 +83,7 @@ def test_journals_that_nobody_touched_hold(store: Engine) -> None:
     assert found.rows == 4 + 6 + 3
 
 
-@pytest.mark.few(12)
+@pytest.mark.few(4)
 @pytest.mark.parametrize(
     ("statement", "misfit"),
     [

@@ -65,6 +65,7 @@ def store(request: pytest.FixtureRequest) -> Engine:
     return store
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     "wanted",
     [[], [2], [3, 1, 3], [-1, 0, 4], [MOST_NUMBER - 1, MOST_NUMBER, 10**25], range(100_000), {1: "one"}.keys()],

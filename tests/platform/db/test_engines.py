@@ -79,6 +79,7 @@ def _start_at_once(url: str, folder: Path, times: int = SERVERS) -> list[tuple[i
     return [(process.communicate(timeout=120)[0], process.returncode)[::-1] for process in started]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("kind", few_of(["sqlite", "postgresql"], 1))
 def test_servers_that_start_at_once_on_an_empty_database_make_one_schema(
     kind: str, tmp_path: Path, request: pytest.FixtureRequest
@@ -111,6 +112,7 @@ def test_a_new_file_that_several_open_at_once_refuses_none_of_them(tmp_path: Pat
             assert [one.exception() for one in opened] == [None] * 8
 
 
+@pytest.mark.full
 def test_writers_of_two_databases_on_one_server_do_not_wait_for_each_other(two: list[Engine]) -> None:
     with open_writing(two[0]) as first, open_writing(two[1]) as second:
         for session in (first, second):
@@ -150,6 +152,7 @@ def _outlast(engine: Engine, dead: Session) -> None:
     dead.execute(sa.text("SELECT 1"))
 
 
+@pytest.mark.full
 def test_runs_are_claimed_once_by_several_servers(two: list[Engine]) -> None:
     with open_writing(two[0]) as session:
         for row in rows_of_tables():
@@ -272,6 +275,7 @@ def _approve(engine: Engine, people: Mapping[str, Actor], row: ParameterSet, blo
         return session.get_known(ParameterSet, row.id).version
 
 
+@pytest.mark.full
 def test_promotions_at_once_leave_one_baseline_and_one_chain(
     postgresql: Engine, people: Mapping[str, Actor], tmp_path: Path
 ) -> None:

@@ -63,6 +63,7 @@ def test_what_is_no_time_or_two_of_them_is_refused(text):
         read_time(text)
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("form", TIME_FORMS)
 @pytest.mark.parametrize("zone", ZONES)
 def test_a_browser_shows_a_time_as_the_server_does(form, zone):

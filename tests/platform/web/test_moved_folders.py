@@ -146,6 +146,7 @@ ROOT = Path(__file__).resolve().parents[3]
 MOUNT = "mount -t tmpfs -o size=32m none {disk} && exec {python} -m tests.platform.web.full_disk {disk}"
 
 
+@pytest.mark.full
 @pytest.mark.sqlite("its file is on the disk that is filled")
 @pytest.mark.skipif(os.geteuid() != 0 or shutil.which("unshare") is None, reason="only root mounts a small disk")
 def test_a_server_on_a_full_disk_says_so_stores_nothing_by_halves_and_goes_on_when_there_is_room(

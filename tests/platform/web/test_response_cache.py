@@ -493,6 +493,7 @@ def act_on_store(house: House, act: str, runs: list[dict[str, Any]], person: int
 ACTS = st.lists(st.sampled_from(("launch", "cancel", "end", "sensor", "read")), min_size=1, max_size=8)
 
 
+@pytest.mark.full
 @settings(max_examples=effort(4, 12), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(acts=ACTS)
 def test_after_any_acts_what_is_cached_equals_what_would_be_answered(house: House, acts: list[str]) -> None:
