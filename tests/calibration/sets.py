@@ -15,6 +15,7 @@ from boresight.calibration.matching.rematch import Matches, Rematcher, ground_co
 from boresight.calibration.matching.verification import NONE, Verification
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
+from boresight.calibration.result import describe_estimate
 from boresight.calibration.telemetry_pieces import TelemetryFile
 from boresight.calibration.trust import TrustReport, judge_trust
 from boresight.calibration.trust.fitted_set import FittedSet, fit_best
@@ -93,11 +94,11 @@ def st16():
 FOCAL_PX = {"kannala_brandt": 1800.0, "brown_conrady": 4500.0}
 
 
-def lens(model, rng):
+def lens(model, rng, focal_px=None):
     """A sensor of a camera model, without tilt and distortion, and a lens that is as far from it as such lenses are."""
     camera = CAMERA_MODELS[model]
     sigma = np.array(camera.default_typical_sigma)
-    x = camera.plain(FOCAL_PX.get(model, 7300.0), ROWS / 2, COLUMNS / 2, PITCH)
+    x = camera.plain(focal_px or FOCAL_PX.get(model, 7300.0), ROWS / 2, COLUMNS / 2, PITCH)
     sensor = replace(
         st16(), camera_model=model, centroid_sigma_px=0.1, initial=x, typical_sigma=sigma, free=camera.parameter_names
     )
@@ -112,6 +113,19 @@ def field(seed, frames=40, stars=12, exposures=2, parity=1, noise_px=NOISE_PX, c
     turns = Rotation.random(frames * exposures, rng=rng).as_matrix()
     s_i = np.einsum("eij,eni->enj", turns, s_d.reshape(-1, stars, 3)).reshape(n, 3)
     return measured(rng, s_i, (row, col), noise_px, frames, exposures)
+
+
+def lens_case(catalogue, model, seed, share=1.0, focal_px=None, **settings):
+    """A set of a lens that is `share` of its typical sigmas from a plain one, and the truth."""
+    sensor, truth = lens(model, np.random.default_rng([5, seed]), focal_px)
+    truth = sensor.initial + share * (truth - sensor.initial)
+    stars = field([6, seed], frames=30, noise_px=sensor.centroid_sigma_px, camera=CAMERA_MODELS[model], truth=truth)
+    stars = replace(stars, time_utc=np.datetime64("2026-03-01", "us") + 60_000_000 * stars.frame)
+    return case(stars, sensor, catalogue, **settings), truth
+
+
+def described(case):
+    return describe_estimate(case.problem, case.parameters, case.settings, case.estimate, {})
 
 
 def simulated(catalogue, number=1, frames=120, seed=0, changes=None, sky=None, **settings):

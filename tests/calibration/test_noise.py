@@ -218,7 +218,7 @@ def test_what_was_applied_is_on_record_and_holds_for_validation_and_files_too(ca
     validation, _ = made(catalogue, 2, sigma_px=0.05, curve_px=0.1, base=validation_scenario(1, 30))
     settings = CalibrationSettings(noise_model="from-data")
     found = calibrate(telemetry, sensor, catalogue, settings, validation=validation)
-    assert found.inputs.settings["noise_model"] == "from-data"
+    assert found.inputs.settings.noise_model == "from-data"
     assert parse_calibration(found.to_json()).noise == found.noise
     assert calibrate(telemetry, sensor, catalogue, settings, validation=validation).parameters == found.parameters
     plain = calibrate(telemetry, sensor, catalogue, CalibrationSettings(), validation=validation)

@@ -18,6 +18,7 @@ from boresight.calibration.calibration import (
     Values,
 )  # fmt: skip
 from boresight.calibration.evaluation.contrast import RadialContrast
+from boresight.calibration.options import StatedSettings
 from boresight.estimation.statistics.observability import WEAK
 from boresight.figures import FIGURES, Trace
 from boresight.figures.chart import tailed
@@ -371,7 +372,7 @@ def test_the_nees_takes_correlation_into_account_over_ten_decades(sequential_res
 def test_a_frame_costs_what_the_method_took_a_replay_has_no_cost_and_curves_end_at_their_scores(sequential_result):
     assert method_scores(sequential_result).ms_per_frame == pytest.approx(1e3 * 0.4 / 200)
     assert draw("methods", sequential_result).data[0].name == "Run (2.0 ms per frame)"
-    replay = replace(sequential_result, inputs=Inputs(settings={"replay_frames_per_s": 5.0}))
+    replay = replace(sequential_result, inputs=Inputs(settings=StatedSettings(replay_frames_per_s=5.0)))
     assert method_scores(replay).ms_per_frame is None
     table, scores = FIGURES["methods"].table(sequential_result), method_scores(sequential_result)
     assert table["claimed_over_bound"][-1] == pytest.approx(scores.claimed, rel=1e-5)

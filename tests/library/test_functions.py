@@ -126,7 +126,7 @@ def test_settings_are_those_of_the_command(settings, simulated):
     found = bs.calibrate(simulated.telemetry, simulated.sensor, progress=False, **settings)
     assert found.free == ["f_m", "b2_per_m2"]
     assert found.method == settings.get("method", "batch")
-    assert set(found.inputs.settings) == set(OPTIONS)
+    assert set(found.inputs.settings.stated) == set(OPTIONS)
 
 
 @pytest.mark.parametrize("settings", [{"method": "guess"}, {"free": "f"}, {"metod": "batch"}, {"max_iterations": 0}])

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
 from boresight.calibration.advice_kinds import join_codes
+from boresight.calibration.options import StatedSettings
 from boresight.disks import writing
 from boresight.errors import RefusedInputError
 
@@ -170,7 +171,7 @@ class Inputs:
 
     sha256s: dict[str, str] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=dict)
-    settings: dict[str, Any] = field(default_factory=dict)
+    settings: StatedSettings = field(default_factory=StatedSettings)
     passes: list[InputPass] = field(default_factory=list)
 
 
@@ -1395,6 +1396,8 @@ def to_plain(value: Any) -> Any:
         return value
     if isinstance(value, float):
         return value if math.isfinite(value) else None
+    if kind is StatedSettings:
+        value, kind = value.document(), dict
     if (members := _members(kind)) is not None:
         return {name: to_plain(getattr(value, name)) for name in members}
     if isinstance(value, list | tuple):

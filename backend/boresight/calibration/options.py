@@ -9,10 +9,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
-from typing import Any, Literal, TypedDict
+from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 from boresight.errors import RefusedInputError
 from boresight.estimation import MINIMUM_STARS
+
+if TYPE_CHECKING:
+    from pydantic import GetCoreSchemaHandler, ValidatorFunctionWrapHandler
 
 Kind = Literal["word", "whole", "number", "yes or no", "names", "numbers", "times", "wholes", "stars"]
 
@@ -263,7 +266,7 @@ def option(group: str, title: str, sentence: str, *, methods: tuple[str, ...] = 
     kinds = {bool: "yes or no", int: "whole", float: "number", str: "word"}
     said.setdefault("kind", "word" if words and isinstance(default, str) else kinds.get(type(default), "names"))
     declared = {"group": group, "title": title, "sentence": sentence, "methods": methods or GROUPS[group], **said}
-    return field(default=default, metadata=declared)
+    return field(default=default, metadata={"option": declared})
 
 
 @dataclass(frozen=True)
@@ -567,7 +570,47 @@ def _kept(declared: Option, value: Any) -> Any:
 
 
 #: Every choice by its name, in the order of a settings document.
-OPTIONS = {item.name: Option(name=item.name, **item.metadata) for item in fields(CalibrationSettings)}
+OPTIONS = {item.name: Option(name=item.name, **item.metadata["option"]) for item in fields(CalibrationSettings)}
+
+
+@dataclass(frozen=True)
+class StatedSettings(CalibrationSettings):
+    """Settings as a document states them: those that it names are `stated`, in its order; the others are at their defaults.
+
+    A calibration under way names none, and one of an earlier version not those that came later; it is written as it was read.
+    """
+
+    stated: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, settings: CalibrationSettings) -> StatedSettings:
+        """State every one of these settings."""
+        return cls(**{name: getattr(settings, name) for name in OPTIONS}, stated=tuple(OPTIONS))
+
+    def document(self) -> dict[str, Any]:
+        """Return the stated settings as JSON values."""
+        whole = {name: getattr(self, name) for name in self.stated}
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in whole.items()}
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
+        """Read them from a JSON object by the types of the settings; a name that is not known here is dropped."""
+        from pydantic_core import core_schema  # noqa: PLC0415 - only where JSON is read
+
+        return core_schema.no_info_wrap_validator_function(
+            cls._read,
+            handler.generate_schema(CalibrationSettings),
+            serialization=core_schema.plain_serializer_function_ser_schema(cls.document),
+        )
+
+    @classmethod
+    def _read(cls, document: Any, read: ValidatorFunctionWrapHandler) -> StatedSettings:
+        if isinstance(document, cls):
+            return document
+        found = read(document)
+        stated = {name: getattr(found, name) for name in document if name in OPTIONS}
+        as_written = {name: document[name] if document[name] == value else value for name, value in stated.items()}
+        return cls(**as_written, stated=tuple(stated))
 
 
 class Choices(TypedDict, total=False):

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from boresight.arrays import FloatArray
+from boresight.calibration.calibration import Calibration
 from boresight.calibration.matching.rematch import ground_covariance
 from boresight.calibration.options import CalibrationSettings
 from boresight.cameras import CAMERA_MODELS
@@ -75,6 +76,12 @@ def parse_parameters(document: Mapping[str, Any], sensor: Sensor, name: str) -> 
     check_geometry(replace(sensor, initial=x), CAMERA_MODELS[sensor.camera_model], faults, subject)
     faults.refuse()
     return x, _covariance(document.get("covariance"), sensor, name)
+
+
+def read_reliable_parameters(result: Calibration, sensor: Sensor, name: str) -> tuple[FloatArray, FloatArray | None]:
+    """Take the parameters of a calibration with the covariance to decide by: with misfit where it has one. As `read_parameters`."""
+    covariance = result.covariance if result.misfit is None else result.misfit.covariance
+    return parse_parameters(replace(result, covariance=covariance).to_dict(), sensor, name)
 
 
 def _ended(status: str) -> str:

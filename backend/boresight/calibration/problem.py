@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -60,6 +61,11 @@ class Problem:
         """Its camera model."""
         return CAMERA_MODELS[self.sensor.camera_model]
 
+    @cached_property
+    def _plausible(self) -> FloatArray:
+        """(2, n_parameters) lowest and highest values that are not absurd."""
+        return np.array(self.camera.plausible).T
+
     def whitened(self, x: FloatArray) -> Arcs:
         """Return the arcs with R taken at state x (n_parameters,); those of the last state asked for are kept."""
         key = np.asarray(x, np.float64).tobytes()
@@ -72,7 +78,7 @@ class Problem:
 
     def can_be(self, x: FloatArray) -> bool:
         """Whether a state (n_parameters,) is one that can be: inside its ranges, with a direction for every corner."""
-        low, high = np.array(self.camera.plausible).T
+        low, high = self._plausible
         if not (np.isfinite(x).all() and bool(np.all((low <= x) & (x <= high)))):
             return False
         sensor = self.sensor

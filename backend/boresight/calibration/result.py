@@ -53,7 +53,7 @@ from boresight.calibration.calibration import (
 )
 from boresight.calibration.estimate import Estimate, Parameters, robust_view
 from boresight.calibration.history_recorder import RecordedHistory
-from boresight.calibration.options import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings, StatedSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.telemetry_pieces import pick_blocks
 from boresight.calibration.trust.advice import TOO_SMALL
@@ -249,7 +249,7 @@ def begin_calibration(
         pairs=2 * problem.arcs.n_stars - 3 * problem.arcs.n_exposures,
         frames_in_set=problem.frames_in_set,
         left_out=list(problem.left_out),
-        inputs=Inputs(sha256s=dict(sha256s), versions=dict(versions()), settings=settings.document()),
+        inputs=Inputs(sha256s=dict(sha256s), versions=dict(versions()), settings=StatedSettings.of(settings)),
         status=status,
     )
 
@@ -495,9 +495,9 @@ def _left_out(result: Calibration) -> str | None:
         return "the fit is curved along its weakest direction, where its covariance is wrong"
     if result.variant in LEFT_OUT_VARIANTS:
         return LEFT_OUT_VARIANTS[result.variant]
-    if result.variant is not None and settings.get("linearisations") == 1:
+    if result.variant is not None and settings.linearisations == 1:
         return "one linearisation per frame makes it over-confident"
-    if (settings.get("forgetting_factor") or 1.0) < 1.0:
+    if settings.forgetting_factor < 1.0:
         return "it forgets: it is an estimate from its last frames"
     several = OF_SEVERAL if len(result.inputs.passes) > 1 else None
     return several if result.prior is None else ON_A_PRIOR

@@ -161,8 +161,8 @@ def _of_blindness(problem: Problem, parameters: Parameters, history: RecordedHis
     if names:
         yield (
             f"The filter diverged because it tries states {np.sqrt(len(parameters.free)):.1f} of its sigmas away, where by "
-            f"{' or '.join(names)} the lens turns back before some stars: choose sqrf, which tries none, or lower typical_sigma or "
-            "initial_sigma_scale."
+            f"{' or '.join(names)} the lens turns back before some stars: choose sqrf, which tries none, allow more "
+            "linearisations, or lower typical_sigma or initial_sigma_scale."
         )
 
 

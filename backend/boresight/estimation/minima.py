@@ -121,7 +121,13 @@ class CostSurface:
 
     def cost(self, x: FloatArray) -> float:
         """Cost of a state (n_parameters,) under its own R; infinite where there is none."""
-        cost = self.equations(x, self.threshold).chi2
+        if np.isfinite(self.threshold):
+            cost = self.equations(x, self.threshold).chi2
+        else:
+            cost = batch.compute_chi2(self.whiten(x), x)
+            if self.prior is not None:
+                z = (x - self.prior.x)[self.free] / self.scale
+                cost += float(z @ self.prior.A @ z)
         return cost if np.isfinite(cost) else np.inf
 
     def settle(self, x: FloatArray) -> BatchFit:
@@ -289,18 +295,23 @@ def _end(surface: CostSurface, minimum: BatchFit, place: int, sign: float, level
         t = min(t + step, REACH)
         path.append(_held(surface, path[-1], place, minimum.x[p] + sign * t * scale))
         if not path[-1].cost < level:
-            return _End(_cross(surface, path[-2], path[-1], place, level), tuple(path))
+            return _End(_cross(surface, minimum, path[-2], path[-1], place, level), tuple(path))
         step *= GROWTH
     return _End(sign * np.inf, tuple(path))
 
 
-def _cross(surface: CostSurface, inner: BatchFit, outer: BatchFit, place: int, level: float) -> float:
-    """Close in on the crossing between a fit below the level and one above, by halving and by the chord in turn."""
+def _cross(
+    surface: CostSurface, minimum: BatchFit, inner: BatchFit, outer: BatchFit, place: int, level: float
+) -> float:
+    """Close in on the crossing between a fit below the level and one above, by the chord and by halving in turn.
+
+    The chord is that of the root of the rise from the minimum, which of a parabola is a straight line.
+    """
     p = int(surface.free[place])
     a, b = inner, outer
     for turn in range(MOST_STEPS):
-        below, above = level - a.cost, b.cost - level
-        share = below / (below + above) if turn % 2 == 0 and np.isfinite(above) else 0.5
+        at_a, at_level, at_b = (float(np.sqrt(max(cost - minimum.cost, 0.0))) for cost in (a.cost, level, b.cost))
+        share = (at_level - at_a) / (at_b - at_a) if turn % 2 == 0 and np.isfinite(at_b) else 0.5
         value = float(a.x[p] + share * (b.x[p] - a.x[p]))
         here = _held(surface, a, place, value)
         if abs(here.cost - level) < RISE_TOLERANCE:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from shlex import quote
 from typing import Any
 
@@ -158,7 +159,7 @@ def flattened(document: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[s
 
 def command(result: Calibration) -> str:
     """Write the command that makes this result again from the same files."""
-    settings = {**result.inputs.settings, "method": result.method}
+    settings = replace(result.inputs.settings, method=result.method or CalibrationSettings.method)
     validation = "VALIDATION" if result.validation else None
     several = len(result.inputs.passes)
     sets = [f"TELEMETRY_{number}" for number in range(1, several + 1)] if several > 1 else ["TELEMETRY"]
@@ -173,17 +174,17 @@ ALWAYS = ("method", "match")
 def calibrate_command(
     telemetry: Sequence[str],
     sensor: str,
-    settings: Mapping[str, Any],
+    settings: CalibrationSettings,
     validation: str | None,
     json_file: str,
     prior: str | None = None,
 ) -> list[str]:
     """Return the words of the command that makes a result again, an option with its value as one."""
     words = [f"boresight calibrate {' '.join(map(quote, telemetry))}", f"--sensor {quote(sensor)}"]
-    for name, default in CalibrationSettings().document().items():
-        flag, value = OPTIONS[name].flag, settings.get(name, default)
-        if flag and value is not None and (value != default or name in ALWAYS):
-            words.append(flag if value is True else f"{flag} {quote(format_value(value))}")
+    for name, one in OPTIONS.items():
+        value = getattr(settings, name)
+        if one.flag and value is not None and (value != one.default or name in ALWAYS):
+            words.append(one.flag if value is True else f"{one.flag} {quote(format_value(value))}")
     if validation:
         words.append(f"--validate {quote(validation)}")
     if prior:

@@ -648,16 +648,17 @@ def square_root_filter(
     return n_frames
 
 
-@loop("f1 f1 f2F f1 f camera f i1 i1 f1 f1 f1 f2 i1 f1 i f f f f2 f2 f1 i1 f1 i1", first=False, fastmath=FAST)
+@loop("f1 f1 f2F f1 f camera f i1 i1 f1 f1 f1 f2 i1 f1 i f f f f f2 f2 f1 i1 f1 i1", first=False, fastmath=FAST)
 def unscented_filter(
     x, z, S, q, widening, camera, pitch, frame_start, star_start, row_px, col_px, phi, band, free, scale, linearisations, rest,
-    shrunk, straight, states, sigmas, nis, dof, squares, passes,
+    shrunk, straight, least, states, sigmas, nis, dof, squares, passes,
 ):  # fmt: skip
     """Run the square-root unscented filter over frames; arguments and result as in `square_root_filter`.
 
     Called by `estimation.filters.unscented`, which derives it. A frame is regressed again about its own posterior until that
     moves by less than `rest` of its sigmas and no sigma shrinks by more than the share `shrunk`; or only once, where the residuals
-    are `straight` (trace of C C^T) over a spread that the posterior stays inside.
+    are `straight` (trace of C C^T) over a spread that the posterior stays inside. Where a star has no ray at some point the
+    spread is halved, down to the share `least`, and the frame is regressed again.
     """
     N = len(camera)
     n_free = free.shape[0]
@@ -686,17 +687,26 @@ def unscented_filter(
         done = 0
         for turn in range(linearisations):
             _copy(camera, z, S, z_at, S_at)
-            for i in range(n_free):
-                for side in range(2):
-                    reach = gamma if side == 0 else -gamma
-                    for p in range(N):
-                        point[p] = x[p]
-                    for p in range(n_free):
-                        point[free[p]] = x0[p] + scale[p] * (z_at[p] + reach * S_at[p, i])
-                    _frame_residuals(
-                        camera, point, pitch, k0, k1, star_start, row_px, col_px, phi, band, g,
-                        plus[i] if side == 0 else minus[i],
-                    )  # fmt: skip
+            share = 1.0
+            while True:
+                total = 0.0
+                for i in range(n_free):
+                    for side in range(2):
+                        reach = gamma if side == 0 else -gamma
+                        for p in range(N):
+                            point[p] = x[p]
+                        for p in range(n_free):
+                            point[free[p]] = x0[p] + scale[p] * (z_at[p] + reach * S_at[p, i])
+                        total += _frame_residuals(
+                            camera, point, pitch, k0, k1, star_start, row_px, col_px, phi, band, g,
+                            plus[i] if side == 0 else minus[i],
+                        )  # fmt: skip
+                if math.isfinite(total) or turn + 1 == linearisations or share < least:
+                    break  # a frame does not end on points of less than the whole spread
+                share *= 0.5
+                for i in range(n_free):
+                    for p in range(i + 1):
+                        S_at[p, i] *= 0.5
             _regress(plus, minus, S_at, n_free, n_arcs, e, H, C)
             bent = _whiten_spread(C, n_free, n_arcs, e, H)
             _copy(camera, z_prior, S_prior, z, S)
@@ -709,6 +719,8 @@ def unscented_filter(
             for p in range(n_free):
                 x[free[p]] = x0[p] + scale[p] * z[p]
             done = turn + 1
+            if share < 1.0:
+                continue
             if bent < straight and _prior_cost(S_at, z, z_at, n_free, f) < 1.0:
                 break
             if math.sqrt(_prior_cost(S, z, z_at, n_free, f)) < rest and _narrowing(S_at, S, n_free) < shrunk:

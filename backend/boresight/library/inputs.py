@@ -21,7 +21,7 @@ from boresight.calibration.alignment.sides import BESIDE, COLUMNS, Side, referen
 from boresight.calibration.calibration import Calibration, parse_calibration
 from boresight.calibration.joint.passes import JointTelemetry, NamedTelemetry, join_sets
 from boresight.calibration.joint.prior import PriorSource
-from boresight.calibration.parameter_file import parse_parameters, read_document
+from boresight.calibration.parameter_file import parse_parameters, read_document, read_reliable_parameters
 from boresight.calibration.telemetry_pieces import TelemetryFile
 from boresight.disks import compute_digest
 from boresight.errors import RefusedInputError
@@ -231,6 +231,8 @@ def read_any_parameters(source: ParameterSource, sensor: Sensor) -> tuple[FloatA
 
 def read_camera_parameters(source: ParameterSource, sensor: Sensor) -> tuple[FloatArray, FloatArray | None]:
     """Read parameters with the covariance to decide by: a calibration's with misfit."""
+    if isinstance(source, Calibration):
+        return read_reliable_parameters(source, sensor, describe_source(source))
     document = read_parameter_document(source)
     misfit = document.get("misfit")
     if isinstance(misfit, Mapping) and isinstance(misfit.get("covariance"), Mapping):

@@ -56,7 +56,7 @@ def list_remedies(result: Calibration | None) -> list[Remedy]:
         {
             one.label: one
             for one in found
-            if one.free is not None or one.part or any(str(settings.get(k)) != v for k, v in one.settings.items())
+            if one.free is not None or one.part or any(str(getattr(settings, k)) != v for k, v in one.settings.items())
         }.values()
     )
 
@@ -84,8 +84,7 @@ def _of_causes(result: Calibration) -> Iterator[Remedy]:
 def _of_suspects(result: Calibration) -> Iterator[Remedy]:
     suspects = result.trust.suspects if result.trust else []
     if suspects and len(suspects) <= MOST_STARS_NAMED:
-        known = [int(hip) for hip in result.inputs.settings.get("leave_out_stars") or ()]
-        stars = ",".join(map(str, sorted({*known, *suspects})))
+        stars = ",".join(map(str, sorted({*result.inputs.settings.leave_out_stars, *suspects})))
         words = "this star" if len(suspects) == 1 else f"these {count(len(suspects))} stars"
         yield Remedy(f"Leave out {words}", {"leave_out_stars": stars})
 

@@ -35,7 +35,7 @@ def test_nothing_is_offered_for_a_result_without_doubts(result):
 def test_a_cause_is_answered_by_settings_that_the_run_did_not_have(result, cause, settings):
     (remedy,) = list_remedies(replace(with_cause(result, cause), trust=None))
     assert remedy.settings == settings
-    again = replace(result.inputs, settings={**result.inputs.settings, **settings})
+    again = replace(result.inputs, settings=replace(result.inputs.settings, **settings))
     assert list_remedies(replace(with_cause(result, cause), trust=None, inputs=again)) == []
 
 
@@ -46,7 +46,7 @@ def test_a_lens_beyond_the_model_leads_to_the_choice_of_one(result):
 
 def test_suspects_are_left_out_beside_those_that_were_already(result):
     doubted = replace(result.trust or Trust(), suspects=[99, 42])
-    before = replace(result.inputs, settings={**result.inputs.settings, "leave_out_stars": [7]})
+    before = replace(result.inputs, settings=replace(result.inputs.settings, leave_out_stars=(7,)))
     (remedy,) = list_remedies(replace(result, causes=[], trust=doubted, inputs=before))
     assert remedy.settings == {"leave_out_stars": "7,42,99"}
 

@@ -14,10 +14,10 @@ import orjson
 from boresight.calibration.alignment.align import align_sides
 from boresight.calibration.alignment.result import Alignment as AlignmentResult
 from boresight.calibration.alignment.sides import Side, camera_of, tracker_side
-from boresight.calibration.calibration import to_plain
+from boresight.calibration.calibration import parse_calibration, to_plain
 from boresight.calibration.joint.passes import NamedTelemetry, join_sets
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.parameter_file import parse_parameters
+from boresight.calibration.parameter_file import read_reliable_parameters
 from boresight.calibration.telemetry_pieces import StoredTable, read_whole
 from boresight.console.alignments.service import ClaimedAlignment, ClaimedSide, ComputedAlignment
 from boresight.console.alignments.tables import AlignmentSummary
@@ -60,10 +60,8 @@ def _solve(side: ClaimedSide, sources: ForecastSources) -> Side:
     """Solve the exposures of a run's telemetry with its result, whose covariance counts with misfit."""
     run = side.run
     sensor = parse_sensor(run.sensor_document)
-    document = dict(read_result(sources.blobs, side.result_sha256, run.run_id))
-    if (misfit := document.get("misfit")) and misfit.get("covariance"):
-        document["covariance"] = misfit["covariance"]
-    camera = camera_of(sensor, parse_parameters(document, sensor, f"Run {run.run_id}"))
+    result = parse_calibration(read_result(sources.blobs, side.result_sha256, run.run_id))
+    camera = camera_of(sensor, read_reliable_parameters(result, sensor, f"Run {run.run_id}"))
     if (catalogue := sources.catalogue()) is None:
         raise UnavailableError("This server has no star catalogue; check its data folder.")
     settings = CalibrationSettings(match="rematch")

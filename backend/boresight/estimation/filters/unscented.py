@@ -21,9 +21,13 @@ points lie 28 typical sigmas out, and where the residual is that bent no one lin
 regression is made again about the posterior, until that rests or Omega vanishes (iterated posterior linearisation; the iterated
 extended filter is its limit for a narrow spread). The curvature that is left over the posterior's spread stays counted as noise.
 
-A lens whose distortion turns back has no ray beyond the turn. Points there have no residual, and the frame's mean has none: the
-filter ends, and says which parameters' spread reached so far. A narrower spread that is scaled up again (Julier's scaled transform)
-would only ask elsewhere: what the residuals do over a spread that the lens does not have is not to be known by it.
+A lens whose distortion turns back has no ray beyond the turn, and the spread of a ground calibration may reach there, at some
+point for some star. The prior enters an update by its own mean and covariance; points only say over which spread the residuals
+are made a line, and each regression is replaced by the next. So where a star has no ray, points are drawn over a half of the
+spread, a quarter, and so on, until all stars have one, and the frame goes on from there. It never ends on such points: its last
+regression is over the whole spread of its posterior, as without a turn, and so is what it rests at. Where the lens does not have
+even that spread, or with one pass alone, the filter ends, and says which parameters' spread reached so far. (Julier's scaled
+transform would keep a narrow regression as if it held over the wide spread.)
 
 References
 ----------
@@ -51,6 +55,8 @@ REST_SIGMA = 0.02
 SHRUNK = 0.1
 #: Trace of Omega below which the residuals are straight over the spread, so that one regression serves all of it.
 STRAIGHT = 1e-4
+#: Share of the spread below which no narrower one is tried: its points then say what a derivative would.
+LEAST_SHARE = 1e-3
 
 
 def unscented_filter(
@@ -64,7 +70,7 @@ def unscented_filter(
     nis, dof, squares, passes = np.empty(n), np.empty(n, np.int64), np.empty(n), np.empty(n, np.int64)
     done = kernels.unscented_filter(
         x, z, S, q, tuning.widening, arcs.camera.kind, arcs.pitch, arcs.frame_start, arcs.star_start, arcs.row_px, arcs.col_px,
-        arcs.known_phi, arcs.band, free, scale, tuning.linearisations, REST_SIGMA, SHRUNK, STRAIGHT,
+        arcs.known_phi, arcs.band, free, scale, tuning.linearisations, REST_SIGMA, SHRUNK, STRAIGHT, LEAST_SHARE,
         states, sigmas, nis, dof, squares, passes,
     )  # fmt: skip
     history = FilterHistory(

@@ -55,7 +55,7 @@ def why_no_matching(result: Calibration) -> str | None:
     """Say why a result has nothing to tell of matching, or None where it has."""
     if result.matching:
         return None
-    awaited = result.status == "running" and result.inputs.settings.get("match") != "given"
+    awaited = result.status == "running" and result.inputs.settings.match != "given"
     return NOT_YET if awaited else GIVEN
 
 

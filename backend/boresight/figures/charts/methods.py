@@ -121,7 +121,7 @@ def _honesty(result: Calibration) -> ChiSquare | None:
 def _ms_per_frame(result: Calibration) -> float | None:
     """Processor time of the method over the frames; None for a replay, which takes its frames one by one."""
     seconds, frames = result.timing_s.get("method"), result.frames
-    if seconds is None or not frames or (result.inputs.settings.get("replay_frames_per_s") or 0) > 0:
+    if seconds is None or not frames or result.inputs.settings.replay_frames_per_s > 0:
         return None
     return 1e3 * seconds / frames
 

@@ -188,7 +188,8 @@ def assess(
     """Judge a calibration."""
     validation, why, candidate = None, NO_FRAMES, result.to_dict()
     if frames is not None:
-        settings = CalibrationSettings.parse(result.inputs.settings)
+        settings = result.inputs.settings
+        settings.check()
         validation = compute_validation_scores(frames[0], sensor, frames[1], incumbent, candidate, settings)
     elif started_from(result, incumbent):
         validation = of_result(result)

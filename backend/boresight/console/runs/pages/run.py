@@ -22,7 +22,7 @@ from starlette.datastructures import QueryParams
 
 from boresight.calibration.calibration import Calibration, Inputs
 from boresight.calibration.exports import EXPORT_FORMATS
-from boresight.calibration.options import get_method_title
+from boresight.calibration.options import CalibrationSettings, get_method_title
 from boresight.console.access.credentials import get_times
 from boresight.console.access.dependencies import Reading, Who, csrf, get_server
 from boresight.console.approvals import gates
@@ -120,12 +120,14 @@ def _hash(value: Any) -> Markup | str:
 
 def write_command(review: RunReview) -> str:
     """Write the command line that computes this run again from the files that the page offers."""
-    run, settings, prior = review.run, dict(review.run.settings), None
+    run, settings, prior = review.run, CalibrationSettings.parse(review.run.settings), None
     if run.prior_run_id is not None:
         prior = f"run-{run.prior_run_id}.json"
         use = review.result.prior if review.result else None
-        if use is not None and use.drift_sigma and settings.get("prior_age_days") is None:
-            settings["prior_age_days"] = use.age_days  # which the rows of its sets told where its result does not
+        if use is not None and use.drift_sigma and settings.prior_age_days is None:
+            settings = replace(
+                settings, prior_age_days=use.age_days
+            )  # which the rows of its sets told where its result does not
     words = calibrate_command(
         [one.name for one in (review.data, *review.further)],
         f"run-{run.id}.sensor.json",
