@@ -26,6 +26,7 @@ from boresight.figures.charts.residual_map import (
 from boresight.figures.charts.residual_outliers import reasons
 from boresight.figures.charts.rms import compute_axis_residuals, running
 from boresight.figures.charts.shadow import SHADOW
+from boresight.verdicts.trend import Trend
 from tests.calibrations import changed
 from tests.figures.examined import shadow
 
@@ -344,6 +345,10 @@ def _period(number: int, to_utc: str | None) -> dict[str, Any]:
 @pytest.fixture
 def document() -> dict[str, Any]:
     return {
+        "sensor_id": 1,
+        "sensor": "ST1",
+        "baseline": {"parameter_set_id": 2, "name": "PS-ST1-2"},
+        "advice": {"answer": "NOT YET", "sentence": "It is still valid.", "code": "trend_valid"},
         "camera_model": "inverted_wang",
         "parameter_names": NAMES,
         "points": [_point(2), _point(3, counted=False, left_out="its data overlap"), _point(5)],
@@ -354,8 +359,12 @@ def document() -> dict[str, Any]:
         ],
         "truth": {"f_m": 0.016001, "b2_per_m2": 12.0},
         "annotations": [],
-        "drift": {"verdict": "HOLDS"},
+        "drift": {"verdict": "HOLDS", "sentence": "It holds.", "false_alarm_rate": 0.001},
     }
+
+
+def _read(document: dict[str, Any]) -> Trend:
+    return parse_part(Trend, document, AssertionError)
 
 
 def _named(figure: Any, name: str) -> list[Any]:
@@ -365,7 +374,7 @@ def _named(figure: Any, name: str) -> list[Any]:
 def test_a_point_is_its_difference_from_the_baseline_of_now_with_three_sigmas_and_open_where_it_does_not_count(
     document: dict[str, Any],
 ) -> None:
-    figure, table = trend.draw(document), trend.table(document)
+    figure, table = trend.draw(_read(document)), trend.table(_read(document))
     focus, distortion = _named(figure, "Calibration ±3σ")
     assert list(focus.y) == pytest.approx([0.002, 0.005])  # mm
     assert list(focus.error_y.array) == pytest.approx([0.006, 0.006])
@@ -379,7 +388,7 @@ def test_a_point_is_its_difference_from_the_baseline_of_now_with_three_sigmas_an
 
 
 def test_baselines_truth_temperature_and_records_have_their_places(document: dict[str, Any]) -> None:
-    figure = trend.draw(document)
+    figure = trend.draw(_read(document))
     assert [list(trace.y) for trace in _named(figure, "Baseline PS-ST1-2")] == [[0.0, 0.0]] * 2
     assert list(_named(figure, "Earlier baselines")[1].y) == [-5.0, -5.0]
     assert _named(figure, "Truth")[1].y[0] == pytest.approx(2.0)
@@ -393,7 +402,7 @@ def test_an_old_value_far_away_stands_at_the_edge_with_its_number_and_the_scale_
     ground = _period(1, "2026-01-20T00:00:00.000000Z") | {"parameters": {"f_m": 0.0156, "b2_per_m2": 10.0}}
     crowd = [_point(k, parameters={"f_m": 0.016 + 1e-7 * k, "b2_per_m2": 10.0}) for k in range(2, 20)]
     first = _point(1, parameters={"f_m": 0.0165, "b2_per_m2": 10.0})
-    figure = trend.draw(document | {"points": [first, *crowd], "baselines": [ground, _period(2, None)]})
+    figure = trend.draw(_read(document | {"points": [first, *crowd], "baselines": [ground, _period(2, None)]}))
     low, high = figure.layout.yaxis.range
     assert -0.02 < low < -0.0042
     assert 0.0079 < high < 0.02
@@ -425,8 +434,9 @@ def test_an_annotation_is_a_line_through_all_panels_whose_label_is_text_and_no_m
         "at_utc": "2026-01-04T00:00:00.000000Z",
         "text": "<b>Safe mode</b> of six long hours & more",
         "printed_name": "Ana",
+        "made_utc": "2026-01-05T00:00:00.000000Z",
     }
-    figure = trend.draw({**document, "annotations": [said]})
+    figure = trend.draw(_read({**document, "annotations": [said]}))
     line = figure.layout.shapes[-1]
     assert (line.x0, line.x1, line.y0, line.y1) == ("2026-01-04T00:00:00.000", "2026-01-04T00:00:00.000", 0, 1)
     label = figure.layout.annotations[-1]
@@ -437,12 +447,12 @@ def test_an_annotation_is_a_line_through_all_panels_whose_label_is_text_and_no_m
 def test_another_model_stands_apart_nothing_yet_says_what_to_do_and_two_hundred_stay_small(
     document: dict[str, Any],
 ) -> None:
-    figure = trend.draw(document, "pinhole_radial")
+    figure = trend.draw(_read(document), "pinhole_radial")
     assert list(_named(figure, "Calibration ±3σ")[0].y) == [0.0]
     assert _named(figure, "Baseline PS-ST1-2") == []
-    assert set(trend.table(document, "pinhole_radial")) >= {"k1", "sigma_k1"}
-    figure = trend.draw({**document, "points": []})
+    assert set(trend.table(_read(document), "pinhole_radial")) >= {"k1", "sigma_k1"}
+    figure = trend.draw(_read({**document, "points": []}))
     assert "launch a run" in figure.layout.annotations[0].text
-    assert trend.table({**document, "points": []})["run"] == []
+    assert trend.table(_read({**document, "points": []}))["run"] == []
     many = {**document, "points": [_point(1 + k % 28) for k in range(200)]}
-    assert len(figure_json(trend.draw(many))) < 250_000
+    assert len(figure_json(trend.draw(_read(many)))) < 250_000

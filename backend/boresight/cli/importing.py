@@ -25,7 +25,8 @@ from boresight.library import functions as library
 from boresight.library.text import aligned
 
 if TYPE_CHECKING:
-    from boresight.library.inputs import ProfileSource, TelemetrySource
+    from boresight.library.inputs import TelemetrySource
+    from boresight.library.references import ProfileSource
     from boresight.telemetry.imports.mapping import Imported
     from boresight.telemetry.imports.profile import Profile
 
@@ -115,7 +116,7 @@ def import_telemetry(
             write_json(named.to_dict(), json_file or STANDARD_OUTPUT)
             return
     elif print_profile:
-        from boresight.library.inputs import read_any_profile
+        from boresight.library.references import read_any_profile
 
         write_json(read_any_profile(profile).to_dict(), json_file or STANDARD_OUTPUT)
         return

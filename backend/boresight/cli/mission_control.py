@@ -94,7 +94,7 @@ def _export(
     system: str, title: str, part: str, start: datetime, stop: datetime, profile: str
 ) -> tuple[bytes, str, int]:
     """Return what the archive exported, the ending of its file, and how many rows it has."""
-    from boresight.library.inputs import read_any_profile
+    from boresight.library.references import read_any_profile
     from boresight.mission_control.archive import count_us
     from boresight.settings import read_settings
 

@@ -14,7 +14,7 @@ its value, so that an old one does not press all others into a line.
 from __future__ import annotations
 
 import html
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
@@ -23,12 +23,11 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from boresight.calibration.calibration import Values
 from boresight.figures.chart import Table
 from boresight.figures.style import theme
 from boresight.verdicts.numbers import change_label, quantity, signed
-
-Document = Mapping[str, Any]
-Points = Sequence[Mapping[str, Any]]
+from boresight.verdicts.trend import Trend, TrendPoint
 
 NAME = "trend"
 TITLE = "Parameters over the mission"
@@ -51,7 +50,7 @@ WARMTH, SAID = theme.RUN_COLOURS[1], theme.RUN_COLOURS[3]
 LONGEST_LABEL = 28
 
 
-def draw(trend: Document, model: str | None = None) -> go.Figure:
+def draw(trend: Trend, model: str | None = None) -> go.Figure:
     """Draw a sensor over the mission, of its baseline's camera model or of another."""
     points = list_points(trend, model)
     names = _names(trend, points)
@@ -59,8 +58,8 @@ def draw(trend: Document, model: str | None = None) -> go.Figure:
         return theme.missing(
             "Parameters over the mission", "No calibration has succeeded yet: launch a run to see its result here."
         )
-    own = model in {None, trend["camera_model"]}
-    warm = any(point["temperature_c"] is not None for point in points)
+    own = model in {None, trend.camera_model}
+    warm = any(point.temperature_c is not None for point in points)
     rows = len(names) + warm + 1
     heights = [ROW_PX] * len(names) + [LOW_ROW_PX] * (warm + 1)
     figure = make_subplots(rows, 1, shared_xaxes=True, vertical_spacing=0.012, row_heights=heights)
@@ -84,60 +83,58 @@ def draw(trend: Document, model: str | None = None) -> go.Figure:
     return figure
 
 
-def list_points(trend: Document, model: str | None) -> Points:
+def list_points(trend: Trend, model: str | None) -> Sequence[TrendPoint]:
     """Return the calibrations of a camera model, the baseline's where none is named."""
-    if model is None or model == trend["camera_model"]:
-        return list(trend["points"])
-    return [point for point in trend["others"] if point["camera_model"] == model]
+    if model is None or model == trend.camera_model:
+        return list(trend.points)
+    return [point for point in trend.others if point.camera_model == model]
 
 
-def _names(trend: Document, points: Points) -> list[str]:
+def _names(trend: Trend, points: Sequence[TrendPoint]) -> list[str]:
     """Return the parameters that any calibration estimated, in the model's order."""
-    found = dict.fromkeys(name for point in points for name in point["parameters"])
-    return sorted(found, key=lambda name: (name not in trend["parameter_names"], _order(trend, name)))
+    found = dict.fromkeys(name for point in points for name in point.parameters)
+    return sorted(found, key=lambda name: (name not in trend.parameter_names, _order(trend, name)))
 
 
-def _order(trend: Document, name: str) -> int:
-    names = list(trend["parameter_names"])
+def _order(trend: Trend, name: str) -> int:
+    names = list(trend.parameter_names)
     return names.index(name) if name in names else 0
 
 
-def _headline(trend: Document, points: Points, *, own: bool) -> str:
-    counted = sum(point["counted"] for point in points)
+def _headline(trend: Trend, points: Sequence[TrendPoint], *, own: bool) -> str:
+    counted = sum(point.counted for point in points)
     said = f"{len(points)} calibration{'s' * (len(points) != 1)}, {counted} independent"
-    return (
-        f"{said}; {trend['drift']['verdict'].lower()}" if own else f"{said}, of another camera model than the baseline"
-    )
+    return f"{said}; {trend.drift.verdict.lower()}" if own else f"{said}, of another camera model than the baseline"
 
 
-def _zero(trend: Document, points: Points, name: str, *, own: bool) -> float:
-    if own and trend["baselines"]:
-        return float(trend["baselines"][-1]["parameters"][name])
-    return float(next(point["parameters"][name] for point in points if name in point["parameters"]))
+def _zero(trend: Trend, points: Sequence[TrendPoint], name: str, *, own: bool) -> float:
+    if own and trend.baselines:
+        return float(trend.baselines[-1].parameters[name])
+    return float(next(point.parameters[name] for point in points if name in point.parameters))
 
 
-def _span(trend: Document, points: Points) -> tuple[str, str]:
+def _span(trend: Trend, points: Sequence[TrendPoint]) -> tuple[str, str]:
     """Return the first and last time of anything that is shown."""
-    times = [point[key] for point in points for key in ("begins_utc", "ends_utc")]
-    times += [mark["at_utc"] for mark in trend["on_board"]] + [period["from_utc"] for period in trend["baselines"]]
+    times = [time for point in points for time in (point.begins_utc, point.ends_utc)]
+    times += [mark.at_utc for mark in trend.on_board] + [period.from_utc for period in trend.baselines]
     return min(times), max(times)
 
 
-def _marks(figure: go.Figure, points: Points, name: str, zero: float, row: int) -> None:
+def _marks(figure: go.Figure, points: Sequence[TrendPoint], name: str, zero: float, row: int) -> None:
     factor = quantity(name).factor
     for counted, label in ((True, "Calibration ±3σ"), (False, "Not used")):
-        shown = [point for point in points if point["counted"] is counted and name in point["parameters"]]
+        shown = [point for point in points if point.counted is counted and name in point.parameters]
         colour = COUNTED if counted else LEFT_OUT
         figure.add_scatter(
-            x=[_x(point["at_utc"]) for point in shown],
-            y=[(point["parameters"][name] - zero) * factor for point in shown],
-            error_y=theme.error_bars([3 * point["sigma"][name] * factor for point in shown], colour),
+            x=[_x(point.at_utc) for point in shown],
+            y=[(point.parameters[name] - zero) * factor for point in shown],
+            error_y=theme.error_bars([3 * point.sigma[name] * factor for point in shown], colour),
             mode="markers",
             marker={"color": colour, "size": 8, "symbol": "circle" if counted else "circle-open"},
             name=label,
             legendgroup=label,
             showlegend=row == 1 and bool(shown),
-            customdata=[[f"Run {point['run_id']}", point["left_out"] or point["said"] or ""] for point in shown],
+            customdata=[[f"Run {point.run_id}", point.left_out or point.said or ""] for point in shown],
             hovertemplate="%{customdata[0]}: %{y:.4g}<br>%{x}<br>%{customdata[1]}<extra></extra>",
             row=row,
             col=1,
@@ -157,19 +154,19 @@ class Level:
     reach: float = 0.0
 
 
-def _levels(trend: Document, name: str, zero: float, span: tuple[str, str]) -> list[Level]:
+def _levels(trend: Trend, name: str, zero: float, span: tuple[str, str]) -> list[Level]:
     """List the baseline of now over all time with its band, those of before from when to when, and the truth."""
     factor, found = quantity(name).factor, []
-    if trend["baselines"]:
-        now = trend["baselines"][-1]
-        reach = 3 * (now["sigma"].get(name) or 0.0) * factor if now["measured"] else 0.0
-        label = f"Baseline {now['name']}"
+    if trend.baselines:
+        now = trend.baselines[-1]
+        reach = 3 * (now.sigma.get(name) or 0.0) * factor if now.measured else 0.0
+        label = f"Baseline {now.name}"
         found.append(Level(span, 0.0, label, "baseline", theme.REFERENCE_COLOUR, "dash", reach))
-    for period in trend["baselines"][:-1]:
-        value = (period["parameters"][name] - zero) * factor
-        ends = (period["from_utc"], period["to_utc"])
-        found.append(Level(ends, value, "Earlier baselines", period["name"], theme.REFERENCE_COLOUR, "dot"))
-    if (truth := (trend["truth"] or {}).get(name)) is not None:
+    for period in trend.baselines[:-1]:
+        value = (period.parameters[name] - zero) * factor
+        ends = (period.from_utc, period.to_utc)
+        found.append(Level(ends, value, "Earlier baselines", period.name, theme.REFERENCE_COLOUR, "dot"))
+    if (truth := (trend.truth or Values()).get(name)) is not None:
         found.append(Level(span, (truth - zero) * factor, "Truth", "truth", theme.TRUTH_COLOUR, "longdash"))
     return found
 
@@ -185,7 +182,7 @@ def _level(figure: go.Figure, level: Level, row: int) -> None:
 
 def _scale(
     figure: go.Figure,
-    points: Points,
+    points: Sequence[TrendPoint],
     name: str,
     zero: float,
     levels: Sequence[Level],
@@ -194,15 +191,15 @@ def _scale(
 ) -> None:
     """Scale a panel to what is new, and mark at its edges what lies beyond."""
     factor = quantity(name).factor
-    shown = sorted((point for point in points if name in point["parameters"]), key=lambda point: str(point["at_utc"]))
-    values = np.array([(point["parameters"][name] - zero) * factor for point in shown])
-    reach = np.array([3 * point["sigma"][name] * factor for point in shown])
+    shown = sorted((point for point in points if name in point.parameters), key=lambda point: str(point.at_utc))
+    values = np.array([(point.parameters[name] - zero) * factor for point in shown])
+    reach = np.array([3 * point.sigma[name] * factor for point in shown])
     limits = find_limits(values, reach, [(level.y, level.reach) for level in levels])
     if limits is None:
         return
     marks = [(level.ends[level.ends == span], level.y, level.short, level.colour) for level in levels]
     for point, value in zip(shown, values.tolist(), strict=True):
-        marks.append((point["at_utc"], value, f"run {point['run_id']}", COUNTED if point["counted"] else LEFT_OUT))
+        marks.append((point.at_utc, value, f"run {point.run_id}", COUNTED if point.counted else LEFT_OUT))
     figure.update_yaxes(range=list(limits), row=row, col=1)
     inset = EDGE * (limits[1] - limits[0])
     for edge, symbol, side in ((limits[1] - inset, "triangle-up", 1), (limits[0] + inset, "triangle-down", -1)):
@@ -257,11 +254,11 @@ def _beyond(
     )
 
 
-def _temperature(figure: go.Figure, points: Points, row: int) -> None:
-    shown = [point for point in points if point["temperature_c"] is not None]
+def _temperature(figure: go.Figure, points: Sequence[TrendPoint], row: int) -> None:
+    shown = [point for point in points if point.temperature_c is not None]
     figure.add_scatter(
-        x=[_x(point["at_utc"]) for point in shown],
-        y=[point["temperature_c"] for point in shown],
+        x=[_x(point.at_utc) for point in shown],
+        y=[point.temperature_c for point in shown],
         mode="lines+markers",
         marker={"color": WARMTH, "size": 6, "symbol": "square"},
         line={"color": WARMTH, "width": 1.2, "dash": "dot"},
@@ -274,10 +271,10 @@ def _temperature(figure: go.Figure, points: Points, row: int) -> None:
     figure.update_yaxes(title_text="T (°C)", row=row, col=1)
 
 
-def _records(figure: go.Figure, trend: Document, row: int) -> None:
+def _records(figure: go.Figure, trend: Trend, row: int) -> None:
     """Mark promotions and what was recorded on board, at the time of the record."""
-    promoted = [(period["from_utc"], "baseline", f"{period['name']} became baseline") for period in trend["baselines"]]
-    onboard = [(mark["at_utc"], "on board", f"{mark['name']} {mark['state']}") for mark in trend["on_board"]]
+    promoted = [(period.from_utc, "baseline", f"{period.name} became baseline") for period in trend.baselines]
+    onboard = [(mark.at_utc, "on board", f"{mark.name} {mark.state}") for mark in trend.on_board]
     found = promoted + onboard
     figure.add_scatter(
         x=[_x(at_utc) for at_utc, _, _ in found],
@@ -298,13 +295,11 @@ def _records(figure: go.Figure, trend: Document, row: int) -> None:
     figure.update_yaxes(type="category", categoryarray=["on board", "baseline"], showgrid=False, row=row, col=1)
 
 
-def _annotations(figure: go.Figure, trend: Document) -> None:
+def _annotations(figure: go.Figure, trend: Trend) -> None:
     """Draw what people said of a time: a line through all panels, its label at the top, the whole of it under the pointer."""
-    for said in trend["annotations"]:
-        x, text = _x(said["at_utc"]), html.escape(said["text"], quote=False)
-        label = (
-            text if len(text) <= LONGEST_LABEL else f"{html.escape(said['text'][: LONGEST_LABEL - 1], quote=False)}…"
-        )
+    for said in trend.annotations:
+        x, text = _x(said.at_utc), html.escape(said.text, quote=False)
+        label = text if len(text) <= LONGEST_LABEL else f"{html.escape(said.text[: LONGEST_LABEL - 1], quote=False)}…"
         figure.add_shape(
             type="line",
             x0=x,
@@ -321,7 +316,7 @@ def _annotations(figure: go.Figure, trend: Document) -> None:
             xref="x",
             yref="paper",
             text=label,
-            hovertext=f"{text} ({html.escape(said['printed_name'], quote=False)})",
+            hovertext=f"{text} ({html.escape(said.printed_name, quote=False)})",
             showarrow=False,
             textangle=-90,
             xanchor="right",
@@ -335,14 +330,14 @@ def _x(at_utc: str) -> str:
     return at_utc.rstrip("Z")[:23]
 
 
-def table(trend: Document, model: str | None = None) -> Table:
+def table(trend: Trend, model: str | None = None) -> Table:
     """List the calibrations by the time of their data: every estimate with its sigma, SI."""
     points = list_points(trend, model)
     columns = ("run_id", "label", "method", "telemetry", "begins_utc", "at_utc", "ends_utc", "temperature_c", "stars")
-    found: Table = {column.removesuffix("_id"): [point[column] for point in points] for column in columns}
-    found |= {"counted": ["yes" if point["counted"] else "no" for point in points]}
-    found |= {"remark": [point["left_out"] or point["said"] for point in points]}
+    found: Table = {column.removesuffix("_id"): [getattr(point, column) for point in points] for column in columns}
+    found |= {"counted": ["yes" if point.counted else "no" for point in points]}
+    found |= {"remark": [point.left_out or point.said for point in points]}
     for name in _names(trend, points):
-        found[name] = [point["parameters"].get(name) for point in points]
-        found[f"sigma_{name}"] = [point["sigma"].get(name) for point in points]
+        found[name] = [point.parameters.get(name) for point in points]
+        found[f"sigma_{name}"] = [point.sigma.get(name) for point in points]
     return found

@@ -34,13 +34,12 @@ if TYPE_CHECKING:
     from boresight.library.diagnosis import Diagnosis
     from boresight.library.inputs import (
         ParameterSource,
-        ProfileSource,
-        ReferenceSource,
         SensorSource,
         TelemetrySource,
         TelemetrySources,
     )
     from boresight.library.pointings import PointingPlan
+    from boresight.library.references import ProfileSource, ReferenceSource
     from boresight.library.results import (
         Assessment,
         Calibration,
@@ -766,7 +765,8 @@ def align(  # noqa: PLR0913 - two sides, each with its own
     """
     from boresight.calibration.alignment.align import AlignmentOptions, align_sides
     from boresight.library.alignment import Alignment
-    from boresight.library.inputs import read_any_reference, read_any_sensor, read_camera_parameters
+    from boresight.library.inputs import read_any_sensor, read_camera_parameters
+    from boresight.library.references import read_any_reference
     from boresight.verdicts.gates.alignment import judge_alignment, parse_alignment_profile
 
     if unknown := set(options) - {one.name for one in fields(AlignmentOptions)}:
@@ -1133,7 +1133,8 @@ def import_telemetry(
     RefusedInputError
         When a file does not fit the profile: one sentence, with row and column of that file.
     """
-    from boresight.library.inputs import read_any_profile, read_any_sensor
+    from boresight.library.inputs import read_any_sensor
+    from boresight.library.references import read_any_profile
     from boresight.telemetry.imports.mapping import SourceFile, import_files
 
     def named(path: str | os.PathLike[str]) -> SourceFile:

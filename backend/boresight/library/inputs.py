@@ -14,10 +14,8 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from boresight.arrays import FloatArray
-from boresight.calibration.alignment.sides import BESIDE, COLUMNS, Side, reference_side
 from boresight.calibration.calibration import Calibration, parse_calibration
 from boresight.calibration.joint.passes import JointTelemetry, NamedTelemetry, join_sets
 from boresight.calibration.joint.prior import PriorSource
@@ -25,11 +23,6 @@ from boresight.calibration.parameter_file import parse_parameters, read_document
 from boresight.calibration.telemetry_pieces import TelemetryFile
 from boresight.disks import compute_digest
 from boresight.errors import RefusedInputError
-from boresight.telemetry.imports.builtin import BUILT_IN
-from boresight.telemetry.imports.ephemerides import Attitudes
-from boresight.telemetry.imports.mapping import Imported, SourceFile, attitudes_of_table, read_attitudes
-from boresight.telemetry.imports.profile import Profile, parse_profile, read_profile
-from boresight.telemetry.imports.tables import SourceTable
 from boresight.telemetry.read.formats import FormFaults, Tables
 from boresight.telemetry.read.limits import Limits
 from boresight.telemetry.read.readers import iterate_chunks
@@ -62,12 +55,20 @@ class InterchangeFrame(Protocol):
         """Return the interchange object."""
 
 
+class HoldsTelemetry(Protocol):
+    """What a function of the library returned with telemetry in it: an imported file, a simulation."""
+
+    @property
+    def telemetry(self) -> Telemetry:
+        """The telemetry set."""
+
+
 #: A file; a table; a structured array, or arrays (n_rows,) by column name; or a telemetry set of the library.
 TelemetrySource = (
     str
     | os.PathLike[str]
     | Telemetry
-    | Imported
+    | HoldsTelemetry
     | ArrowTable
     | InterchangeFrame
     | Mapping[str, "ArrayLike | Sequence[object]"]
@@ -79,27 +80,6 @@ TelemetrySources = TelemetrySource | list[TelemetrySource] | tuple[TelemetrySour
 SensorSource = str | os.PathLike[str] | Mapping[str, Any] | Sensor
 #: A calibration, its JSON, or an object of parameter names and values, as file or in memory.
 ParameterSource = str | os.PathLike[str] | Mapping[str, Any] | Calibration
-
-
-#: Attitudes over time: a file, a table, or telemetry with quaternions.
-ReferenceSource = TelemetrySource
-#: The name of a built-in mapping profile, a file, what such a file says, or a profile of this library.
-ProfileSource = str | os.PathLike[str] | Mapping[str, Any] | Profile
-
-
-def read_any_profile(source: ProfileSource) -> Profile:
-    """Read a mapping profile; a text is the name of a built-in one, unless a file is called so."""
-    if isinstance(source, Profile):
-        return source
-    if isinstance(source, Mapping):
-        return parse_profile(source)
-    if isinstance(source, str) and source in BUILT_IN and not Path(source).is_file():
-        return BUILT_IN[source]
-    if not Path(source).exists():
-        raise RefusedInputError(
-            f"{source} is neither a file nor a built-in profile: choose from {', '.join(BUILT_IN)}."
-        )
-    return read_profile(Path(source))
 
 
 def open_telemetry(source: TelemetrySource, limits: Limits) -> Telemetry | TelemetryFile:
@@ -133,11 +113,17 @@ def _open_pass(source: TelemetrySource, number: int, limits: Limits) -> NamedTel
     return NamedTelemetry(read_in_memory(source, limits), f"set {number}")
 
 
+def find_telemetry(source: Any) -> Telemetry | None:
+    """Return the telemetry set that a source is or holds; None where it is a table or a file."""
+    held = source if isinstance(source, Telemetry) else getattr(source, "telemetry", None)  # or a column of that name
+    return held if isinstance(held, Telemetry) else None
+
+
 def read_in_memory(source: TelemetrySource, limits: Limits) -> Telemetry:
     """Read telemetry from memory."""
-    if isinstance(source, Telemetry | Imported):
-        return source if isinstance(source, Telemetry) else source.telemetry
-    name, table = _open_table(source)
+    if (held := find_telemetry(source)) is not None:
+        return held
+    name, table = open_table(source)
     columns = tuple(table.column_names)
     tables = Tables(columns, FIRST_ROW, lambda: iter([table]), FormFaults(name))
     return joined(list(iterate_chunks(tables, name, max(table.num_rows, 1), limits)))
@@ -152,7 +138,7 @@ def iterate_telemetry(
     return iter([read_in_memory(source, limits)])
 
 
-def _open_table(source: Any) -> tuple[str, pa.Table]:
+def open_table(source: Any) -> tuple[str, pa.Table]:
     """Return a source's name for refusals, and its columns."""
     if isinstance(source, np.ndarray) and source.dtype.names:
         return "The structured array", _join_arrays({name: source[name] for name in source.dtype.names})
@@ -205,6 +191,8 @@ def _make_plain(column: pa.ChunkedArray) -> pa.ChunkedArray:
         column = pa.chunked_array(chunks, kind)
     column = column.cast(_plain_type(column.type))
     if pa.types.is_floating(column.type):
+        import pyarrow.compute as pc
+
         column = pc.if_else(pc.is_nan(column), None, column)
     return column
 
@@ -238,41 +226,6 @@ def read_camera_parameters(source: ParameterSource, sensor: Sensor) -> tuple[Flo
     if isinstance(misfit, Mapping) and isinstance(misfit.get("covariance"), Mapping):
         document = {**document, "covariance": misfit["covariance"]}
     return parse_parameters(document, sensor, describe_source(source))
-
-
-def read_any_reference(
-    source: ReferenceSource,
-    profile: ProfileSource | None,
-    sigma_arcsec: float | None,
-    bias_arcsec: float,
-    limits: Limits,
-) -> Side:
-    """Read the attitudes of a reference; of telemetry its own quaternions."""
-    if isinstance(source, Telemetry | Imported):
-        found, beside = _read_attitudes(read_in_memory(source, limits)), dict[str, FloatArray]()
-    else:
-        named = COLUMNS if profile is None else read_any_profile(profile)
-        if isinstance(source, str | os.PathLike):
-            file = SourceFile(Path(source), Path(source).name)
-            if not file.path.is_file():
-                raise RefusedInputError(f"There is no file {file.name}: check the name of the reference.")
-            found, beside = read_attitudes(file, named, limits, BESIDE)
-        else:
-            name, table = _open_table(source)
-            rows = np.arange(table.num_rows)
-            columns = {column: table[column].combine_chunks() for column in table.column_names}
-            found, beside = attitudes_of_table(SourceTable(name, columns, rows, rows), named, BESIDE)
-    return reference_side(found.name, found, beside, sigma_arcsec=sigma_arcsec, bias_arcsec=bias_arcsec)
-
-
-def _read_attitudes(telemetry: Telemetry) -> Attitudes:
-    """Take the quaternions that telemetry has, one a time."""
-    if telemetry.quaternion is None or telemetry.time_utc is None:
-        raise RefusedInputError("This telemetry has no quaternions with times: give a table that has both.")
-    usable = np.flatnonzero(~np.isnat(telemetry.time_utc) & np.isfinite(telemetry.quaternion).all(axis=1))
-    first = usable[np.unique(telemetry.time_utc[usable], return_index=True)[1]]
-    none = np.zeros(len(first), np.int64)
-    return Attitudes("the reference", telemetry.time_utc[first], telemetry.quaternion[first], none)
 
 
 def read_parameter_document(source: ParameterSource) -> Mapping[str, Any]:

@@ -177,10 +177,10 @@ def test_the_document_is_json_with_a_sigma_beside_every_number(session):
     _baselined(session, rng)
     _mission(session, rng, [30, 60, 90])
     document = make_trend_document(session, 1)
-    assert document["drift"]["false_alarm_rate"] == 0.001
-    for point in document["points"]:
-        assert point["parameters"].keys() == point["sigma"].keys()
-    assert document["drift"]["difference"].keys() == document["drift"]["sigma"].keys()
+    assert document.drift.false_alarm_rate == 0.001
+    for point in document.points:
+        assert point.parameters.keys() == point.sigma.keys()
+    assert document.drift.difference.keys() == document.drift.sigma.keys()
 
 
 def test_a_shift_against_a_ground_calibration_is_no_drift_and_asks_for_a_promotion(session):

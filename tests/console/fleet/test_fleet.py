@@ -321,7 +321,7 @@ def test_an_alarm_is_found_by_its_state_and_counted_while_it_waits(store):
 def test_a_trend_and_the_newest_summaries_are_read(store):
     with open_reading(store) as session:
         document = make_trend_document(session, 1)
-        assert (document["drift"]["verdict"], len(document["points"])) == ("DRIFT", 5)
+        assert (document.drift.verdict, len(document.points)) == ("DRIFT", 5)
         newest = sensor_rows.list_recent_summaries(session, [1], 3)[1]
         assert [summary.trend.parameters for summary in newest if summary.trend] == [
             run.summary["trend"]["parameters"] for run in sensor_rows.list_finished_runs(session, [1])[1][-3:]

@@ -52,8 +52,8 @@ def test_annotations_stand_by_their_times_on_record_and_on_the_trend(session, pe
     ]
     record = audit.find_last_change(session, f"sensors/1/annotations/{row.id}")
     assert (record.action, record.after) == ("annotated", {"at_utc": row.at_utc, "text": "Safe mode."})
-    drawn = make_trend_document(session, 1)["annotations"]
-    assert [said["text"] for said in drawn] == ["Safe mode.", "Heaters on again."]
+    drawn = make_trend_document(session, 1).annotations
+    assert [said.text for said in drawn] == ["Safe mode.", "Heaters on again."]
 
 
 @pytest.mark.parametrize(

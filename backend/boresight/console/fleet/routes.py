@@ -8,6 +8,7 @@ from fastapi import Body, Query
 from starlette.requests import Request
 from starlette.responses import Response
 
+from boresight.calibration.calibration import to_plain
 from boresight.cameras import CAMERA_MODELS, DEFAULT_CAMERA
 from boresight.console import list_queries as lists
 from boresight.console import schemas as console_schemas
@@ -159,7 +160,7 @@ def get_sensor_trend(sensor_id: Id, session: Reading) -> Response:
     `drift` says whether the baseline is still valid, at 0.1 % false alarms for each test, and whether the parameters change with
     time; `advice` whether to recalibrate now. A calibration that the tests do not use says why in `left_out`.
     """
-    return json_response(make_trend_document(session, sensor_id))
+    return json_response(to_plain(make_trend_document(session, sensor_id)))
 
 
 @trend_router.get("/figure", summary="Read its figure", response_model=run_schemas.PlotlyFigure)

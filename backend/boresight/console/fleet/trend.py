@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from boresight.arrays import FloatArray
+from boresight.calibration.calibration import Values
 from boresight.calibration.parameter_set import parse_parameter_set
 from boresight.calibration.result import TrendEntry
 from boresight.console.fleet import queries as rows
@@ -33,6 +34,7 @@ from boresight.estimation.pass_forecast import FollowedPass, PassForecaster
 from boresight.estimation.statistics import drift as tests
 from boresight.estimation.statistics.drift import FALSE_ALARM_RATE, Epoch, RegressionLine
 from boresight.platform.db.sessions import Session, utc_text
+from boresight.verdicts import trend as documents
 from boresight.verdicts.numbers import fixed, number, quantity
 from boresight.verdicts.verdict import RunSummary, parse_run_summary
 
@@ -472,31 +474,31 @@ def _of_temperature(found: DriftResult) -> list[str]:
     return ["They change with temperature; the slope is what remains."] if test.rejects else []
 
 
-def document(found: DriftResult) -> dict[str, Any]:
-    """Write what the tests say as JSON, SI."""
+def document(found: DriftResult) -> documents.Drift:
+    """Write what the tests say, SI."""
     line = found.line
-    return {
-        "verdict": found.verdict,
-        "sentence": found.sentence,
-        "false_alarm_rate": FALSE_ALARM_RATE,
-        "run_id": None if found.newest is None else found.newest.run_id,
-        "names": list(found.names),
-        "difference": _listed(found.names, found.difference),
-        "sigma": _listed(found.names, found.sigma),
-        "baseline_holds": _test(found.holds),
-        "slope": _test(found.slope),
-        "calibrations_on_the_line": found.counted,
-        "slope_per_day": _listed(found.names, None if line is None else line.slope_per_d),
-        "slope_sigma_per_day": _listed(found.names, None if line is None else np.sqrt(np.diag(line.slope_covariance))),
-        "change_per_c": _listed(found.names, None if line is None else line.thermal_per_c),
-    }
+    return documents.Drift(
+        verdict=found.verdict,
+        sentence=found.sentence,
+        false_alarm_rate=FALSE_ALARM_RATE,
+        run_id=None if found.newest is None else found.newest.run_id,
+        names=list(found.names),
+        difference=_listed(found.names, found.difference),
+        sigma=_listed(found.names, found.sigma),
+        baseline_holds=_test(found.holds),
+        slope=_test(found.slope),
+        calibrations_on_the_line=found.counted,
+        slope_per_day=_listed(found.names, None if line is None else line.slope_per_d),
+        slope_sigma_per_day=_listed(found.names, None if line is None else np.sqrt(np.diag(line.slope_covariance))),
+        change_per_c=_listed(found.names, None if line is None else line.thermal_per_c),
+    )
 
 
-def _listed(names: Sequence[str], values: FloatArray | None) -> dict[str, float] | None:
-    return None if values is None else dict(zip(names, values.tolist(), strict=True))
+def _listed(names: Sequence[str], values: FloatArray | None) -> Values[float] | None:
+    return None if values is None else Values(dict(zip(names, values.tolist(), strict=True)))
 
 
-def _test(test: tests.ChiSquareTest | None) -> dict[str, Any] | None:
+def _test(test: tests.ChiSquareTest | None) -> documents.DriftTest | None:
     if test is None:
         return None
-    return {"statistic": test.statistic, "dof": test.dof, "limit": test.limit, "p": test.p, "rejects": test.rejects}
+    return documents.DriftTest(statistic=test.statistic, dof=test.dof, limit=test.limit, p=test.p, rejects=test.rejects)

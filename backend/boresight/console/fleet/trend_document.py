@@ -12,15 +12,16 @@ Sigmas with further data are foretold by the number of stars, sigma = sigma_0 sq
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, fields, replace
 
+from boresight.calibration.calibration import Values
 from boresight.calibration.parameter_set import parse_parameter_set
 from boresight.cameras import CAMERA_MODELS
 from boresight.console.fleet import trend as drifts
 from boresight.console.fleet.status import OLD_DAYS, count_days_since
 from boresight.console.fleet.trend import (
     GROUND_SHIFTED,
+    BaselinePeriod,
     DriftResult,
     Trend,
     TrendPoint,
@@ -33,6 +34,7 @@ from boresight.console.notes.tables import Annotation
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.db.sessions import Session
+from boresight.verdicts import trend as documents
 from boresight.verdicts.numbers import count, fixed
 
 HALVED = 0.5
@@ -156,10 +158,7 @@ def _reasons(drift: DriftResult, data: UnseenTelemetry, baseline: ParameterSet, 
     return said
 
 
-SCHEMA = "boresight.trend/1"
-
-
-def make_trend_document(session: Session, sensor_id: int) -> dict[str, Any]:
+def make_trend_document(session: Session, sensor_id: int) -> documents.Trend:
     """Return a sensor over the mission, with the drift tests and the advice."""
     trend = read_trend(session, sensor_id)
     found = judge_drift(trend)
@@ -168,35 +167,41 @@ def make_trend_document(session: Session, sensor_id: int) -> dict[str, Any]:
 
 def write_trend_document(
     trend: Trend, found: DriftResult, advice: Advice, annotations: Sequence[Annotation] = ()
-) -> dict[str, Any]:
+) -> documents.Trend:
     """Write a trend."""
     baseline = trend.baseline
-    return {
-        "schema": SCHEMA,
-        "sensor_id": trend.sensor.id,
-        "sensor": trend.sensor.name,
-        "camera_model": trend.camera_model,
-        "parameter_names": list(CAMERA_MODELS[trend.camera_model].parameter_names),
-        "baseline": None if baseline is None else {"parameter_set_id": baseline.id, "name": baseline.name},
-        "points": [_point(point) for point in trend.points],
-        "others": [_point(point) for point in trend.others],
-        "baselines": [asdict(period) for period in trend.periods],
-        "on_board": [asdict(record) for record in trend.on_board],
-        "truth": trend.sensor.truth,
-        "annotations": [{name: getattr(row, name) for name in ANNOTATION} for row in annotations],
-        "drift": drifts.document(found),
-        "advice": asdict(advice) | {"reasons": list(advice.reasons)},
+    return documents.Trend(
+        sensor_id=trend.sensor.id,
+        sensor=trend.sensor.name,
+        camera_model=trend.camera_model,
+        parameter_names=list(CAMERA_MODELS[trend.camera_model].parameter_names),
+        baseline=None if baseline is None else documents.SetName(parameter_set_id=baseline.id, name=baseline.name),
+        points=[_point(point) for point in trend.points],
+        others=[_point(point) for point in trend.others],
+        baselines=[_period(period) for period in trend.periods],
+        on_board=[documents.OnBoardMark(**vars(record)) for record in trend.on_board],
+        truth=None if trend.sensor.truth is None else Values(trend.sensor.truth),
+        annotations=[
+            documents.Annotation(at_utc=row.at_utc, text=row.text, printed_name=row.printed_name, made_utc=row.made_utc)
+            for row in annotations
+        ],
+        drift=drifts.document(found),
+        advice=documents.Advice(
+            answer=advice.answer, sentence=advice.sentence, code=advice.code, reasons=list(advice.reasons)
+        ),
+    )
+
+
+def _period(period: BaselinePeriod) -> documents.BaselinePeriod:
+    said = {"parameters": Values(period.parameters), "sigma": Values(period.sigma)}
+    return documents.BaselinePeriod(**(vars(period) | said))
+
+
+def _point(point: TrendPoint) -> documents.TrendPoint:
+    said = {
+        "parameters": Values({name: point.parameters[name] for name in point.names}),
+        "sigma": Values(point.sigma),
+        "left_out": point.left_out or None,
+        "said": point.said or None,
     }
-
-
-ANNOTATION = ("at_utc", "text", "printed_name", "made_utc")
-POINT = (
-    "run_id", "label", "method", "camera_model", "telemetry_set_id", "telemetry", "begins_utc", "at_utc", "ends_utc", "timed",
-    "temperature_c", "parameters", "sigma", "stars", "rms_arc_rad", "counted", "left_out", "said",
-)  # fmt: skip
-
-
-def _point(point: TrendPoint) -> dict[str, Any]:
-    estimated = {name: point.parameters[name] for name in point.names}
-    said = {"parameters": estimated, "left_out": point.left_out or None, "said": point.said or None}
-    return {name: getattr(point, name) for name in POINT} | said
+    return documents.TrendPoint(**({one.name: getattr(point, one.name) for one in fields(documents.TrendPoint)} | said))

@@ -50,6 +50,7 @@ from boresight.site import SITE_FIELDS
 from boresight.telemetry.declarations import DECLARATIONS
 from boresight.telemetry.sensors import parse_sensor
 from boresight.verdicts.numbers import MISSING, NARROW_SPACE, fixed, is_number, urad
+from boresight.verdicts.trend import Drift
 
 
 @dataclass(frozen=True)
@@ -161,32 +162,31 @@ def _trend(
         now=utc_now()[:19] + "Z",
         sensor=session.get_known(Sensor, sensor_id),
         trend=document,
-        models=[None, *dict.fromkeys(point["camera_model"] for point in document["others"])],
+        models=[None, *dict.fromkeys(point.camera_model for point in document.others)],
         figure=figure,
-        rows=_rows(document),
-        points=[*document["points"], *document["others"]][::-1],
+        rows=_rows(document.drift),
+        points=[*document.points, *document.others][::-1],
         open_alarms=alarms.list_alarms(session, alarms.AlarmFilter(sensor_id=sensor_id)),
-        answer_level=LEVEL_OF_ANSWER[document["advice"]["answer"]],
-        drift_level=LEVEL_OF_DRIFT[document["drift"]["verdict"]],
+        answer_level=LEVEL_OF_ANSWER[document.advice.answer],
+        drift_level=LEVEL_OF_DRIFT[document.drift.verdict],
     )
 
 
-def _rows(document: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
+def _rows(drift: Drift) -> Sequence[Mapping[str, Any]]:
     """Return the drift of each tested parameter: the change with its sigma, and the slope with its own."""
-    drift = document["drift"]
-    if not drift["names"]:
+    if drift.difference is None or drift.sigma is None:
         return []
-    slope, sigma = drift["slope_per_day"] or {}, drift["slope_sigma_per_day"] or {}
+    slope, sigma = drift.slope_per_day or Values(), drift.slope_sigma_per_day or Values()
     return [
         {
             "name": name,
-            "difference": drift["difference"][name],
-            "sigma": drift["sigma"][name],
-            "worth": drift["difference"][name] / drift["sigma"][name],
+            "difference": drift.difference[name],
+            "sigma": drift.sigma[name],
+            "worth": drift.difference[name] / drift.sigma[name],
             "slope": slope.get(name),
             "slope_sigma": sigma.get(name),
         }
-        for name in drift["names"]
+        for name in drift.names
     ]
 
 
