@@ -164,7 +164,7 @@ def _levels(trend: Trend, name: str, zero: float, span: tuple[str, str]) -> list
         found.append(Level(span, 0.0, label, "baseline", theme.REFERENCE_COLOUR, "dash", reach))
     for period in trend.baselines[:-1]:
         value = (period.parameters[name] - zero) * factor
-        ends = (period.from_utc, period.to_utc)
+        ends = (period.from_utc, period.to_utc or span[1])
         found.append(Level(ends, value, "Earlier baselines", period.name, theme.REFERENCE_COLOUR, "dot"))
     if (truth := (trend.truth or Values()).get(name)) is not None:
         found.append(Level(span, (truth - zero) * factor, "Truth", "truth", theme.TRUTH_COLOUR, "longdash"))

@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 from typing import Any
 from weakref import WeakKeyDictionary
 
+from boresight.calibration.calibration import to_plain
 from boresight.console.alarms import queries as alarms_queries
 from boresight.console.alarms.tables import Alarm
 from boresight.console.fleet import queries
@@ -58,7 +59,8 @@ def get_drift_verdicts(
         asked = queries.list_sensors(session, anew[start : start + TOGETHER])
         for sensor_id, trend in read_trends(session, asked).items():
             found = judge_drift(trend)
-            of_store[sensor_id] = (rests_on[sensor_id], DriftVerdict(found.verdict, found.sentence, document(found)))
+            said = DriftVerdict(found.verdict, found.sentence, to_plain(document(found)))
+            of_store[sensor_id] = (rests_on[sensor_id], said)
     return {sensor.id: of_store[sensor.id][1] for sensor in sensors if sensor.id in of_store}
 
 
