@@ -175,7 +175,8 @@ def _page(
 def telemetry_page(request: Request, session: Reading, roles: Roles, settings: ServerSettings) -> HTMLResponse:
     """Show a page of sets, and the form."""
     sensor = read_view(request, SETS).where.get("sensor")
-    shown = TelemetryContext(parse_row_id(sensor or ""), request.query_params.get("find", ""))
+    query = request.query_params
+    shown = TelemetryContext(parse_row_id(sensor or ""), query.get("find", ""), profile=query.get("profile", ""))
     return _page(request, roles, settings.upload_limit_mb, shown, session)
 
 
@@ -331,7 +332,8 @@ async def save(request: Request, actor: Who, document: Annotated[str, Form()]) -
     outcome = await attempt(request, change)
     if outcome.refusal is not None:
         return await read_again(request, partial(_profiles_page, request, actor, document, outcome.refusal))
-    return redirect("/import-profiles", flash=f"{outcome.made.name}, version {outcome.made.number}, is saved.")
+    saved = f"{outcome.made.name}, version {outcome.made.number}, is saved and chosen: choose the file, and upload it."
+    return redirect(f"/telemetry?profile={outcome.made.id}", flash=saved)
 
 
 def _parsed_profile(text: str) -> dict[str, Any]:
