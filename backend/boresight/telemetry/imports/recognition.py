@@ -183,8 +183,8 @@ class Recognised:
                 "(`--profile`) with the file"
             )
         return (
-            f"{told}, and no built-in mapping profile fits: write a first one by `{self.command}`, complete it, and run "
-            f"`boresight import {Path(self.name).name} --profile mine.json`"
+            f"{told}, and no built-in mapping profile fits: write a first one by `{self.command}` (on the page by Preview import), "
+            f"complete it, and run `boresight import {Path(self.name).name} --profile mine.json`"
         )
 
 
