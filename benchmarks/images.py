@@ -36,7 +36,7 @@ from boresight.arrays import FloatArray
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import CalibrationSettings
 from boresight.cameras import CAMERA_MODELS
-from boresight.images.detection import DetectionOptions, detect, learn, subtract_sky
+from boresight.images.detection import DetectionOptions, Look, detect, learn, subtract_sky
 from boresight.images.extraction import FoundStars, assemble
 from boresight.images.psf import HALF_FLUX
 from boresight.settings import read_settings
@@ -199,7 +199,7 @@ def _bound_px(total: float) -> float:
 def _product(dn: FloatArray, optics: Optics) -> FloatArray:
     """Do what the product does, from this one image."""
     options = DetectionOptions(threshold=6.0, most_stars=5000, gain_e_per_dn=optics.gain_e_per_dn)
-    found = detect(dn, learn([dn], options, None), options)
+    found = detect(dn, learn([Look(dn)], options, None), options)
     return np.column_stack([found.row_px, found.col_px])
 
 
@@ -370,7 +370,7 @@ def _extract(images: list[SimulatedImage], sensor: Sensor) -> tuple[Telemetry, i
     """Extract images that are in memory; returns the telemetry and how many pixels were told to be bad."""
     options = DetectionOptions(gain_e_per_dn=HARD.gain_e_per_dn)
     pixels = [image.dn.astype(np.float64) for image in images]
-    common = learn(pixels, options, None)
+    common = learn([Look(dn) for dn in pixels], options, None)
     found = [
         FoundStars(k, f"{k}", "", image.time_utc, "", detect(one, common, options))
         for k, (image, one) in enumerate(zip(images, pixels, strict=True))

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from boresight.errors import RefusedInputError
-from boresight.images.detection import DetectionOptions, detect, learn, subtract_sky
+from boresight.images.detection import DetectionOptions, Look, detect, learn, subtract_sky
 from boresight.images.psf import centroid_covariance, cut_patches, make_window, pixel_shares
 from boresight.simulation.images import Optics, draw_stars, simulate_images
 from boresight.sky.catalogue import Catalogue
@@ -19,6 +19,10 @@ ONE_IN_A_MILLION = 1e-6
 
 def pixels(images):
     return [image.dn.astype(np.float64) for image in images]
+
+
+def looks(images):
+    return [Look(dn) for dn in pixels(images)]
 
 
 def grid_images(optics, count, rng):
@@ -57,7 +61,7 @@ def normalised(found, row, col):
 def test_errors_of_centroids_are_what_their_covariance_says(optics, gain):
     images = grid_images(optics, effort(4, 16), np.random.default_rng(3))
     options = DetectionOptions(gain_e_per_dn=gain)
-    common = learn([dn for dn, _, _ in images], options, None)
+    common = learn([Look(dn) for dn, _, _ in images], options, None)
     squares = [normalised(detect(dn, common, options), row, col) for dn, row, col in images]
     assert sum(false for _, false in squares) == 0
     z2 = np.concatenate([one for one, _ in squares])
@@ -93,7 +97,7 @@ def test_a_narrow_star_has_an_error_of_its_place_in_the_pixel_and_a_wide_one_has
 
 def test_hot_and_dead_pixels_are_told_from_the_set_and_leave_no_star(hard_images):
     options = DetectionOptions(gain_e_per_dn=1.0)
-    common = learn(pixels(hard_images), options, None)
+    common = learn(looks(hard_images), options, None)
     lit = np.mean([subtract_sky(dn).pixels for dn in pixels(hard_images)], axis=0) > 60.0
     assert common.hot.sum() >= 20
     assert common.dead.sum() >= 8
@@ -111,8 +115,8 @@ def test_a_set_whose_stars_stay_in_place_loses_no_star_to_hot_pixels():
     draw_stars(electrons, row, col, 10.0 ** rng.uniform(3, 4.5, 60), optics)
     images = [np.rint(100 + rng.poisson(electrons) + 6 * rng.standard_normal(electrons.shape)) for _ in range(6)]
     options = DetectionOptions()
-    common = learn(images, options, None)
-    alone = learn(images[:1], options, None)
+    common = learn([Look(dn) for dn in images], options, None)
+    alone = learn([Look(images[0])], options, None)
     assert not common.stars_move
     assert len(detect(images[0], common, options)) >= 0.9 * len(detect(images[0], alone, options)) > 20
 
@@ -122,7 +126,7 @@ def test_trails_give_no_star_and_their_pixels_are_counted(night, catalogue):
     optics = replace(Optics(zero_magnitude_e=3e5), trails=3.0)
     images = list(simulate_images(night, optics, np.random.default_rng(6), catalogue))
     options = DetectionOptions(gain_e_per_dn=1.0)
-    common = learn(pixels(images), options, None)
+    common = learn(looks(images), options, None)
     trailed = [image for image in images if image.trails_px]
     assert trailed
     for image in trailed:
@@ -139,7 +143,7 @@ def test_saturated_stars_are_flagged_and_widened(night, catalogue):
     optics = Optics(zero_magnitude_e=8e6, bits=12, gain_e_per_dn=4.0)
     images = list(simulate_images(night, optics, np.random.default_rng(7), catalogue))
     options = DetectionOptions(gain_e_per_dn=4.0)
-    common = learn(pixels(images), options, None)
+    common = learn(looks(images), options, None)
     assert common.saturation_dn == 4095
     squares = []
     for image in images:
@@ -154,7 +158,7 @@ def test_saturated_stars_are_flagged_and_widened(night, catalogue):
 def test_images_without_stars_are_refused():
     rng = np.random.default_rng(8)
     with pytest.raises(RefusedInputError):
-        learn([np.rint(rng.normal(100, 10, (128, 160)))], DetectionOptions(), None)
+        learn([Look(np.rint(rng.normal(100, 10, (128, 160))))], DetectionOptions(), None)
 
 
 @pytest.mark.parametrize("apart_px", [1.0, 2.0, 3.0, 4.0, 5.0])

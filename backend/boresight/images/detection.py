@@ -40,6 +40,7 @@ from boresight.images.psf import (
     cut_patches,
     find_slopes,
     make_window,
+    reach_of,
 )
 from boresight.sky.guide_stars import LARGEST_PULL
 
@@ -148,68 +149,100 @@ class _Sky:
 
 def subtract_sky(dn: FloatArray, mask: BoolArray | None = None) -> _Sky:
     """Estimate the background and its noise, and subtract it."""
+    return _less_background(dn, _estimate_background(dn, mask))
+
+
+def _estimate_background(dn: FloatArray, mask: BoolArray | None = None) -> Any:
     import sep  # noqa: PLC0415 - it belongs to the extra for images
 
     sep.set_extract_pixstack(SEP_PIXELS)
-    found = sep.Background(dn, mask=mask, bw=BOX_PX, bh=BOX_PX)
-    sigma = np.maximum(found.rms() / CLIPPED, 0.29)  # a whole number has the noise of its rounding
-    level = found.back()
+    return sep.Background(dn, mask=mask, bw=BOX_PX, bh=BOX_PX)
+
+
+def _less_background(dn: FloatArray, found: Any) -> _Sky:
+    sigma, level = found.rms(), found.back()
+    sigma /= CLIPPED
+    np.maximum(sigma, 0.29, out=sigma)  # a whole number has the noise of its rounding
     return _Sky(
         np.ascontiguousarray(dn - level, dtype=np.float64), level, np.ascontiguousarray(sigma, dtype=np.float64)
     )
 
 
-def learn(images: Sequence[FloatArray], options: DetectionOptions, white_dn: float | None) -> Common:
-    """Learn what images (rows, columns) have in common.
+class Look:
+    """An image that is looked at several times with others: its numbers as small as they are exact, and its background's mesh.
+
+    Two dozen of five megapixels take a quarter of a gigabyte so, where their skies would take three.
+    """
+
+    def __init__(self, dn: FloatArray) -> None:
+        exact = (np.uint16, np.float32)
+        with np.errstate(invalid="ignore"):
+            self._dn = next((small for kind in exact if np.array_equal(small := dn.astype(kind), dn)), dn)
+        self._background = _estimate_background(dn)
+        self.largest = float(dn.max())
+        self.at_largest = int(np.count_nonzero(dn == self.largest))
+
+    @property
+    def dn(self) -> FloatArray:
+        """The image (rows, columns)."""
+        return self._dn.astype(np.float64)
+
+    def sky(self) -> _Sky:
+        """The image less its background, made anew."""
+        return _less_background(self.dn, self._background)
+
+
+def learn(looks: Sequence[Look], options: DetectionOptions, white_dn: float | None) -> Common:
+    """Learn what images have in common, of which one at a time is held whole.
 
     Raises
     ------
     RefusedInputError
         Where no image shows stars that could be measured.
     """
-    saturation = options.saturation_dn or white_dn or _find_saturation(images)
-    skies = [subtract_sky(image) for image in images]
-    hot, dead, stars_move = _find_bad_pixels(skies)
+    saturation = options.saturation_dn or white_dn or _find_saturation(looks)
+    hot, dead, stars_move = _find_bad_pixels(looks)
     samples: list[_Sample] = []
     for threshold in BRIGHT:
-        samples = [
-            _Sample.of(sky, hot | dead, saturation, dn, threshold) for sky, dn in zip(skies, images, strict=True)
-        ]
+        samples = [_Sample.of(look.sky(), hot | dead, saturation, look.dn, threshold) for look in looks]
         if sum(len(sample.x) for sample in samples) >= ENOUGH:
             break
     width = _find_width(samples)
-    window = make_window(width, _find_slope(samples, width))
+    lit = [
+        _LitPixels.of(look.sky(), sample, width) for look, sample in zip(looks, samples, strict=True) if len(sample.x)
+    ]
+    window = make_window(width, _find_slope(lit))
     gain, estimated = options.gain_e_per_dn, False
     if gain is None:
-        gain = _find_gain(samples, window)
+        gain = _find_gain(lit)
         estimated = gain is not None
-    return Common(hot, dead, window, gain, estimated, saturation, len(images), stars_move)
+    return Common(hot, dead, window, gain, estimated, saturation, len(looks), stars_move)
 
 
-def _find_saturation(images: Sequence[FloatArray]) -> float | None:
+def _find_saturation(looks: Sequence[Look]) -> float | None:
     """Return the largest number of all images where so many pixels have it that it is a limit and no star's peak."""
-    largest = max(float(image.max()) for image in images)
-    count = sum(int(np.count_nonzero(image == largest)) for image in images)
-    return largest if count >= 4 * len(images) else None
+    largest = max(look.largest for look in looks)
+    count = sum(look.at_largest for look in looks if look.largest == largest)
+    return largest if count >= 4 * len(looks) else None
 
 
-def _find_bad_pixels(skies: Sequence[_Sky]) -> tuple[BoolArray, BoolArray, bool]:
+def _find_bad_pixels(looks: Sequence[Look]) -> tuple[BoolArray, BoolArray, bool]:
     """Return hot pixels, dead ones, and whether the stars moved."""
-    spikes = np.zeros(skies[0].pixels.shape, dtype=np.int64)
-    for sky in skies:
+    shape = looks[0].dn.shape
+    spikes, mean = np.zeros(shape, dtype=np.int64), np.zeros(shape)
+    for look in looks:
+        sky = look.sky()
         spikes += _find_spikes(sky)
-    if len(skies) < FEWEST_IMAGES:
-        return np.asarray(spikes > 0), np.zeros(spikes.shape, dtype=np.bool_), True
-    mean = np.zeros(spikes.shape)
-    for sky in skies:
-        mean += np.clip(sky.pixels / sky.sigma, -CLIP, CLIP) / len(skies)
-    limit = max(BAD_SIGMAS / np.sqrt(len(skies)), BAD_MEAN)
+        mean += np.clip(sky.pixels / sky.sigma, -CLIP, CLIP) / len(looks)
+    if len(looks) < FEWEST_IMAGES:
+        return np.asarray(spikes > 0), np.zeros(shape, dtype=np.bool_), True
+    limit = max(BAD_SIGMAS / np.sqrt(len(looks)), BAD_MEAN)
     hot, large = _without_large(mean > limit)
     dead, _ = _without_large(mean < -limit)
     # of a fixed field many stars are lit at one place: then only what is sharper than a star is hot
     stars_move = large <= max(3, 0.2 * int(label(hot)[1]))
     if not stars_move:
-        hot = np.asarray(2 * spikes > len(skies))
+        hot = np.asarray(2 * spikes > len(looks))
     return hot, dead, stars_move
 
 
@@ -237,10 +270,8 @@ def _without_large(marked: BoolArray) -> tuple[BoolArray, int]:
 
 @dataclass(frozen=True)
 class _Sample:
-    """Bright, round, unsaturated stars of one image."""
+    """Bright, round, unsaturated stars (n,) of one image."""
 
-    pixels: FloatArray
-    sigma: FloatArray
     x: FloatArray
     y: FloatArray
     flux: FloatArray
@@ -267,12 +298,12 @@ class _Sample:
         found = found[round_]
         if not len(found):
             nothing = np.empty(0)
-            return cls(sky.pixels, sky.sigma, nothing, nothing, nothing, nothing)
+            return cls(nothing, nothing, nothing, nothing)
         reach = np.full(len(found), 2.0) + 5.0 * found["a"]
         flux, _, _ = sep.sum_circle(sky.pixels, found["x"], found["y"], reach, subpix=5)
         radius, flag = sep.flux_radius(sky.pixels, found["x"], found["y"], reach, 0.5, normflux=flux, subpix=5)
         good = (flag == 0) & (flux > 0) & np.isfinite(radius)
-        return cls(sky.pixels, sky.sigma, found["x"][good], found["y"][good], flux[good], radius[good])
+        return cls(found["x"][good], found["y"][good], flux[good], radius[good])
 
 
 def _find_width(samples: Sequence[_Sample]) -> float:
@@ -292,19 +323,36 @@ def _find_width(samples: Sequence[_Sample]) -> float:
     return width
 
 
-def _find_slope(samples: Sequence[_Sample], width: float) -> float | None:
-    """Return the slope of the set's stars at their windowed centroids."""
+@dataclass(frozen=True)
+class _LitPixels:
+    """What the pixels of one image's stars say, once their width is known.
+
+    `slopes`: (n,) of the stars at their windowed centroids. `light`, `fine2`, `dark`: (n,) light of a pixel, square of the finest
+    structure there, and variance of the sky.
+    """
+
+    slopes: FloatArray
+    light: FloatArray
+    fine2: FloatArray
+    dark: FloatArray
+
+    @classmethod
+    def of(cls, sky: _Sky, sample: _Sample, width: float) -> _LitPixels:
+        """Look at them."""
+        return cls(_slopes_of(sky, sample, width), *_noise_beside_light(sky, sample, width))
+
+
+def _slopes_of(sky: _Sky, sample: _Sample, width: float) -> FloatArray:
     import sep  # noqa: PLC0415 - as above
 
-    reach, found = int(np.ceil(4.0 * width)), []
-    for sample in samples:
-        if not len(sample.x):
-            continue
-        x, y, _ = sep.winpos(sample.pixels, sample.x, sample.y, np.full(len(sample.x), width))
-        row, column = _on(y, sample.pixels.shape[0]), _on(x, sample.pixels.shape[1])
-        patches = cut_patches(sample.pixels, row, column, reach)
-        found.append(find_slopes(patches, y - row, x - column, width))
-    slopes = np.concatenate(found)
+    x, y, _ = sep.winpos(sky.pixels, sample.x, sample.y, np.full(len(sample.x), width))
+    row, column = _on(y, sky.pixels.shape[0]), _on(x, sky.pixels.shape[1])
+    return find_slopes(cut_patches(sky.pixels, row, column, int(np.ceil(4.0 * width))), y - row, x - column, width)
+
+
+def _find_slope(lit: Sequence[_LitPixels]) -> float | None:
+    """Return the slope of the set's stars."""
+    slopes = np.concatenate([one.slopes for one in lit])
     slopes = slopes[np.isfinite(slopes) & (slopes > 0.2) & (slopes < 0.8)]
     return float(np.median(slopes)) if len(slopes) else None
 
@@ -314,10 +362,9 @@ def _on(place: FloatArray, size: int) -> Any:
     return np.clip(np.rint(place).astype(np.int64), 0, size - 1)
 
 
-def _find_gain(samples: Sequence[_Sample], window: Window) -> float | None:
+def _find_gain(lit: Sequence[_LitPixels]) -> float | None:
     """Estimate electrons a DN; None where stars are too few or show no noise of their own."""
-    parts = [_noise_beside_light(sample, window) for sample in samples if len(sample.x)]
-    I, v, s = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    I, v, s = (np.concatenate([getattr(one, name) for one in lit]) for name in ("light", "fine2", "dark"))
     sigma = np.sqrt(np.median(s))
     used = (sigma < I) & (1000.0 * sigma > I)
     if np.count_nonzero(used) < FEWEST_GAIN_PIXELS:
@@ -332,18 +379,18 @@ def _find_gain(samples: Sequence[_Sample], window: Window) -> float | None:
     return float(1.0 / solution[0]) if solution[0] > 0 else None
 
 
-def _noise_beside_light(sample: _Sample, window: Window) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _noise_beside_light(sky: _Sky, sample: _Sample, width: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Light, square of the finest structure, and variance of the sky (n,) at the pixels of stars."""
-    row, column = _on(sample.y, sample.pixels.shape[0]), _on(sample.x, sample.pixels.shape[1])
-    patches = cut_patches(sample.pixels, row, column, window.reach + len(FINEST) // 2)
+    row, column = _on(sample.y, sky.pixels.shape[0]), _on(sample.x, sky.pixels.shape[1])
+    patches = cut_patches(sky.pixels, row, column, reach_of(width) + len(FINEST) // 2)
     fine, light = patches, patches
     for axis in (1, 2):
         fine = convolve1d(fine, FINEST / np.sqrt((FINEST**2).sum()), axis=axis)
         light = convolve1d(light, FINEST**2 / (FINEST**2).sum(), axis=axis)
     inner = slice(len(FINEST) // 2, -(len(FINEST) // 2))
     light, fine = light[:, inner, inner], fine[:, inner, inner]
-    sky = np.broadcast_to((sample.sigma[row, column] ** 2)[:, None, None], light.shape)
-    return light.ravel(), fine.ravel() ** 2, sky.ravel()
+    dark = np.broadcast_to((sky.sigma[row, column] ** 2)[:, None, None], light.shape)
+    return light.ravel(), fine.ravel() ** 2, dark.ravel()
 
 
 def _kernel(sigma_px: float) -> FloatArray:
@@ -367,7 +414,7 @@ def detect(dn: FloatArray, common: Common, options: DetectionOptions) -> Detecti
     sky = subtract_sky(dn, bad if bad.any() else None)
     trails, spoiled = _find_large(sky, common)
     sky = subtract_sky(dn, bad | trails) if trails.any() else sky
-    pixels = np.where(bad, _fill(sky.pixels, bad), sky.pixels)
+    pixels = _fill(sky.pixels, bad)
     found = sep.extract(
         pixels,
         options.threshold * _noise_left(common.window.sigma_px),

@@ -27,7 +27,7 @@ import pyarrow as pa
 
 from boresight.arrays import FloatArray, IntArray
 from boresight.errors import Fault, RefusedInputError
-from boresight.images.detection import LOOKED_AT, REASONS, Common, DetectionOptions, Detections, detect, learn
+from boresight.images.detection import LOOKED_AT, REASONS, Common, DetectionOptions, Detections, Look, detect, learn
 from boresight.images.limits import LIMITS, ImageLimits, ImageSource
 from boresight.images.reading import Image, read_image, read_size
 from boresight.telemetry.data_sheets import LensAndDetector
@@ -133,12 +133,13 @@ def extract(
     read = _Read(sensor, raw or sensor.image, times, limits)
     white_dn, gain = options.saturation_dn or read.raw.saturation_dn, options.gain_e_per_dn or read.raw.gain_e_per_dn
     say("looking at images", 0.0)
-    looked_at = _read_some(sources, read)
-    white_dn = white_dn or next((image.white_dn for image in looked_at if image.white_dn), None)
-    gain = gain or next((image.gain_e_per_dn for image in looked_at if image.gain_e_per_dn), None)
+    looks: list[Look] = []
+    for image in _read_some(sources, read):
+        white_dn, gain = white_dn or image.white_dn, gain or image.gain_e_per_dn
+        looks.append(Look(image.dn))
     chosen = DetectionOptions(options.threshold, options.most_stars, gain, white_dn)
-    common = learn([image.dn for image in looked_at], chosen, white_dn)
-    del looked_at
+    common = learn(looks, chosen, white_dn)
+    del looks, image
     found = _extract_all(sources, partial(_extract_one, read=read, common=common, options=chosen), processes, say)
     return assemble(found, sensor, common)
 
@@ -214,11 +215,11 @@ def _refuse_set(sources: Sequence[ImageSource], times: Mapping[str, np.datetime6
         )
 
 
-def _read_some(sources: Sequence[ImageSource], read: _Read) -> list[Image]:
-    """Read images that stand for all, as evenly as their number allows, within a budget of pixels."""
+def _read_some(sources: Sequence[ImageSource], read: _Read) -> Iterator[Image]:
+    """Read images that stand for all, one after the other, as evenly as their number allows, within a budget of pixels."""
     most = max(1, min(LOOKED_AT, read.limits.pixels // (read.sensor.rows * read.sensor.columns)))
     places = np.unique(np.linspace(0, len(sources) - 1, min(len(sources), most)).round().astype(int))
-    return [read(sources[place]) for place in places]
+    return (read(sources[place]) for place in places)
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,12 @@ class Window:
     @property
     def reach(self) -> int:
         """Pixels on either side that count."""
-        return int(np.ceil(WINDOW_REACH * self.sigma_px))
+        return reach_of(self.sigma_px)
+
+
+def reach_of(sigma_px: float) -> int:
+    """Pixels on either side that count in a window of this sigma."""
+    return int(np.ceil(WINDOW_REACH * sigma_px))
 
 
 def make_window(sigma_px: float, slope: float | None = None) -> Window:

@@ -199,6 +199,10 @@ def _read_fits(
     digest = hashlib.sha256(content).hexdigest()
     if content.startswith(b"\x1f\x8b"):
         content = _expand(content, name, limits)
+        if not content.startswith(b"SIMPLE  ="):
+            raise RefusedInputError(
+                f"{name} is compressed by gzip, and what is inside is not FITS: unpack it, and give the file inside by its name."
+            )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of headers that break a rule and can be read all the same
         try:

@@ -254,10 +254,10 @@ def _describe(
     focal_px = focal_mm * 1e3 / pitch_um
     half_field = math.degrees(math.atan(math.hypot(rows, columns) / 2 / focal_px))
     camera = model or CAMERA_MODELS[WIDE_CAMERA if half_field > WIDE_DEG else USUAL_CAMERA]
-    x = camera.plain(focal_px, (rows - 1) / 2, (columns - 1) / 2, pitch_um * 1e-6)
+    x = camera.plain(focal_px, (rows - 1) / 2, (columns - 1) / 2, pitch_um / 1e6)
     sigma, why = _spreads(camera, x, int(rows), int(columns), pitch_um)
     names = camera.parameter_names
-    free = _free(camera, x, int(rows), int(columns), pitch_um * 1e-6)
+    free = _free(camera, x, int(rows), int(columns), pitch_um / 1e6)
     noise = at_hand["centroid_sigma_px"]
     reasons = {
         "detector": f"From the data sheet: {sheet.name} ({sheet.source})." if sheet else "As given.",
@@ -284,7 +284,7 @@ def _describe(
     }  # fmt: skip
     document: dict[str, Any] = {
         "name": known.name,
-        "detector": {"rows": int(rows), "columns": int(columns), "pixel_pitch_m": pitch_um * 1e-6},
+        "detector": {"rows": int(rows), "columns": int(columns), "pixel_pitch_m": pitch_um / 1e6},
         "camera_model": camera.name,
         "parity": known.parity or UPRIGHT,
         "centroid_sigma_px": CENTROID_SIGMA_PX if noise is None else noise,
@@ -319,7 +319,7 @@ def _spreads(
 ) -> tuple[list[float], dict[str, str]]:
     """Spread of each parameter, and the sentences that explain them."""
     corner = math.hypot(rows, columns) / 2
-    slope = _slopes(camera, x, rows, columns, pitch_um * 1e-6, 1.0)
+    slope = _slopes(camera, x, rows, columns, pitch_um / 1e6, 1.0)
     off = min(MOUNT_UM / pitch_um, MOST_OF_SIDE * max(rows, columns))
     focal = camera.place(Role.FOCAL)
     by_role = {Role.RADIAL: DISTORTED * corner, Role.DECENTRING: DECENTRED * corner}

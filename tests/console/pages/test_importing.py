@@ -1,5 +1,6 @@
 """The pages of importing: a profile saved, a file seen before it is stored."""
 
+import html
 import json
 import re
 
@@ -48,3 +49,17 @@ def test_a_preview_recognises_the_profile_and_the_form_keeps_it_to_be_changed(si
     own = preview(b"frame,exposure,row_px,col_px\n0,0,20,10\n0,0,60,50\n")
     assert '<option value="contract" selected>' in own
     assert "No mapping profile reads stars.csv" in preview(b"apples,pears\n1,2\n")
+
+
+def test_a_preview_drafts_a_profile_that_is_saved_and_chosen(site):
+    ada = site.visitor("ada")
+    data = {"csrf_token": ada.csrf_token, "sensor_id": "1", "purpose": "calibration", "profile": "", "preview": "1"}
+    files = {"file": ("stars.txt", b"# frame x y\n0 255.5 475.25\n0 72.0 474.5\n1 155.75 211.5\n")}
+    shown = ada.send("POST", "/telemetry", data=data, files=files, headers={"Accept": "text/html"}).text
+    assert "one was drafted from the file" in shown
+    assert "that its comment names the columns rightly: frame, x, y" in shown
+    assert "475.25" in shown
+    draft = html.unescape(re.search(r"<textarea id=\"document\"[^>]*>(.*?)</textarea>", shown, re.DOTALL).group(1))
+    saved = ada.post("/import-profiles", document=draft)
+    assert saved.status_code == 303
+    assert re.search(r'<option value="\d+" selected>mine, version 1</option>', ada.get(saved.headers["location"]))

@@ -1,5 +1,6 @@
 """Times of other clocks, velocities of SGP4 and OEM, attitudes of AEM: each against another program or the standard."""
 
+import gzip
 import warnings
 from datetime import UTC
 from pathlib import Path
@@ -216,7 +217,7 @@ STARS = "T,X,Y\n2020-06-01T12:00:30Z,10,20\n2020-06-01T12:10:00Z,11,21\n"
 TIMED = {"frames": {"by": "time"}, "row": {"column": "Y"}, "col": {"column": "X"}, "time": {"column": "T"}}
 
 
-def test_velocities_of_an_orbit_and_attitudes_of_an_aem_come_into_the_telemetry(load):
+def test_velocities_of_an_orbit_and_attitudes_of_an_aem_come_into_the_telemetry(load, tmp_path):
     made = load(STARS, TIMED, orbit=VECTORS / "leo-60s.oem")
     speed = np.linalg.norm(made.telemetry.velocity_m_s, axis=1)
     assert np.all((speed > 7000) & (speed < 8000))
@@ -229,6 +230,12 @@ def test_velocities_of_an_orbit_and_attitudes_of_an_aem_come_into_the_telemetry(
     )
     turned = load(text, TIMED, attitude=VECTORS / "example-2.aem").telemetry
     assert np.all(np.isfinite(turned.quaternion))
+    for name in ("example-2.aem", "leo-60s.oem"):
+        (tmp_path / f"{name}.gz").write_bytes(gzip.compress((VECTORS / name).read_bytes()))
+    packed = load(text, TIMED, attitude=tmp_path / "example-2.aem.gz").telemetry
+    np.testing.assert_array_equal(packed.quaternion, turned.quaternion)
+    packed = load(STARS, TIMED, orbit=tmp_path / "leo-60s.oem.gz").telemetry
+    np.testing.assert_array_equal(packed.velocity_m_s, made.telemetry.velocity_m_s)
 
 
 @pytest.mark.parametrize("moment", ["", "3e11", "-3e11"])

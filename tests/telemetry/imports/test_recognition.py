@@ -10,7 +10,7 @@ from astropy.table import Table
 from boresight.errors import RefusedInputError
 from boresight.images.reading import read_size
 from boresight.telemetry.imports.profile import parse_profile
-from boresight.telemetry.imports.recognition import draft_profile, recognise_table
+from boresight.telemetry.imports.recognition import draft_profile, recognise_for_import, recognise_table
 from boresight.telemetry.read.readers import read_telemetry
 from tests.telemetry.imports.conftest import VECTORS
 
@@ -57,6 +57,29 @@ def test_tables_in_other_containers_lead_to_the_import(tmp_path):
 def test_a_text_of_other_columns_leads_to_the_import(tmp_path, content, words):
     with pytest.raises(RefusedInputError, match=words):
         read_telemetry(write(tmp_path / "own.csv", content))
+
+
+@pytest.mark.parametrize(("name", "option"), [("example-2.aem", "--attitude"), ("leo-60s.oem", "--orbit")])
+def test_a_file_that_belongs_beside_telemetry_says_where(tmp_path, name, option):
+    packed = tmp_path / f"{name}.gz"
+    packed.write_bytes(gzip.compress((VECTORS / name).read_bytes()))
+    with pytest.raises(RefusedInputError, match=f"by the option {option} of `boresight import`"):
+        read_telemetry(packed)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (gzip.compress(OWN.encode())[:-9], "damaged gzip"),
+        (gzip.compress(gzip.compress(OWN.encode())), "gzip twice"),
+        (gzip.compress(b""), "is empty"),
+    ],
+)
+def test_a_compressed_file_that_cannot_be_read_keeps_its_cause(tmp_path, content, words):
+    path = tmp_path / "own.csv.gz"
+    path.write_bytes(content)
+    with pytest.raises(RefusedInputError, match=words):
+        recognise_for_import(path, path.name)
 
 
 def test_telemetry_with_a_fault_of_its_own_keeps_its_refusal(tmp_path):
@@ -133,10 +156,67 @@ def test_a_table_without_a_header_is_drafted_by_what_its_cells_look_like(load, t
     draft = draft_profile(recognise_table(path, "n.txt"))
     assert (draft.profile.layout.separator, draft.profile.layout.comment) == (separator, comment)
     assert (draft.profile.frames.column, draft.profile.col.column, draft.profile.row.column) == ("1", "2", "3")
-    assert "column 2" in draft.still[1]
+    told = "its comment names" if comment else "column 2 is taken for x, column 3 for y and column 1 for the frame"
+    assert any(told in one for one in draft.still)
     made = load(text, draft.profile.to_dict(), "n.txt").telemetry
     assert made.frame.tolist() == [0, 0, 1]
     np.testing.assert_array_equal(made.row_px, [475.25, 474.5, 211.5])
+
+
+@pytest.mark.parametrize(
+    ("comment", "row", "magnitude"),
+    [
+        ("# frame x y mag", "3", "4"),
+        ("# made by me\n#frame, x[px], y [px], mag", "3", "4"),
+        ("% frame y x mag", "2", "4"),
+        ("// frame row col mag", "2", "4"),
+        ("# a frame, and x and y of it", "3", None),
+        ("# frame x x mag", "3", None),
+    ],
+)
+def test_a_comment_that_names_the_columns_is_believed(load, tmp_path, comment, row, magnitude):
+    text = f"{comment}\n{NUMBERS}"
+    profile = draft_profile(recognise_table(write(tmp_path / "n.txt", text), "n.txt")).profile
+    assert (profile.frames.column, profile.row.column) == ("1", row)
+    assert (profile.magnitude and profile.magnitude.column) == magnitude
+    assert load(text, profile.to_dict(), "n.txt").telemetry.row_px.tolist() == [
+        float(line.split()[int(row) - 1]) for line in NUMBERS.splitlines()
+    ]
+
+
+@pytest.mark.parametrize("separator", [" ", ",", "\t"])
+def test_x_and_y_of_a_text_are_not_taken_for_a_fits_table_of_one_image(load, tmp_path, separator):
+    text = "\n".join(["frame x y mag", *NUMBERS.splitlines()]).replace(" ", separator)
+    found = recognise_table(write(tmp_path / "n.txt", text), "n.txt")
+    assert found.profile is None
+    assert load(text, draft_profile(found).profile.to_dict(), "n.txt").telemetry.frame.tolist() == [0, 0, 1]
+    Table({"frame": [0, 0], "X": [1.5, 2.5], "Y": [3.0, 4.0]}).write(tmp_path / "f.fits")
+    assert recognise_table(tmp_path / "f.fits", "f.fits").profile is None
+
+
+def test_frames_that_have_names_are_numbered_in_their_order(load, tmp_path):
+    text = "# from our pipeline\nimage,x,y\nb.fits,1.5,2.5\nb.fits,3.5,4.5\na.fits,1.5,2.5\n"
+    draft = draft_profile(recognise_table(write(tmp_path / "n.csv", text), "n.csv"))
+    assert draft.profile.frames.by == "name"
+    assert load(text, draft.profile.to_dict()).telemetry.frame.tolist() == [0, 0, 1]
+    with pytest.raises(RefusedInputError, match="row 4, column image: the cell is empty"):
+        load(text.replace("b.fits,3", ",3"), draft.profile.to_dict())
+
+
+@pytest.mark.parametrize(
+    ("rows", "guess"),
+    [
+        (("1 10.5 20.5 8.1", "2 12.5 21.5 8.2", "3 13.5 2.5 8.3"), {"col": "2", "row": "3"}),
+        (("1 0 100.5 200.5", "2 0 120.5 20.5", "3 1 30.5 25.5"), {"frame": "2", "col": "3", "row": "4"}),
+        (("0.0e+00 1.505e+02 2.5125e+02", "0.0e+00 1.75e+02 3.0e+01"), {"frame": "1", "col": "2", "row": "3"}),
+        (("0 9.1 250.5 470.2", "0 8.1 70.5 470.3"), {"frame": "1", "col": "3", "row": "4"}),
+        (("2461000.5 10.5 20.5", "2461000.6 12.5 20.7"), {"time": "1", "col": "2", "row": "3"}),
+        (("0 61000.5 10.5 20.5", "0 61000.5 12.5 20.7"), {"frame": "1", "time": "2", "col": "3", "row": "4"}),
+        (("2026-01-01 00:00:00 10.5 20.5", "2026-01-01 00:00:01 11.5 20.7"), {"day": "1", "col": "3", "row": "4"}),
+    ],
+)
+def test_clocks_and_numbers_of_stars_are_neither_frames_nor_coordinates(tmp_path, rows, guess):
+    assert dict(recognise_table(write(tmp_path / "n.txt", "\n".join(rows)), "n.txt").guess) == guess
 
 
 def test_numbers_without_coordinates_and_times_beside_them_are_told_apart(tmp_path):

@@ -37,12 +37,7 @@ def register_sensor(
     require_role(actor, "analyst", "administrator")
     require_scope(actor, "sensors")
     description = parse_sensor(document)
-    if not NAME.fullmatch(description.name):
-        raise RefusedInputError(
-            f"{description.name!r} is not a sensor name: use up to 64 letters, digits, spaces and . _ -."
-        )
-    if rows.find_sensor(session, description.name) is not None:
-        raise ConflictError(f"A sensor {description.name} exists already; edit it, or choose another name.")
+    require_new_name(session, description.name)
     row = Sensor(
         name=description.name,
         document=sensor_document(description),
@@ -55,6 +50,14 @@ def register_sensor(
     audit.append(session, actor, "registered", name_subject(row), None, row.document)
     create_ground_calibration(session, actor, row, description)
     return row
+
+
+def require_new_name(session: Session, name: str) -> None:
+    """Refuse a name that no sensor may have, or that one has."""
+    if not NAME.fullmatch(name):
+        raise RefusedInputError(f"{name!r} is not a sensor name: use up to 64 letters, digits, spaces and . _ -.")
+    if rows.find_sensor(session, name) is not None:
+        raise ConflictError(f"A sensor {name} exists already; edit it, or choose another name.")
 
 
 def edit_sensor(

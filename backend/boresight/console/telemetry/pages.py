@@ -118,7 +118,10 @@ SETS = Table(
 
 @dataclass(frozen=True)
 class TelemetryContext:
-    """The state of the upload form: its choices and why it was refused; `guessed`: nobody chose the profile of the preview."""
+    """The state of the upload form: its choices and why it was refused.
+
+    `guessed`: nobody chose the profile of the preview; `draft`: its JSON, where it was drafted.
+    """
 
     sensor: int | None = None
     find: str = ""
@@ -129,6 +132,7 @@ class TelemetryContext:
     elements: str = ""
     preview: dict[str, Any] | None = None
     guessed: bool = False
+    draft: str = ""
 
     @property
     def sensors(self) -> tuple[tuple[int, str], ...]:
@@ -175,7 +179,8 @@ def _page(
 def telemetry_page(request: Request, session: Reading, roles: Roles, settings: ServerSettings) -> HTMLResponse:
     """Show a page of sets, and the form."""
     sensor = read_view(request, SETS).where.get("sensor")
-    shown = TelemetryContext(parse_row_id(sensor or ""), request.query_params.get("find", ""))
+    query = request.query_params
+    shown = TelemetryContext(parse_row_id(sensor or ""), query.get("find", ""), profile=query.get("profile", ""))
     return _page(request, roles, settings.upload_limit_mb, shown, session)
 
 
@@ -241,8 +246,9 @@ async def _previewed(
             if prepared.imported is None:
                 raise RefusedInputError("The file was not imported: choose its mapping profile.")
             told, shown = prepared.imported.to_preview(), _refused(upload, None)
+            draft = "" if prepared.imported.draft is None else _write_profile(prepared.imported.draft.profile)
             key = shown.profile or await run_in_threadpool(_find_key, engine, prepared.imported.profile)
-            return replace(shown, preview=told, guessed=not shown.profile, profile=key)
+            return replace(shown, preview=told, guessed=not shown.profile, profile=key, draft=draft)
     except BoresightError as error:
         return _refused(upload, RefusalContext.of(error))
 
@@ -317,8 +323,12 @@ def profiles_page(request: Request, session: Reading, actor: Who) -> HTMLRespons
     """List every mapping profile, and offer one to begin from, named in the address by `from`."""
     start = request.query_params.get("from", "")
     profile = next((offer.profile for offer in list_offers(session) if offer.key == start), None)
-    typed = "" if profile is None else json.dumps(profile.to_dict(), indent=2, ensure_ascii=False)
+    typed = "" if profile is None else _write_profile(profile)
     return _profiles_page(request, actor, typed, None, session)
+
+
+def _write_profile(profile: Profile) -> str:
+    return json.dumps(profile.to_dict(), indent=2, ensure_ascii=False)
 
 
 @profile_router.post("/import-profiles", response_class=HTMLResponse)
@@ -331,7 +341,8 @@ async def save(request: Request, actor: Who, document: Annotated[str, Form()]) -
     outcome = await attempt(request, change)
     if outcome.refusal is not None:
         return await read_again(request, partial(_profiles_page, request, actor, document, outcome.refusal))
-    return redirect("/import-profiles", flash=f"{outcome.made.name}, version {outcome.made.number}, is saved.")
+    saved = f"{outcome.made.name}, version {outcome.made.number}, is saved and chosen: choose the file, and upload it."
+    return redirect(f"/telemetry?profile={outcome.made.id}", flash=saved)
 
 
 def _parsed_profile(text: str) -> dict[str, Any]:
@@ -559,6 +570,8 @@ def _held_for_new_sensor(
     actor: Actor, set_id: int, name: str, forecast_sources: ForecastSources, engine: Engine, settings: Settings
 ) -> Iterator[PreparedUpload]:
     row, document = _read_set(actor, set_id, engine)
+    with open_reading(engine) as session:
+        sensors.require_new_name(session, name)  # before what takes long
     with telemetry_sets.hold_for_new_sensor(document, row, forecast_sources, name, settings.telemetry_limits) as made:
         yield made
 

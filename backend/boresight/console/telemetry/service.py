@@ -353,7 +353,10 @@ def hold_for_new_sensor(
     document: Mapping[str, Any], row: TelemetrySet, sources: ForecastSources, name: str, limits: Limits = LIMITS
 ) -> Iterator[PreparedUpload]:
     """Check a set as one of a sensor under another name that is its own as the set's diagnosis mends it, without the database."""
-    mended = mend_document(document, get_diagnosis(row)) | {"name": name}
+    mended = mend_document(document, get_diagnosis(row))
+    if mended == document:
+        raise ConflictError(f"The diagnosis of {row.name} corrects nothing of its sensor; go on with that one.")
+    mended["name"] = name
     original, catalogue = sources.blobs.path(row.original_sha256), sources.catalogue()
     with hold_prepared(mended, catalogue, original, row.name, limits, sources.catalogue_folder) as prepared:
         yield prepared

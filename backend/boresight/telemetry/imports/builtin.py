@@ -108,6 +108,7 @@ _PROFILES = (
     Profile(
         name="astrometry-xyls",
         description="Sources of one image as astrometry.net lists them (.xyls): FITS pixels.",
+        layout=Layout(format="fits"),
         frames=Frames(by="file"),
         row=Axis(column="Y|YIMAGE", origin=1.0),
         col=Axis(column="X|XIMAGE", origin=1.0),
@@ -118,6 +119,7 @@ _PROFILES = (
     Profile(
         name="astrometry-axy",
         description="Sources of one image as astrometry.net's solver takes them (.axy): FITS pixels, the image's header.",
+        layout=Layout(format="fits"),
         frames=Frames(by="file"),
         row=Axis(column="Y", origin=1.0),
         col=Axis(column="X", origin=1.0),

@@ -33,7 +33,9 @@ from boresight.arrays import BoolArray, FloatArray, TimeArray
 from boresight.errors import Fault, RefusedInputError
 from boresight.estimation.attitude import conjugate
 from boresight.telemetry.imports.times import parse_times, utc_to_tai
+from boresight.telemetry.read.compression import expanded, first_bytes
 from boresight.telemetry.read.formats import read_bytes, read_text
+from boresight.telemetry.read.limits import LIMITS
 
 if TYPE_CHECKING:
     from sgp4.api import Satrec
@@ -120,14 +122,16 @@ def read_orbit(path: Path, name: str) -> Orbit:
 
 
 def is_aem(path: Path) -> bool:
-    """Say whether a file calls itself an AEM."""
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return b"CCSDS_AEM_VERS" in file.read(4096)
+    """Say whether a file calls itself an AEM, also one that is compressed by gzip."""
+    return path.is_file() and b"CCSDS_AEM_VERS" in first_bytes(path, 4096)
 
 
 def _read_lines(path: Path, name: str) -> list[str]:
+    with expanded(path, name, LIMITS) as place:
+        return _lines_of(place, name)
+
+
+def _lines_of(path: Path, name: str) -> list[str]:
     if path.is_file() and path.stat().st_size > MOST_BYTES:
         raise RefusedInputError(f"{name} is over {MOST_BYTES / 1e6:,.0f} MB: give the part that covers the telemetry.")
     lines = read_text(name, read_bytes(path, name)).decode().split("\n")

@@ -32,7 +32,7 @@ from boresight.errors import RefusedInputError
 from boresight.estimation.attitude import conjugate, product
 from boresight.telemetry.imports.ephemerides import Attitudes, Orbit, is_aem, read_aem, read_orbit
 from boresight.telemetry.imports.profile import Axis, Profile, Quaternion
-from boresight.telemetry.imports.recognition import recognise_table
+from boresight.telemetry.imports.recognition import Draft, draft_profile, recognise_table
 from boresight.telemetry.imports.tables import MOST_BYTES, SourceTable, read_source
 from boresight.telemetry.imports.times import read_constant, read_times, tell_leap_seconds
 from boresight.telemetry.read.checks import Checks, Faults, floats, integers, scale_quaternions, texts
@@ -104,6 +104,7 @@ class Imported:
     unused: tuple[str, ...]
     orbit: SourceFile | None = None
     attitude: SourceFile | None = None
+    draft: Draft | None = None
 
     def record(self) -> dict[str, Any]:
         """Return the record that goes with the telemetry: sources, profile, meanings and notes."""
@@ -123,8 +124,9 @@ class Imported:
         }
 
     def to_preview(self) -> dict[str, Any]:
-        """Return the record with its first rows: what would be stored."""
-        return {**self.record(), "rows": [asdict(row) for row in self.preview]}
+        """Return the record with its first rows, what would be stored; of a drafted profile, with it and what it leaves open."""
+        draft = self.draft and {"profile": self.draft.profile.to_dict(), "still": list(self.draft.still)}
+        return {**self.record(), "rows": [asdict(row) for row in self.preview], "draft": draft}
 
     def write(self, stream: IO[bytes], suffix: str) -> None:
         """Write the telemetry as CSV, JSON Lines or, with the record in its metadata, Parquet."""
@@ -617,6 +619,8 @@ class _Reading:
         match frames.by:
             case "column":
                 frame = self.wholes(frames.column or "", "frame")
+            case "name":
+                frame = self.by_name(frames.column or "")
             case "record":
                 frame = self.table.record[self.rows]
                 self.meanings.append(Meaning("frame", "", "a number for each record of the file, from 0"))
@@ -643,6 +647,19 @@ class _Reading:
         )
         self.meanings.append(Meaning("frame", time.column or "", "a number for each time, from 0"))
         return np.unique(moments, return_inverse=True)[1].astype(np.int64)
+
+    def by_name(self, column: str) -> IntArray:
+        """Return (n_entries,) numbers of the names in a column, in the order in which they come."""
+        found = self.names(column)[0]
+        cells = texts(pa.chunked_array([self.table.columns[found]])).combine_chunks()
+        cells = pa.concat_arrays(cells.chunks) if isinstance(cells, pa.ChunkedArray) else cells
+        coded = cells.take(pa.array(self.rows)).dictionary_encode()
+        nameless = {number for number, text in enumerate(coded.dictionary.to_pylist()) if not (text or "").strip()}
+        missing = np.zeros(len(self.table), dtype=np.bool_)
+        missing[self.rows] = [number is None or number in nameless for number in coded.indices.to_pylist()]
+        self.faults.add_entries(missing, found, lambda _: "the cell is empty: give every star the name of its frame")
+        self.tell("frame", column, "a number for each name, from 0")
+        return np.asarray(coded.indices.fill_null(0), np.int64)
 
     def wholes(self, column: str, name: str) -> IntArray:
         """Return (n_entries,) whole numbers, none of them absent."""
@@ -898,7 +915,7 @@ def import_by_likeliest(
     time: str | None = None,
     limits: Limits = LIMITS,
 ) -> Imported:
-    """Import a file by the likeliest profile that reads it, as `Recognised.rank` orders them; then by any other.
+    """Import a file by the likeliest profile that reads it, as `Recognised.rank` orders them; then by a draft, and by any other.
 
     Raises
     ------
@@ -914,9 +931,15 @@ def import_by_likeliest(
         )
     found = recognise_table(file.path, file.name)
     likely = [] if found is None else found.rank(profiles)
-    for profile in [*likely, *(one for one in profiles if one not in likely)]:
+    drafts: list[Draft] = []
+    if found is not None and not likely:
         with suppress(RefusedInputError):
-            return import_files([file], profile, sensor=sensor, orbit=orbit, time=time, limits=limits)
+            drafts.append(draft_profile(found))
+    drafted = [draft.profile for draft in drafts]
+    for profile in [*likely, *drafted, *(one for one in profiles if one not in likely)]:
+        with suppress(RefusedInputError):
+            made = import_files([file], profile, sensor=sensor, orbit=orbit, time=time, limits=limits)
+            return replace(made, draft=drafts[0]) if profile in drafted else made
     raise RefusedInputError(
         f"No mapping profile reads {file.name}: save one that names its columns, or upload it without a preview if it has "
         "Boresight's own columns or is an image."

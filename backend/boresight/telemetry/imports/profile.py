@@ -31,7 +31,7 @@ SCHEMA: Final = "boresight.import-profile/1"
 Format = Literal["auto", "csv", "jsonl", "parquet", "text", "ragged", "ecsv", "sextractor", "fits", "votable", "json"]
 Separator = Literal[",", ";", "tab", "space", "|"]
 DecimalMark = Literal[".", ","]
-Numbering = Literal["column", "record", "time", "file"]
+Numbering = Literal["column", "name", "record", "time", "file"]
 TimeSystem = Literal["utc", "tai", "gps", "j2000", "on_board"]
 TimeForm = Literal["iso", "days", "seconds", "milliseconds", "microseconds", "nanoseconds", "jd", "mjd"]
 Length = Literal["px", "m", "mm", "um"]
@@ -107,8 +107,9 @@ class Wide(_Part):
 class Frames(_Part):
     """How frames and exposures are numbered.
 
-    By a column; by `record`, a row of a wide table, an object of JSON or a line of a ragged file; by `time`, where every new
-    time is a new frame; or by `file`, where a file is one frame. Exposures are numbered 0 without a column.
+    By a column of numbers; by `name`, where every new text in the column is a new frame, as the name of an image; by `record`, a
+    row of a wide table, an object of JSON or a line of a ragged file; by `time`, where every new time is a new frame; or by
+    `file`, where a file is one frame. Exposures are numbered 0 without a column.
     """
 
     by: Numbering = "column"
@@ -380,7 +381,10 @@ def _troubles(profile: Profile) -> list[tuple[bool, str]]:
         (len(texts) > LONGEST_TEXT, f"it has over {LONGEST_TEXT:,} texts"),
         ((profile.row is None) != (profile.col is None), "give both row and col, or neither"),
         (profile.row is None and not columns, "give row and col, or quaternion.columns of a file of attitudes"),
-        ((profile.frames.by == "column") != (profile.frames.column is not None), "frames.column goes with frames.by column"),
+        (
+            (profile.frames.by in {"column", "name"}) != (profile.frames.column is not None),
+            "frames.column goes with frames.by column or name",
+        ),
         (profile.frames.by == "time" and time is None, "frames are numbered by time, and none is given: give time"),
         (
             time is not None and [time.column, time.constant, time.keyword].count(None) != 2,

@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -18,6 +18,7 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 
+from boresight.arrays import FloatArray
 from boresight.errors import Fault, RefusedInputError
 from boresight.telemetry.imports.builtin import BUILT_IN
 from boresight.telemetry.imports.profile import (
@@ -26,28 +27,27 @@ from boresight.telemetry.imports.profile import (
     Frames,
     Layout,
     Magnitude,
+    Numbering,
     Profile,
     Quaternion,
     Sigma,
     StarId,
     Temperature,
     Time,
+    TimeForm,
     Wide,
 )
 from boresight.telemetry.imports.tables import (
-    COMMENT,
     SourceTable,
     detect_form,
     find_fits_columns,
-    find_separators,
-    first_lines,
-    holds_no_name,
+    look_at_text,
     read_head,
     read_source,
     split_row,
 )
 from boresight.telemetry.read.compression import expanded, name_inside
-from boresight.telemetry.read.formats import BYTE_ORDER_MARK, parse_json
+from boresight.telemetry.read.formats import BYTE_ORDER_MARK, format_at, parse_json
 from boresight.telemetry.read.limits import LIMITS
 
 #: Bytes of a JSON document that is read whole to see what it holds.
@@ -57,9 +57,15 @@ _SHOWN: Final = 6
 _SYNONYMS: Final[Mapping[str, tuple[str, ...]]] = {
     "frame": ("frame", "frameid", "framenumber", "frameno", "image", "imageid", "img", "imagenumber", "packet", "seq"),
     "exposure": ("exposure", "exposureid", "exposurenumber"),
-    "row": ("rowpx", "row", "ypx", "ycentroid", "ypix", "ypixel", "yimage", "centroidy", "cy", "v", "line", "y"),
-    "col": ("colpx", "col", "column", "xpx", "xcentroid", "xpix", "xpixel", "ximage", "centroidx", "cx", "u", "x"),
-    "time": ("timeutc", "utc", "time", "timestamp", "datetime", "dateobs", "epoch", "t"),
+    "row": (
+        "rowpx", "row", "ypx", "ycentroid", "ypix", "ypixel", "yimage", "centroidy", "ycen", "ypos", "posy", "stary", "cy", "yc",
+        "v", "line", "y",
+    ),
+    "col": (
+        "colpx", "col", "column", "xpx", "xcentroid", "xpix", "xpixel", "ximage", "centroidx", "xcen", "xpos", "posx", "starx",
+        "cx", "xc", "u", "x",
+    ),
+    "time": ("timeutc", "utc", "time", "timestamp", "datetime", "dateobs", "jd", "mjd", "epoch", "t"),
     "star_id": ("starid", "hip", "hipid", "hipparcos", "hipnumber", "catalogid", "catid"),
     "ra": ("radeg", "ra", "rightascension"),
     "dec": ("decdeg", "dec", "de", "declination"),
@@ -71,8 +77,18 @@ _SYNONYMS: Final[Mapping[str, tuple[str, ...]]] = {
 _QUATERNIONS: Final = (("qx", "qy", "qz", "qw"), ("q1", "q2", "q3", "q4"), ("qi", "qj", "qk", "qs"))
 #: Names of coordinates that do not say which of them is which, so that a person has to look.
 _OF_AN_IMAGE: Final = ("x", "y", "u", "v", "ximage", "yimage")
-_DAY = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}")
+_DAY, _DAY_LENGTH = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}"), 10
+#: A unit behind a name, as in `x[px]`.
+_UNIT = re.compile(r"\s*[\[(][^\])]*[\])]")
 _COORDINATES: Final = 2
+#: Stars of one line that no table of one star a row has columns for.
+_MANY_STARS: Final = 10
+#: No detector has more pixels along a side, and no magnitude is larger.
+_LARGEST_PX, _FAINTEST = 30_000.0, 30.0
+#: Between what numbers a column that never falls is taken for a time, of today's decades: Julian dates, modified ones, Unix times.
+_CLOCKS: Final[Mapping[TimeForm, tuple[float, float]]] = {
+    "jd": (2.4e6, 2.5e6), "mjd": (4e4, 8e4), "seconds": (5e8, 4e9), "milliseconds": (5e11, 4e12),
+}  # fmt: skip
 _NUMBERED = re.compile(r"^(.*?)(\d+)(.*)$")
 
 
@@ -81,8 +97,8 @@ class Recognised:
     """What a file is.
 
     `kind`: with its article. `columns`: names in their order. `layout`: how it is read, `auto` where that does.
-    `example`: the first cell of each column that was looked at. `guess`: columns by what their cells look like, where they have
-    no names but their numbers.
+    `example`: the first cell of each column that was looked at. `told`: names that a comment gives to columns which have but
+    numbers, with these; `guess`: without them, columns by what their cells look like. `widths`: cells of lines without a header.
     """
 
     name: str
@@ -90,7 +106,9 @@ class Recognised:
     columns: tuple[str, ...]
     layout: Layout = field(default_factory=Layout)
     example: Mapping[str, str] = field(default_factory=dict)
+    told: Mapping[str, str] = field(default_factory=dict)
     guess: Mapping[str, str] = field(default_factory=dict)
+    widths: tuple[int, ...] = ()
 
     @property
     def profile(self) -> Profile | None:
@@ -107,21 +125,36 @@ class Recognised:
     def _score(self, profile: Profile) -> int:
         """Count the columns of a profile that are there; 0 where one that it needs is not, or the layout is another."""
         layout, plain = profile.layout, Layout()
-        if layout.format == "ragged" or (
-            (layout.explode or self.layout.explode) and layout.explode[:1] != self.layout.explode[:1]
-        ):
+        if layout.format == "ragged":
+            return self._count_ragged(layout)
+        if (layout.explode or self.layout.explode) and layout.explode[:1] != self.layout.explode[:1]:
             return 0
-        if layout.separator not in {plain.separator, self.layout.separator}:
+        is_other = layout.separator not in {plain.separator, self.layout.separator}
+        is_other |= layout.format == "fits" != self.layout.format
+        if is_other or (profile.frames.by == "file" and "frame" in self._names):
             return 0
         if layout.explode:
             return sum(key.split(".")[0] in layout.explode for key in self.columns) + 1
         table = SourceTable(
             self.name, {column: pa.nulls(0) for column in self.columns}, np.zeros(0, np.int64), np.zeros(0, np.int64)
         )
-        present = {quantity: all(map(table.has, columns)) for quantity, columns in _list_columns(profile)}
+        read = {quantity: columns for quantity, columns in _list_columns(profile) if columns}
+        present = {quantity: all(map(table.has, columns)) for quantity, columns in read.items()}
         if any(not there for quantity, there in present.items() if quantity not in profile.optional):
             return 0
         return sum(present.values())
+
+    def _count_ragged(self, layout: Layout) -> int:
+        """Count the cells of a star where lines have several stars each, and not all as many."""
+        cells = layout.cells_per_star or 1
+        has_stars = all(width % cells == 0 and width >= _COORDINATES * cells for width in self.widths)
+        differ = len(set(self.widths)) > 1 or max(self.widths, default=0) >= _MANY_STARS * cells
+        return cells if has_stars and differ and self.layout.separator == layout.separator else 0
+
+    @property
+    def _names(self) -> dict[str, str]:
+        """The column of each quantity, by its name or by what its cells look like."""
+        return dict(self.guess) if self.guess else _find_names(self.columns)[0]
 
     @property
     def is_of_another_program(self) -> bool:
@@ -150,8 +183,8 @@ class Recognised:
                 "(`--profile`) with the file"
             )
         return (
-            f"{told}, and no built-in mapping profile fits: write a first one by `{self.command}`, complete it, and run "
-            f"`boresight import {Path(self.name).name} --profile mine.json`"
+            f"{told}, and no built-in mapping profile fits: write a first one by `{self.command}` (on the page by Preview import), "
+            f"complete it, and run `boresight import {Path(self.name).name} --profile mine.json`"
         )
 
 
@@ -210,7 +243,7 @@ def _recognise(path: Path, name: str) -> Recognised | None:  # noqa: PLR0911 - o
     match detect_form(path, name, Layout()):
         case "fits":
             columns = find_fits_columns(path, name)
-            return Recognised(name, "a FITS table", columns) if columns else None
+            return Recognised(name, "a FITS table", columns, Layout(format="fits")) if columns else None
         case "votable":
             return _recognise_whole(path, name, "a VOTable")
         case "ecsv":
@@ -228,48 +261,79 @@ def _recognise_whole(path: Path, name: str, kind: str) -> Recognised:
 def _recognise_text(name: str, head: bytes) -> Recognised | None:
     if b"\0" in head:
         return None
-    separator, decimal = find_separators(head)
-    lines = first_lines(head)
-    if not lines:
+    found = look_at_text(head)
+    if not found.lines:
         return None
-    cells = [split_row(line, separator) for line in lines]
-    if len(cells[0]) > 1 and holds_no_name(cells[0]):
-        comment = COMMENT if head.removeprefix(BYTE_ORDER_MARK).lstrip().startswith(COMMENT.encode()) else ""
-        layout = Layout(format="text", separator=separator, decimal=decimal, header=False, comment=comment)
+    layout = Layout(
+        format="text", separator=found.separator, decimal=found.decimal, header=found.has_header, comment=found.comment
+    )
+    cells = [split_row(line, found.separator) for line in found.lines]
+    if not found.has_header and len(cells[0]) > 1:
         columns = tuple(str(number) for number in range(1, len(cells[0]) + 1))
-        example = dict(zip(columns, cells[0], strict=True))
-        return Recognised(name, "a table without a header", columns, layout, example, _guess(cells))
-    cells = [cells[0], cells[min(1, len(cells) - 1)]]
-    spelled = {";": "semicolons", "tab": "tabs", "space": "blanks"}.get(separator)
+        example, told = dict(zip(columns, cells[0], strict=True)), _names_in_comment(found.comments, columns)
+        guess = {} if told else _guess(cells)
+        widths = tuple(map(len, cells))
+        return Recognised(name, "a table without a header", columns, layout, example, told, guess, widths)
+    spelled = {";": "semicolons", "tab": "tabs", "space": "blanks"}.get(found.separator)
     kind = "a table" if spelled is None else f"a table whose columns are separated by {spelled}"
-    layout = Layout() if spelled is None else Layout(format="text", separator=separator, decimal=decimal)
-    return Recognised(name, kind, tuple(cells[0]), layout, dict(zip(cells[0], cells[-1], strict=False)))
+    first = cells[min(1, len(cells) - 1)]
+    layout = Layout() if spelled is None and not found.comment else layout
+    return Recognised(name, kind, tuple(cells[0]), layout, dict(zip(cells[0], first, strict=False)))
+
+
+def _names_in_comment(comments: Sequence[str], columns: Sequence[str]) -> dict[str, str]:
+    """Return the number of each column by the name that the last comment gives it in which a star's coordinates are named."""
+    for comment in reversed(comments):
+        plain = _UNIT.sub("", comment)
+        for separator in (",", ";", "tab", "space"):
+            names = split_row(plain, separator)
+            if len(names) == len(columns) == len(set(names)) and {"row", "col"} <= _matched(names).keys():
+                return dict(zip(names, columns, strict=True))
+    return {}
 
 
 def _guess(rows: Sequence[Sequence[str]]) -> dict[str, str]:
     """Return the columns, by number, that hold frames, times and coordinates as far as their cells look like it.
 
-    A time begins with its day; a first column of whole numbers that never fall is the frame; the first two others that hold
-    fractions, and nothing below zero, are x and y.
+    A time begins with its day, or is a number of a clock that never falls; whole numbers that never fall, and repeat, are frames;
+    the first two others that hold fractions, and nothing below zero or beyond a detector, are x and y: those whose largest is no
+    magnitude come first.
     """
     guess: dict[str, str] = {}
-    places: list[str] = []
+    numbers: dict[str, FloatArray] = {}
     for number, cells in enumerate(zip(*(row for row in rows if len(row) == len(rows[0])), strict=True), 1):
         if all(_DAY.match(cell) for cell in cells):
-            guess.setdefault("time", str(number))
+            guess.setdefault("time" if all(len(cell) > _DAY_LENGTH for cell in cells) else "day", str(number))
             continue
-        try:
+        with suppress(ValueError):
             values = np.array([float(cell.replace(",", ".")) for cell in cells])
-        except ValueError:
-            continue
-        is_whole = all(cell.lstrip("-+").isdigit() for cell in cells)
-        if is_whole and number == 1 and len(rows[0]) > _COORDINATES and np.all(np.diff(values) >= 0):
-            guess["frame"] = str(number)
-        elif not is_whole and np.all(values >= 0):
-            places.append(str(number))
+            if np.isfinite(values).any():
+                numbers[str(number)] = values[np.isfinite(values)]
+    wholes = {column for column, values in numbers.items() if np.all(values == np.floor(values))}
+    rising = [column for column, values in numbers.items() if np.all(np.diff(values) >= 0)]
+    clocks = [column for column in rising if _find_clock(numbers[column], is_whole=column in wholes) is not None]
+    if clocks:
+        guess.setdefault("time", clocks[0])
+    counts = [column for column in rising if column in wholes - set(clocks) and np.any(np.diff(numbers[column]) == 0)]
+    if counts and len(rows[0]) > _COORDINATES:
+        guess["frame"] = next((column for column in counts if np.ptp(numbers[column]) > 0), counts[0])
+    places = [
+        column
+        for column, values in numbers.items()
+        if column not in wholes | set(clocks) and np.all((values >= 0) & (values < _LARGEST_PX))
+    ]
+    likely = [column for column in places if numbers[column].max() > _FAINTEST]
     if len(places) >= _COORDINATES:
-        guess["col"], guess["row"] = places[:_COORDINATES]
+        guess["col"], guess["row"] = (likely if len(likely) >= _COORDINATES else places)[:_COORDINATES]
     return guess
+
+
+def _find_clock(values: FloatArray, *, is_whole: bool) -> TimeForm | None:
+    """Return how numbers are written that may be times of today's decades."""
+    for form, (first, last) in _CLOCKS.items():
+        if np.all((values >= first) & (values < last)) and not (form == "mjd" and is_whole):
+            return form
+    return None
 
 
 def _recognise_json(path: Path, name: str, start: bytes) -> Recognised | None:
@@ -333,18 +397,23 @@ def draft_profile(found: Recognised) -> Draft:
     """
     if (fitting := found.profile) is not None:
         return Draft(fitting, ())
-    names, wide = (dict(found.guess), None) if not found.layout.header else _find_names(found.columns)
+    columns = found.told or {column: column for column in found.columns}
+    named, wide = (dict(found.guess), None) if found.guess else _find_names(tuple(columns))
+    names = {quantity: columns.get(name, name) for quantity, name in named.items()}
     if "row" not in names or "col" not in names:
+        like = "is named" if found.layout.header else "looks"
         raise RefusedInputError(
-            f"{found.name} is {found.kind} with {', '.join(found.columns[:_SHOWN]) or 'no columns'}, none of which is named like "
+            f"{found.name} is {found.kind} with {', '.join(found.columns[:_SHOWN]) or 'no columns'}, none of which {like} like "
             "the row and column of a star: name them in a mapping profile, as docs/how-to/map-my-telemetry.md shows."
         )
     still: list[str] = []
-    if not found.layout.header:
-        still.append(
-            f"what each column is: the file names none, and by their numbers column {names['col']} is taken for x and column "
-            f"{names['row']} for y"
-        )
+    if found.guess:
+        kinds = {"col": "x", "row": "y", "frame": "the frame", "time": "the time"}
+        taken = _listed([f"column {names[kind]} for {what}" for kind, what in kinds.items() if kind in names])
+        taken = taken.replace(" for x", " is taken for x", 1)
+        still.append(f"what each column is: the file names none, and by their numbers {taken}")
+    if found.told:
+        still.append(f"that its comment names the columns rightly: {', '.join(found.told)}")
     time = None if "time" not in names else _drafted_time(names["time"], found.example, still)
     profile = Profile(
         name="mine",
@@ -357,7 +426,7 @@ def draft_profile(found: Recognised) -> Draft:
         time=time,
         star_id=None if "star_id" not in names else StarId(column=names["star_id"]),
         directions=_drafted_directions(names, still),
-        quaternion=_drafted_quaternion(found.columns, still),
+        quaternion=_drafted_quaternion(columns, still),
         magnitude=_drafted_magnitude(names),
         sigma=None if "sigma" not in names else Sigma(columns=(names["sigma"],)),
         temperature=None if "temperature" not in names else Temperature(column=names["temperature"]),
@@ -365,10 +434,14 @@ def draft_profile(found: Recognised) -> Draft:
     still.insert(
         0, "row.origin and col.origin: what the file calls the centre of the first pixel (0 is assumed, FITS says 1)"
     )
-    if {_plain(names["row"].rpartition(".")[2]), _plain(names["col"].rpartition(".")[2])} & set(_OF_AN_IMAGE):
+    if found.guess or {_plain(named[axis].rpartition(".")[2]) for axis in ("row", "col")} & set(_OF_AN_IMAGE):
         still.insert(1, "row and col: that y counts rows downwards (row.reversed where it grows upwards)")
-    if time is None:
-        still.append("time: the file has none; give --time, or its column")
+    if time is None and "day" in names:
+        still.append(
+            f"time: column {names['day']} has only days; write day and time of day in one cell, or give --time"
+        )
+    elif time is None:
+        still.append("time: the file has none; give it with the file (--time, Taken at), or its column")
     return Draft(profile, tuple(still))
 
 
@@ -419,11 +492,18 @@ def _forms(column: str, *, numbered: bool) -> Iterator[str]:
 def _drafted_time(column: str, example: Mapping[str, str], still: list[str]) -> Time:
     cell = example.get(column, "")
     if re.fullmatch(r"\s*[-+]?[0-9]+([.,][0-9]*)?\s*", cell):
-        still.append(
-            "time.system and time.form: what its numbers count, and from when (seconds from 1970, UTC, are assumed)"
+        value = float(cell.replace(",", "."))
+        form = _find_clock(np.array([value]), is_whole=value.is_integer()) or "seconds"
+        assumed = {"jd": "Julian dates, UTC,", "mjd": "modified Julian dates, UTC,"}.get(
+            form, f"{form} from 1970, UTC,"
         )
-        return Time(column=column, form="seconds")
+        still.append(f"time.system and time.form: what its numbers count, and from when ({assumed} are assumed)")
+        return Time(column=column, form=form)
     return Time(column=column)
+
+
+def _listed(parts: Sequence[str]) -> str:
+    return " and ".join(filter(None, [", ".join(parts[:-1]), parts[-1]]))
 
 
 def _drafted_frames(names: Mapping[str, str], found: Recognised, wide: Wide | None, still: list[str]) -> Frames:
@@ -431,7 +511,9 @@ def _drafted_frames(names: Mapping[str, str], found: Recognised, wide: Wide | No
         return Frames(by="record")
     exposure = names.get("exposure")
     if "frame" in names:
-        return Frames(column=names["frame"], exposure=exposure)
+        cell = found.example.get(names["frame"], "0")
+        by: Numbering = "column" if re.fullmatch(r"[-+]?[0-9]+(\.0*([eE][-+]?[0-9]+)?)?|", cell.strip()) else "name"
+        return Frames(by=by, column=names["frame"], exposure=exposure)
     if "time" in names:
         still.append("frames: a new one at every new time is assumed")
         return Frames(by="time", exposure=exposure)
@@ -446,8 +528,8 @@ def _drafted_directions(names: Mapping[str, str], still: list[str]) -> Direction
     return Directions(ra=names["ra"], dec=names["dec"], kind="catalogue")
 
 
-def _drafted_quaternion(columns: Sequence[str], still: list[str]) -> Quaternion | None:
-    plain = {_plain(column): column for column in columns}
+def _drafted_quaternion(columns: Mapping[str, str], still: list[str]) -> Quaternion | None:
+    plain = {_plain(name): column for name, column in columns.items()}
     for words in _QUATERNIONS:
         if all(word in plain for word in words):
             still.append(
@@ -464,10 +546,12 @@ def _drafted_magnitude(names: Mapping[str, str]) -> Magnitude | None:
 
 
 def recognise_for_import(path: Path, name: str) -> Recognised:
-    """Return what table a file is; refuses one that is none."""
+    """Return what table a file is; refuses one that is none, for what its reader says where that names the cause."""
     found = recognise_table(path, name)
     if found is None:
         read_head(path)
+        with expanded(path, name, LIMITS) as place:
+            format_at(place, name)
         raise RefusedInputError(
             f"{name} is no table that can be imported: give a table of stars, or images to `boresight extract`."
         )

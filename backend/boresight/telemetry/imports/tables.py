@@ -51,10 +51,11 @@ _LDAC = ("LDAC_IMHEAD",)
 _DECIMAL_COMMA = re.compile(r"\s*[-+]?(?:[0-9]+,[0-9]*|,[0-9]+)(?:[eE][-+]?[0-9]+)?\s*")
 #: A number, or a time that begins with its day.
 _VALUE = re.compile(
-    r"[-+]?(?:[0-9]+[.,]?[0-9]*|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?|nan|[0-9]{4}-[0-9]{2}-[0-9]{2}\S*|[0-9:.]+Z?",
+    r"[-+]?(?:[0-9]+[.,]?[0-9]*|[.,][0-9]+)(?:[ed][-+]?[0-9]+)?|nan|[-+]?inf|[0-9]{4}-[0-9]{2}-[0-9]{2}\S*|[0-9:.]+Z?",
     re.IGNORECASE,
 )
-COMMENT = "#"
+#: What comments before a table begin with.
+_COMMENTS = ("#", "%", "//", "!")
 #: Of a text that is looked at to see how it is written.
 _HEAD_BYTES, _LOOKED_AT = 65_536, 100
 _BAD_LINE = re.compile(r"data line (\d+)")
@@ -171,35 +172,60 @@ def detect_form(path: Path, name: str, layout: Layout) -> Format:  # noqa: PLR09
 
 
 def _by_separators(path: Path, layout: Layout) -> tuple[Format, Layout]:
-    """Return how a text is read whose columns are not separated by commas, as spreadsheets write where the comma is decimal."""
-    separator, decimal = find_separators(read_head(path))
-    if separator == ",":
+    """Return how a text is read that has comments before its header, or columns that no commas separate, as of spreadsheets."""
+    found = look_at_text(read_head(path))
+    if found.separator == "," and not (found.comment and found.has_header):
         return "csv", layout
-    return "text", replace(layout, separator=separator, decimal=decimal)
+    return "text", replace(layout, separator=found.separator, decimal=found.decimal, comment=found.comment)
 
 
-def find_separators(head: bytes) -> tuple[Separator, DecimalMark]:
-    """Tell by its first lines what separates a text's columns, and its decimal mark: a comma where cells have that and no point."""
-    lines = [] if head.startswith(b"PAR1") else first_lines(head)
+@dataclass(frozen=True)
+class TextHead:
+    """How a text table is written, by its first lines.
+
+    `lines`: the first that hold something, of a header or of rows. `comments`: without the mark `comment` that they begin with.
+    """
+
+    lines: tuple[str, ...]
+    separator: Separator = ","
+    decimal: DecimalMark = "."
+    comment: str = ""
+    comments: tuple[str, ...] = ()
+    has_header: bool = True
+
+
+def look_at_text(head: bytes) -> TextHead:
+    """Tell by a file's first bytes what separates its columns, and its decimal mark: a comma where cells have that and no point."""
+    if head.startswith(b"PAR1"):
+        return TextHead(())
+    lines = [line for line in head.removeprefix(BYTE_ORDER_MARK).decode(errors="replace").splitlines() if line.strip()]
+    if len(head) == _HEAD_BYTES and len(lines) > 1:
+        lines.pop()  # it is cut
+    comment = next((mark for mark in _COMMENTS if lines and lines[0].lstrip().startswith(mark)), "")
+    told = [line for line in lines if not (comment and line.lstrip().startswith(comment))]
+    found = _look_at_lines(told[:_LOOKED_AT])
+    widths = {len(split_row(line, found.separator)) for line in found.lines[:2]}
+    if (
+        not comment or len(widths) != 1 or widths == {1} or len(told) == found.has_header
+    ):  # a mark before what is no table
+        return _look_at_lines(lines[:_LOOKED_AT])
+    comments = [line.lstrip().removeprefix(comment).strip() for line in lines if line.lstrip().startswith(comment)]
+    return replace(found, comment=comment, comments=tuple(comments))
+
+
+def _look_at_lines(lines: Sequence[str]) -> TextHead:
     header = lines[0] if lines else ""
-    is_data = holds_no_name(re.split(r"[;\s]", header))
-    if header.lstrip().startswith(("{", "[")) or ("," in header and not (is_data and ";" in header)):
-        return ",", "."
-    separator: Separator = ";" if ";" in header else "tab" if "\t" in header else "space" if _is_spaced(lines) else ","
+    is_data = holds_no_name(re.split(r"[,;\s]", header.replace('"', "")))
+    has_decimal_commas = is_data and (";" in header or _are_decimal(header.split()))
+    separator: Separator = ","
+    if not header.lstrip().startswith(("{", "[")) and ("," not in header or has_decimal_commas):
+        spaced = _is_spaced(lines, is_data=is_data)
+        separator = ";" if ";" in header else "tab" if "\t" in header else "space" if spaced else ","
     cells = [cell for line in lines[not is_data :] for cell in split_row(line, separator)]
     commas = any(_DECIMAL_COMMA.fullmatch(cell) for cell in cells)
     points = any(_DECIMAL_COMMA.fullmatch(cell.replace(".", ",")) for cell in cells if "." in cell)
-    return separator, "," if separator != "," and commas and not points else "."
-
-
-def first_lines(head: bytes) -> list[str]:
-    """Return the first lines of a text that hold something; one that is cut, and comments before a table of numbers, left out."""
-    text = head.removeprefix(BYTE_ORDER_MARK).decode(errors="replace")
-    lines = [line for line in text.splitlines() if line.strip()]
-    if len(head) == _HEAD_BYTES and len(lines) > 1:
-        lines.pop()
-    told = [line for line in lines if not line.lstrip().startswith(COMMENT)]
-    return (told if told and holds_no_name(re.split(r"[,;\s]", told[0])) else lines)[:_LOOKED_AT]
+    decimal: DecimalMark = "," if separator != "," and commas and not points else "."
+    return TextHead(tuple(lines), separator, decimal, has_header=not is_data)
 
 
 def holds_no_name(cells: Sequence[str]) -> bool:
@@ -207,10 +233,15 @@ def holds_no_name(cells: Sequence[str]) -> bool:
     return any(cells) and all(not cell or _VALUE.fullmatch(cell.strip()) for cell in cells)
 
 
-def _is_spaced(lines: Sequence[str]) -> bool:
-    """Whether every line has as many words as the first, more than one."""
-    words = {len(line.split()) for line in lines}
-    return len(lines) > 1 and len(words) == 1 and words.pop() > 1
+def _are_decimal(words: Sequence[str]) -> bool:
+    """Whether the commas in words are decimal, as of numbers between blanks."""
+    return len(words) > 1 and all(_VALUE.fullmatch(word) and not word.endswith(",") for word in words)
+
+
+def _is_spaced(lines: Sequence[str], *, is_data: bool) -> bool:
+    """Whether the first line has words, and every other as many; numbers are so alone, and before a line of another length."""
+    words = [len(line.split()) for line in lines]
+    return bool(words) and words[0] > 1 and (is_data or (len(words) > 1 and len(set(words)) == 1))
 
 
 def split_row(line: str, separator: str) -> list[str]:

@@ -6,7 +6,7 @@ import gzip
 import tempfile
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path, PurePath
 
 from boresight.errors import RefusedInputError
@@ -15,6 +15,8 @@ from boresight.telemetry.read.limits import Limits
 MAGIC = b"\x1f\x8b"
 SUFFIX = ".gz"
 _PIECE_BYTES = 1 << 20
+#: What zlib calls a window of 32 kB with gzip's header.
+_GZIP_BITS = 31
 
 
 def is_gzip(path: Path) -> bool:
@@ -41,6 +43,16 @@ def expanded_bytes(path: Path) -> int:
         return max(size, int.from_bytes(file.read(4), "little"))
 
 
+def first_bytes(path: Path, count: int) -> bytes:
+    """Return the first bytes of what is in a file, fewer where it is damaged."""
+    if not is_gzip(path):
+        with path.open("rb") as file:
+            return file.read(count)
+    with path.open("rb") as file, suppress(zlib.error):
+        return zlib.decompressobj(_GZIP_BITS).decompress(file.read(4 * count), count)
+    return b""
+
+
 @contextmanager
 def expanded(path: Path, name: str, limits: Limits) -> Iterator[Path]:
     """Where a file is as it was before gzip, in a folder that is removed afterwards; any other file where it is.
@@ -64,6 +76,10 @@ def _expand(path: Path, place: Path, name: str, most: int) -> None:
     try:
         with gzip.open(path) as packed, place.open("wb") as file:
             while piece := packed.read(_PIECE_BYTES):
+                if left == most and piece.startswith(MAGIC):
+                    raise RefusedInputError(
+                        f"{name} is compressed by gzip twice: unpack it once, and give the file inside."
+                    )
                 left -= len(piece)
                 if left < 0:
                     raise RefusedInputError(

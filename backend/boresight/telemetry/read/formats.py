@@ -42,6 +42,7 @@ _CENTROIDS = (
 _UNPACK = "unpack it and give the CSV, JSON Lines or Parquet file inside"
 _SAVE_SHEET = "save the sheet as CSV and give that"
 _EXPORT = "write its table of stars as CSV, JSON Lines or Parquet"
+_BESIDE = "give it beside the table of stars, by the option {} of `boresight import`"
 _OTHER_FILE = "give the telemetry itself, as CSV, JSON Lines or Parquet"
 
 
@@ -85,6 +86,11 @@ _SIGNATURES = {
     b"SQLite format 3\0": FileKind("an SQLite database", _EXPORT),
     b"\x7fELF": FileKind("a program (ELF)", _OTHER_FILE),
 }
+#: What is text of its own kind, and belongs beside telemetry.
+_MESSAGES = {
+    b"CCSDS_AEM_VERS": FileKind("a file of attitudes (CCSDS AEM)", _BESIDE.format("--attitude")),
+    b"CCSDS_OEM_VERS": FileKind("a file of an orbit (CCSDS OEM)", _BESIDE.format("--orbit")),
+}
 _ZIP = b"PK\x03\x04"
 #: What the names of an archive's first members say it is.
 _ZIP_MEMBERS = {
@@ -115,7 +121,8 @@ def detect_kind(head: bytes) -> FileKind | None:
 
 def refuse_other_kinds(name: str, head: bytes) -> None:
     """Refuse a file that cannot be telemetry, by its first bytes."""
-    if (kind := detect_kind(head)) is not None:
+    message = next((kind for magic, kind in _MESSAGES.items() if head.lstrip().startswith(magic)), None)
+    if (kind := message or detect_kind(head)) is not None:
         raise RefusedInputError(f"{name} is {kind.name}: {kind.remedy}.")
 
 
