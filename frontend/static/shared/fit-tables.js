@@ -1,6 +1,6 @@
 /**
- * Tables that are wider than their place: set closer first (`data-fit="close"`), and where that is not enough a card a row
- * (`data-fit="cards"`), each cell under the heading of its column, so that nothing lies beyond an edge. One whose columns are
+ * Tables that are wider than their place: set closer first (`data-fit="close"`), then with times and states on two lines
+ * (`data-fit="closer"`), and where that is not enough a card a row (`data-fit="cards"`), each cell under the heading of its column, so that nothing lies beyond an edge. One whose columns are
  * to be compared (`data-pinned`) keeps them beside each other where there is room for a few: its first column and the reference
  * stay in sight while the others are scrolled in its own place (`data-fit="pinned"`).
  *
@@ -33,7 +33,7 @@ function fit(table) {
   widths.set(place, place.clientWidth);
   delete table.dataset.fit;
   const isPinned = table.hasAttribute("data-pinned") && place.clientWidth >= ROOM_FOR_COLUMNS_PX;
-  for (const way of ["close", isPinned ? "pinned" : "cards"]) {
+  for (const way of ["close", "closer", isPinned ? "pinned" : "cards"]) {
     if (place.scrollWidth <= place.clientWidth) return;
     table.dataset.fit = way;
   }
