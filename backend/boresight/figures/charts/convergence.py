@@ -158,7 +158,7 @@ def draw(traces: Sequence[Trace], most_columns: int = 4) -> go.Figure:
     columns = _columns(n_panels, most_columns)
     n_rows = -(-n_panels // columns)
     figure = make_subplots(
-        n_rows, columns, shared_xaxes="all", horizontal_spacing=0.24 / columns, vertical_spacing=0.16 / n_rows
+        n_rows, columns, shared_xaxes="all", horizontal_spacing=0.29 / columns, vertical_spacing=0.16 / n_rows
     )
     span = _span([history for history in found if history.axis == axis])
     limit = CONVERGENCE_POINT_BUDGET // (len(panels) * len(found))

@@ -43,7 +43,7 @@ def draw(traces: Sequence[Trace], most_columns: int = 4) -> go.Figure:
     columns = min(most_columns, len(names))
     n_rows = -(-len(names) // columns)
     figure = make_subplots(
-        n_rows, columns, shared_xaxes="all", horizontal_spacing=0.24 / columns, vertical_spacing=0.16 / n_rows
+        n_rows, columns, shared_xaxes="all", horizontal_spacing=0.29 / columns, vertical_spacing=0.16 / n_rows
     )
     styles, ways = theme.run_styles(drawn), [_ways(trace.result, len(drawn) <= MOST_FILTERS) for trace in drawn]
     known = [way.x for found in ways for way in found if len(way.x) > 1]
