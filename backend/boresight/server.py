@@ -274,7 +274,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     state.alignment_thread.start()
     state.backup_thread.start()
     state.retention_thread.start()
-    threading.Thread(target=_warm, args=(state.catalogue,), name="boresight-catalogue", daemon=True).start()
+    threading.Thread(target=_warm, args=(app,), name="boresight-warm", daemon=True).start()
     with state.security_log.following():
         tell(
             "sys_startup", "success", version=boresight.__version__, host=state.settings.host, port=state.settings.port
@@ -315,10 +315,13 @@ def _encrypt_secrets(app: FastAPI) -> None:
         log.warning("%s", encryption.sentence)
 
 
-def _warm(catalogue: Callable[[], Catalogue]) -> None:
-    """Load the catalogue before the first upload needs it."""
+def _warm(app: FastAPI) -> None:
+    """Work out what each route wants before the first page asks, half a second, and load the catalogue before the first upload."""
+    nowhere = {"type": "http", "method": "GET", "path": "/-", "root_path": ""}
     try:
-        catalogue()
+        for route in app.routes:
+            route.matches(dict(nowhere))
+        app.state.catalogue()
     except Exception:
         log.exception("The star catalogue could not be loaded; the first upload will try again")
 

@@ -47,6 +47,8 @@ class TestCameraModel:
             np.testing.assert_allclose(jacobian[..., p], derivative, rtol=1e-10, atol=1e-11 * np.abs(derivative).max())
         np.testing.assert_allclose(np.linalg.norm(s, axis=-1), 1.0, rtol=1e-14)
         np.testing.assert_allclose(camera.directions(x, *place, PITCH), s, rtol=0, atol=4e-16)
+        few = camera.directions_of_few(x, *np.transpose([place, (np.nan, 0.0)]), PITCH)
+        np.testing.assert_allclose(few, [np.ravel(s), [np.nan] * 3], rtol=0, atol=4e-16)
 
     def test_the_jacobian_is_finite_for_a_star_on_the_principal_point(self, camera):
         x = state(camera, np.ones(16))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
+from boresight import kernels
 from boresight.calibration.parameter_file import parse_parameters
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
@@ -67,6 +68,15 @@ def test_a_focal_length_may_be_given_in_pixels_by_its_name(document, model):
     assert set(same.free) == {"f_m", camera.parameter_names[-1]}
     np.testing.assert_array_equal(parse_parameters(in_pixels["initial"], sensor, "a file")[0], sensor.initial)
     assert "f_px" in refusal(in_pixels | {"initial": in_pixels["initial"] | {"f_m": 0.01}})
+
+
+@pytest.mark.parametrize("model", CAMERA_MODELS)
+def test_a_description_is_read_where_nothing_is_compiled_yet(document, model, monkeypatch):
+    camera, pitch = CAMERA_MODELS[model], document["detector"]["pixel_pitch_m"]
+    x = dict(zip(camera.parameter_names, camera.plain(2000.0, 383.5, 511.5, pitch).tolist(), strict=True))
+    spread = dict(zip(camera.parameter_names, camera.default_typical_sigma, strict=True))
+    monkeypatch.setattr(kernels, "rays", None)  # a console registers a sensor inside a write transaction
+    assert parse_sensor(document | {"camera_model": model, "initial": x, "typical_sigma": spread}).camera_model == model
 
 
 @settings(max_examples=effort(12, 60), deadline=None)

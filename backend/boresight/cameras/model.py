@@ -228,6 +228,13 @@ class CameraModel:
         kernels.rays(self.kind, np.asarray(x, dtype=float), pitch, row, col, s)
         return s.reshape(*shape, 3)
 
+    def directions_of_few(self, x: FloatArray, row_px: FloatArray, col_px: FloatArray, pitch: float) -> FloatArray:
+        """Return `directions` (n, 3) of a few places, in Python: to read a sensor's description nothing need be compiled."""
+        with np.errstate(all="ignore"):
+            t = np.array([self.star(x, pitch, row, col)[:2] for row, col in zip(row_px, col_px, strict=True)])
+            s = np.column_stack((t, np.ones(len(t))))
+            return np.asarray(s / np.linalg.norm(s, axis=1, keepdims=True))
+
     def directions_and_jacobian(
         self, x: FloatArray, row_px: ArrayLike, col_px: ArrayLike, pitch: float
     ) -> tuple[FloatArray, FloatArray]:
@@ -308,7 +315,7 @@ class CameraModel:
         Distortion that turns back does so beyond a radius about the principal point, so the corners are the first to go blind.
         """
         row, col = corners(rows, columns)
-        blind = np.flatnonzero(~np.isfinite(self.directions(x, row, col, pitch)).all(axis=-1))
+        blind = np.flatnonzero(~np.isfinite(self.directions_of_few(x, row, col, pitch)).all(axis=-1))
         return (float(row[blind[0]]), float(col[blind[0]])) if len(blind) else None
 
 

@@ -115,7 +115,9 @@ def require_change(current: DocumentInForce, document: Mapping[str, Any], reason
 def describe_last_change(session: Session, row: Versioned) -> str:
     """Describe who changed a row last, how and when."""
     record = audit.find_last_change(session, name_subject(row))
-    return f"{record.actor} {record.action} it at {record.at_utc}" if record else "nobody is on record for it"
+    if record is None:
+        return "nobody is on record for it"
+    return f"{record.actor} {record.action.removeprefix('alarm ')} it at {record.at_utc}"
 
 
 def describe_baseline(session: Session, sensor_id: int) -> str:

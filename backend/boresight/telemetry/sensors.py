@@ -342,8 +342,8 @@ def check_geometry(sensor: Sensor, model: CameraModel, faults: Faults, subject: 
         )
         return
     rows, columns = np.array([0.0, sensor.rows - 1.0]), np.array([0.0, sensor.columns - 1.0])
+    corners = model.directions_of_few(sensor.initial, rows, columns, sensor.pixel_pitch_m)
     with np.errstate(all="ignore"):
-        corners = model.directions(sensor.initial, rows, columns, sensor.pixel_pitch_m)
         field_deg = math.degrees(2.0 * math.asin(min(1.0, float(np.linalg.norm(corners[1] - corners[0])) / 2.0)))
     if not _FIELD_DEG[0] <= field_deg <= _FIELD_DEG[1]:
         faults.add(

@@ -1,8 +1,9 @@
 /**
- * Tables that are wider than their place: set closer first (`data-fit="close"`), and where that is not enough a card a row
- * (`data-fit="cards"`), each cell under the heading of its column, so that nothing lies beyond an edge. One whose columns are
- * to be compared (`data-pinned`) keeps them beside each other where there is room for a few: its first column and the reference
- * stay in sight while the others are scrolled in its own place (`data-fit="pinned"`).
+ * Tables that are wider than their place: set closer first (`data-fit="close"`), then, where there is room for columns, with
+ * times and states on two lines (`data-fit="closer"`), and where that is not enough a card a row (`data-fit="cards"`), each
+ * cell under the heading of its column, so that nothing lies beyond an edge. One whose columns are to be compared
+ * (`data-pinned`) keeps them beside each other where there is room for a few: its first column and the reference stay in sight
+ * while the others are scrolled in its own place (`data-fit="pinned"`).
  *
  * And bars that stay in sight begin where the top bar ends, however many lines it takes.
  */
@@ -32,8 +33,9 @@ function fit(table) {
   if (!place?.clientWidth || !table.tHead) return;
   widths.set(place, place.clientWidth);
   delete table.dataset.fit;
-  const isPinned = table.hasAttribute("data-pinned") && place.clientWidth >= ROOM_FOR_COLUMNS_PX;
-  for (const way of ["close", isPinned ? "pinned" : "cards"]) {
+  const hasRoom = place.clientWidth >= ROOM_FOR_COLUMNS_PX;
+  const isPinned = hasRoom && table.hasAttribute("data-pinned");
+  for (const way of ["close", ...(hasRoom ? ["closer"] : []), isPinned ? "pinned" : "cards"]) {
     if (place.scrollWidth <= place.clientWidth) return;
     table.dataset.fit = way;
   }

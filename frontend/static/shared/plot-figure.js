@@ -20,7 +20,7 @@ import { getZoom, keepZoom } from "./view-address.js";
 const SLOW_MS = 10_000;
 const NARROW_PX = 420; // of a phone; half of a page at 1100 px is wider
 const PAPER_PX = { small: 330, large: 680 }; // what A4 leaves of a panel's width
-const WAIT_MS = 250; // a zoom is asked for when it has come to rest
+const WAIT_MS = 250; // a zoom, or another layout, is asked for when it has come to rest: a picture of a whole page squeezes it for a moment
 
 // Figures in sight are drawn at once; the others one after another whenever the browser has nothing better to do, with rests,
 // so that the page answers from the first second on however many it has
@@ -73,6 +73,7 @@ export class PlotFigure extends HTMLElement {
   /** @type {[number, number] | null} the part of the one axis of all panels that is looked at */
   #window = null;
   #zoomTimer = 0;
+  #layoutTimer = 0;
   #costMs = 0;
   #paper = false;
   #isNarrow = false;
@@ -273,14 +274,19 @@ export class PlotFigure extends HTMLElement {
   }
 
   get #wantsNarrow() {
-    return !this.isSmall && this.canvas.clientWidth < NARROW_PX;
+    return !this.isSmall && (this.canvas.clientWidth || this.clientWidth) < NARROW_PX; // a canvas without a drawing may be hidden
   }
 
-  /** Fit the drawing to its place; where that became narrow or wide, as by turning a phone, it is laid out anew. */
+  /** Fit the drawing to its place; where that came to rest narrow or wide, as by turning a phone, it is laid out anew. */
   #resize() {
     if (!isDrawn(this.canvas) || !this.#figure || !this.canvas.clientWidth) return;
     fit(this.canvas, this.#size());
-    if (!matchMedia("print").matches && this.#wantsNarrow !== this.#isNarrow) this.refresh(BACKGROUND);
+    clearTimeout(this.#layoutTimer);
+    this.#layoutTimer = setTimeout(() => this.#layOut(), WAIT_MS);
+  }
+
+  #layOut() {
+    if (this.isConnected && !matchMedia("print").matches && this.#wantsNarrow !== this.#isNarrow) this.refresh(BACKGROUND);
   }
 
   /** @param {unknown} error */

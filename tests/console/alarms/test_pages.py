@@ -13,7 +13,7 @@ from boresight.console.alarms import pages, rules
 from boresight.console.alarms import service as alarms
 from boresight.console.alarms.rules import check_chain
 from boresight.console.alarms.tables import Alarm
-from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.actors import COMMAND_LINE, SYSTEM
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import open_reading, open_writing, utc_after, utc_now
 from tests.missions import add_run, add_set, make_baseline
@@ -44,6 +44,17 @@ def test_a_drift_is_on_the_overview_the_bar_the_list_and_the_sensor(drifting, re
     assert "Alarm 1: ST16-1 drifts." in read(overview)
     assert "unacknowledged, active" in read(visitor.get("/alarms"))
     assert "Recalibrate now? YES" in read(visitor.get("/sensors/1"))
+
+
+def test_of_many_readings_of_an_alarm_the_last_is_in_sight_and_the_others_are_folded(drifting, read):
+    with open_writing(drifting.engine) as session:
+        for k in range(26):
+            alarms.record_step(session, SYSTEM, session.get_known(Alarm, 1), "COMMENTED", f"Reading {k}.")
+    drifting.visitor("ada").post("/alarms/1/acknowledge", version=str(alarm(drifting).version), text="Seen.")
+    steps, _, folded = read(drifting.visitor("ada").get("/alarms/1")).partition("25 earlier readings")
+    assert steps.index("Seen.") < steps.index("Reading 25.") < steps.rindex("raised")
+    assert "Reading 24." not in steps
+    assert folded.index("Reading 24.") < folded.index("Reading 0.")
 
 
 def test_the_trend_says_what_counts_and_whether_the_baseline_holds(drifting, read):

@@ -14,7 +14,7 @@ from fastapi.responses import HTMLResponse, Response
 from boresight.console.access import users
 from boresight.console.access.dependencies import KNOWN, Reading, Who, csrf
 from boresight.console.alarms import service as alarms
-from boresight.console.alarms.tables import ALARM_KINDS, Alarm
+from boresight.console.alarms.tables import ALARM_KINDS, Alarm, AlarmEvent
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import Beside
@@ -136,6 +136,8 @@ def _page(
     session: Session,
 ) -> HTMLResponse:
     row = session.get_known(Alarm, alarm_id)
+    events = alarms.list_alarm_events(session, alarm_id)[::-1]
+    readings = [event for event in events if _is_reading(event)][1:]
     return render(
         request,
         "alarms/alarm.html",
@@ -144,7 +146,9 @@ def _page(
         sensor=None if row.sensor_id is None else session.get_known(Sensor, row.sensor_id),
         state=alarms.get_alarm_state(row),
         shelved=alarms.is_shelved(row),
-        events=alarms.list_alarm_events(session, alarm_id),
+        events=[event for event in events if event not in readings],
+        readings=readings,
+        is_reading=_is_reading,
         people=[user for user in users.list_users(session) if user.disabled_utc is None],
         names=read_names(session),
         may_handle=bool(actor.roles.intersection(alarms.HANDLERS)) and row.closed_utc is None,
@@ -152,6 +156,11 @@ def _page(
         typed=typed,
         refusal=refusal,
     )
+
+
+def _is_reading(event: AlarmEvent) -> bool:
+    """Whether Boresight itself says what is wrong now: after each new run, so that the last is the one that counts."""
+    return event.event == "COMMENTED" and event.user_id is None
 
 
 @router.post("/alarms/{alarm_id:int}/{step}", response_class=HTMLResponse)

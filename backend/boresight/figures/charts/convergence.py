@@ -158,7 +158,7 @@ def draw(traces: Sequence[Trace], most_columns: int = 4) -> go.Figure:
     columns = _columns(n_panels, most_columns)
     n_rows = -(-n_panels // columns)
     figure = make_subplots(
-        n_rows, columns, shared_xaxes="all", horizontal_spacing=0.24 / columns, vertical_spacing=0.16 / n_rows
+        n_rows, columns, shared_xaxes="all", horizontal_spacing=0.29 / columns, vertical_spacing=0.16 / n_rows
     )
     span = _span([history for history in found if history.axis == axis])
     limit = CONVERGENCE_POINT_BUDGET // (len(panels) * len(found))
@@ -205,7 +205,7 @@ def _panels(traces: Sequence[Trace], histories: Sequence[History], most_columns:
     return [
         ConvergencePanel(
             name,
-            _written(quantity(name, traces[0].result), traces[0].result.typical_sigma.get(name)),
+            scaled_quantity(name, traces[0].result),
             _origin(name, traces, histories),
             *divmod(i, _columns(len(names) + PANELS, most_columns)),
             [],
@@ -214,9 +214,10 @@ def _panels(traces: Sequence[Trace], histories: Sequence[History], most_columns:
     ]
 
 
-def _written(item: Quantity, typical_sigma: float | None) -> Quantity:
+def scaled_quantity(name: str, result: Calibration) -> Quantity:
     """Put the power of ten of a typical value into the unit, so that it is the same however far a run has come."""
-    typical = (typical_sigma or 0.0) * item.factor
+    item = quantity(name, result)
+    typical = (result.typical_sigma.get(name) or 0.0) * item.factor
     if typical < LARGE:
         return item
     power = int(np.floor(np.log10(typical)))

@@ -19,7 +19,7 @@ from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
 from boresight.figures.style.axes import frame_grid, grid_place
-from boresight.verdicts.numbers import quantity
+from boresight.verdicts.numbers import grouped, quantity
 
 COLUMNS = 4
 PANEL_HEIGHT_PX = 170
@@ -56,7 +56,7 @@ def _panel(
         seen.append([frames, sigma * item.factor])
     for update, values in zip((figure.update_xaxes, figure.update_yaxes), np.concatenate(seen, axis=1), strict=True):
         ticks = round_ticks(values)
-        update(tickvals=ticks, ticktext=[_tick(tick) for tick in ticks], **where)
+        update(tickvals=ticks, ticktext=[grouped(f"{tick:g}") for tick in ticks], **where)
     unit = f" ({item.unit})" if item.unit else ""
     figure.update_yaxes(title={"text": f"σ of {item.markup}{unit}", "standoff": 4}, **where)
 
@@ -85,13 +85,6 @@ def round_ticks(values: FloatArray) -> list[float]:
         if len(found) >= FEWEST_TICKS:
             break
     return found
-
-
-def _tick(value: float) -> str:
-    """Write a tick in as few letters as it takes."""
-    if value >= 1e6:
-        return f"{value / 1e6:g}M"
-    return f"{value / 1e3:g}k" if value >= 1e3 else f"{value:g}"
 
 
 def _dress(figure: go.Figure, drawn: Sequence[Part[MoreData]], n_rows: int, n_panels: int) -> None:

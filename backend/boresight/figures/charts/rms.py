@@ -190,7 +190,7 @@ def _scale(figure: go.Figure, traces: Sequence[Trace], axis: str, seen: Sequence
     old = traces[0].result.rms_arc_rad.initial
     if len(traces) == 1 and old is not None and not window[0] <= old * URAD_PER_RAD <= window[1]:
         arrow = "↑" if old * URAD_PER_RAD > window[1] else "↓"
-        place = {"x": 0.02, "y": 0.98, "xref": "x domain", "yref": "y domain", "xanchor": "left", "yanchor": "top"}
+        place = {"x": 0.98, "y": 0.98, "xref": "x domain", "yref": "y domain", "xanchor": "right", "yanchor": "top"}
         figure.add_annotation(text=f"old parameters: {urad(old, 3)} {arrow}", **place)
 
 

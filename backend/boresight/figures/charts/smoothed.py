@@ -19,12 +19,12 @@ from plotly.subplots import make_subplots
 from boresight.arrays import FloatArray
 from boresight.calibration.calibration import Calibration
 from boresight.figures.chart import Figure, Table, Trace
-from boresight.figures.charts.convergence import list_history
+from boresight.figures.charts.convergence import list_history, scaled_quantity
 from boresight.figures.style import theme
 from boresight.figures.style.axes import axis_title, counted, frame_grid, share_cursor
 from boresight.figures.style.thinning import keep_extremes
 from boresight.verdicts.history import History, free_names, parameter_names, read_history
-from boresight.verdicts.numbers import change_label, quantity
+from boresight.verdicts.numbers import Quantity, change_label
 
 TITLE = "Filter and smoother"
 NONE = "No estimate yet: the curves appear when the run has ended."
@@ -43,7 +43,7 @@ def draw(traces: Sequence[Trace], most_columns: int = 4) -> go.Figure:
     columns = min(most_columns, len(names))
     n_rows = -(-len(names) // columns)
     figure = make_subplots(
-        n_rows, columns, shared_xaxes="all", horizontal_spacing=0.24 / columns, vertical_spacing=0.16 / n_rows
+        n_rows, columns, shared_xaxes="all", horizontal_spacing=0.29 / columns, vertical_spacing=0.16 / n_rows
     )
     styles, ways = theme.run_styles(drawn), [_ways(trace.result, len(drawn) <= MOST_FILTERS) for trace in drawn]
     known = [way.x for found in ways for way in found if len(way.x) > 1]
@@ -52,13 +52,15 @@ def draw(traces: Sequence[Trace], most_columns: int = 4) -> go.Figure:
     for number, name in enumerate(names):
         place = {"row": number // columns + 1, "col": number % columns + 1}
         seen: list[float] = []
+        item = scaled_quantity(name, drawn[0].result)
         for trace, style, found in zip(drawn, styles, ways, strict=True):
             for way in found:
-                seen += _draw_way(figure, place, trace.result, name, way.across(span), style, limit)
+                seen += _draw_way(figure, place, trace.result, name, item, way.across(span), style, limit)
         low, high = (min(seen), max(seen)) if seen else (-1.0, 1.0)
         margin = 0.08 * (high - low) or 1.0
-        label = change_label(quantity(name, drawn[0].result))
-        figure.update_yaxes(title={"text": label, "standoff": 4}, range=[low - margin, high + margin], **place)
+        figure.update_yaxes(
+            title={"text": change_label(item), "standoff": 4}, range=[low - margin, high + margin], **place
+        )
     theme.dress(figure, title=_headline(drawn), height_px=110 + n_rows * PANEL_HEIGHT_PX)
     figure.update_xaxes(showticklabels=True)
     frame_grid(figure, len(names), columns, axis_title("frame", drawn))
@@ -113,6 +115,7 @@ def _draw_way(
     place: dict[str, int],
     result: Calibration,
     name: str,
+    item: Quantity,
     way: Way,
     style: theme.RunStyle,
     limit: int,
@@ -120,7 +123,7 @@ def _draw_way(
     """Draw a curve of one parameter with its band; returns what the window must hold."""
     if name not in way.names:
         return []
-    item, column = quantity(name, result), way.names.index(name)
+    column = way.names.index(name)
     value = (way.value[:, column] - (result.initial.get(name) or 0.0)) * item.factor
     reach = 3 * way.sigma[:, column] * item.factor
     kept = keep_extremes([value, reach], limit)
