@@ -79,7 +79,7 @@ fuzz: $(MADE)/dev  ## send made-up requests to every operation and documents tha
 	@mkdir -p artefacts
 	$(BIN)/python -m tests.fuzz --requests $(REQUESTS) --seed $(SEED) --json artefacts/fuzz.json
 
-release: $(MADE)/dev  ## build wheel, source archive, bill of materials, licences and sums into dist (KEY=FILE signs them, DATABASE=all.zip scans offline)
+release: $(MADE)/dev docs  ## build the documentation, and wheel, source archive, bill of materials, licences and sums into dist (KEY=FILE signs them, DATABASE=all.zip scans offline)
 	$(BIN)/python -m release --out dist $(if $(KEY),--key $(KEY)) $(if $(DATABASE),--database $(DATABASE))
 
 clean:  ## remove what was built, cached and demonstrated; the virtual environment stays

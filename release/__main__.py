@@ -1,6 +1,6 @@
 """`python -m release`: wheel, source archive, bill of materials, licences, their sums, and with a key the signature of those.
 
-    python -m release [--out dist] [--key FILE] [--no-isolation] [--database all.zip] [--accept ID ...]
+    python -m release [--out dist] [--key FILE] [--no-isolation] [--without-documentation] [--database all.zip] [--accept ID ...]
 
 SOURCE_DATE_EPOCH is the time of the release, by default that of the newest commit; built again with it, anywhere, the files
 are the same, byte for byte. FILE holds a private Ed25519 key (PEM). Who has the public one verifies by
@@ -62,8 +62,13 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=ROOT / "dist")
     parser.add_argument("--key", type=Path, help="private Ed25519 key that signs the sums")
     parser.add_argument("--no-isolation", action="store_true", help="build with what is installed here")
+    parser.add_argument(
+        "--without-documentation", action="store_true", help="the console then has no pages under /docs"
+    )
     add_options(parser)
     given = parser.parse_args()
+    if not given.without_documentation and not (ROOT / "build" / "documentation" / "index.html").is_file():
+        raise SystemExit("There is no documentation to release in build/documentation: run `make docs` first.")
     packages = list(list_packages())
     if refused := [f"{one.name} ({one.licence or 'unknown'})" for one in packages if not one.is_allowed]:
         raise SystemExit(

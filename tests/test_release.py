@@ -16,6 +16,7 @@ import pytest
 
 import boresight
 from boresight.platform.audit.signing import SigningKey
+from release import __main__ as command
 from release import licences
 from release.licences import Package, list_packages
 from release.sbom import write_sbom
@@ -131,9 +132,19 @@ def test_what_the_database_did_not_answer_for_is_not_called_sound(packages):
     assert read_answer(flawed, packages).exit_code == 1
 
 
+RELEASE = (sys.executable, "-m", "release", "--without-documentation")
+
+
+def test_a_release_without_the_documentation_is_refused_unless_asked_for(tmp_path, monkeypatch):
+    monkeypatch.setattr(command, "ROOT", tmp_path)
+    monkeypatch.setattr(sys, "argv", ["release", "--out", str(tmp_path / "dist")])
+    with pytest.raises(SystemExit, match="run `make docs` first"):
+        command.main()
+
+
 def test_a_release_with_a_known_flaw_is_refused(tmp_path):
     (tmp_path / "one.json").write_text(json.dumps(record("jinja2", {"introduced": "0"})))
-    words = [sys.executable, "-m", "release", "--out", tmp_path / "dist", "--database", tmp_path]
+    words = [*RELEASE, "--out", tmp_path / "dist", "--database", tmp_path]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert "PYSEC-jinja2" in done.stderr
@@ -145,7 +156,7 @@ def test_a_release_is_signed_and_its_sums_cover_every_file(tmp_path):
     key, out = SigningKey(tmp_path / "release.key"), tmp_path / "dist"
     key.load()
     done = subprocess.run(
-        [sys.executable, "-m", "release", "--out", out, "--key", key.file],
+        [*RELEASE, "--out", out, "--key", key.file],
         cwd=ROOT, env=os.environ | {"SOURCE_DATE_EPOCH": "1700000000"}, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
@@ -168,7 +179,7 @@ def test_a_release_is_signed_and_its_sums_cover_every_file(tmp_path):
         command = [openssl, "pkeyutl", "-verify", "-rawin", "-pubin", "-inkey", tmp_path / "key.pem"]
         command += ["-sigfile", out / "SHA256SUMS.sig", "-in", out / "SHA256SUMS"]
         assert subprocess.run(command, capture_output=True, check=False).returncode == 0
-    again = subprocess.run([sys.executable, "-m", "release", "--out", out], cwd=ROOT, capture_output=True, check=False)
+    again = subprocess.run([*RELEASE, "--out", out], cwd=ROOT, capture_output=True, check=False)
     assert again.returncode == 1  # a folder that is not empty is left alone
 
 

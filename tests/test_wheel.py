@@ -70,7 +70,8 @@ def test_built_elsewhere_at_another_time_from_the_source_archive_it_is_the_same_
     tracked = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=False).stdout
     if not tracked:
         pytest.skip("only a checkout tells what belongs to the source: clone it with git")
-    for name in filter(None, tracked.split("\0")):
+    documentation = [path for path in (ROOT / "build" / "documentation").rglob("*") if path.is_file()]
+    for name in (*filter(None, tracked.split("\0")), *(str(path.relative_to(ROOT)) for path in documentation)):
         target = tmp_path / "elsewhere" / name
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_bytes((ROOT / name).read_bytes())  # with the times of now, and the rights of another person

@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import fields, replace
+from pkgutil import resolve_name
 from typing import Any
 
 import numpy as np
@@ -171,6 +172,23 @@ def test_a_cancel_stops_every_method(method, sensor, catalogue, make_telemetry):
         calibrate(
             make_telemetry(12), sensor, catalogue, CalibrationSettings(method=method), cancelled=lambda: True
         ).to_dict()
+
+
+@pytest.mark.parametrize("part", ["minima.look_for_minima", "trust.fit_best", "trust._of_stars", "trust._tested"])
+def test_a_cancel_stops_a_filter_that_is_searched_and_judged(part, sensor, catalogue, make_telemetry, monkeypatch):
+    begun, name = [], f"boresight.calibration.{part}"
+    computed = resolve_name(name)
+
+    def begin(*given, **named):
+        begun.append(1)
+        return computed(*given, **named)
+
+    monkeypatch.setattr(name, begin)
+    with pytest.raises(CancelledError):
+        calibrate(
+            make_telemetry(12), sensor, catalogue, CalibrationSettings(method="sqrf"), cancelled=lambda: bool(begun)
+        )
+    assert begun == [1]
 
 
 @pytest.mark.few(3)

@@ -17,6 +17,7 @@ FIRST = {
     "approvals": "-request",
     "audit": "-number",
     "alignments": "-alignment",
+    "alignment-requests": "-request",
     "campaigns": "-campaign",
     "campaign-sensors": "launched",
     "change-proposals": "-proposal",

@@ -30,7 +30,7 @@ from boresight.calibration.calibration import (
     Trust,
 )
 from boresight.calibration.corrections import Corrections
-from boresight.calibration.estimate import Estimate, Parameters, never
+from boresight.calibration.estimate import Asked, Estimate, Parameters, never
 from boresight.calibration.evaluation.pixel_residuals import FreeCovariance
 from boresight.calibration.evaluation.result_evaluation import evaluate_result, validate, with_advice
 from boresight.calibration.joint.drift import estimate_drift, shows_drift
@@ -68,8 +68,8 @@ from boresight.calibration.telemetry_pieces import (
     read_whole,
 )
 from boresight.cameras import CAMERA_MODELS
-from boresight.errors import CancelledError, RefusedInputError
-from boresight.estimation.executor import Executor, LocalExecutor
+from boresight.errors import RefusedInputError
+from boresight.estimation.executor import Executor, LocalExecutor, refuse_cancelled
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.matching import EXPOSURE_REASONS
 from boresight.telemetry.quality.detector import OffDetector, OffDetectorError, check_against_sensor
@@ -450,8 +450,7 @@ def _explained(
     from boresight.calibration.diagnosis.explain import explain  # noqa: PLC0415 - only for sets that hardly match
 
     def report(message: str, _: float | None) -> None:
-        if context.cancelled():
-            raise CancelledError("Stopped on request, before it was known why so few stars match")
+        refuse_cancelled(context.cancelled, "before it was known why so few stars match")
         if context.report is not None:
             context.report(Progress(0.0, f"finding out why so few stars match: {message}", None))
 
@@ -494,7 +493,7 @@ def _calibrated(
         ended = replace(ended, estimate=_checked(ended.matched.problem, ended.estimate))
         clock.lap("fit")
         try:
-            found = _judge(sets, first, ended, parameters, settings, sha256s, corrections)
+            found = _judge(sets, first, ended, parameters, settings, sha256s, corrections, context.cancelled)
             break
         except LowerMinimum as lower:
             restarts = ended.estimate.searched.restarts + 1
@@ -569,12 +568,14 @@ def _judge(
     settings: CalibrationSettings,
     sha256s: Mapping[str, str],
     corrections: Corrections,
+    cancelled: Asked,
 ) -> Calibration | Corrections:
     """Describe and judge an estimate, or say what of the set is to be put right first.
 
     Raises LowerMinimum where judging it leads to one, so often as that is taken up.
     """
     problem, estimate = ended.matched.problem, ended.estimate
+    refuse_cancelled(cancelled, "before the estimate was judged")
     of_any_number = np.errstate(over="ignore", invalid="ignore", divide="ignore")  # as a diverged state may be
     with of_any_number if estimate.status == "diverged" else nullcontext():
         found = result.describe_estimate(problem, parameters, settings, estimate, sha256s)
@@ -585,20 +586,21 @@ def _judge(
     again = last.refined(in_memory=judged.last is ended.matched)
     if again is not None:
         return again
-    minima = _describe_minima(problem, parameters, settings, estimate)
+    minima = _describe_minima(problem, parameters, settings, estimate, cancelled)
     found = with_advice(replace(found, minima=minima), *minima_advice(minima))
-    found = evaluate_result(found, judged.sets, judged.first, ended.judged_by(judged.last), parameters, settings)
+    last_ended = ended.judged_by(judged.last)
+    found = evaluate_result(found, judged.sets, judged.first, last_ended, parameters, settings, cancelled)
     found = replace(found, noise=corrections.noise or last.noise, assumptions=last.assumptions(found.trust))
     return _say_what_was_judged(found, judged.last.problem)
 
 
 def _describe_minima(
-    problem: Problem, parameters: Parameters, settings: CalibrationSettings, estimate: Estimate
+    problem: Problem, parameters: Parameters, settings: CalibrationSettings, estimate: Estimate, cancelled: Asked
 ) -> Minima | None:
     """Say which minima a set has, be it a batch or a filter that was run."""
     if not settings.sequential:
         return describe_minima(problem, estimate.searched, estimate.x, result.find_sigma(problem, parameters, estimate))
-    of = (parameters.free, parameters.scale, estimate.x, None, parameters.prior)
+    of = (parameters.free, parameters.scale, estimate.x, cancelled, parameters.prior)
     return describe_minima_of_filter(problem, look_about_filter(problem, *of), estimate.x, estimate.A)
 
 

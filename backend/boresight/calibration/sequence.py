@@ -21,9 +21,9 @@ from boresight.calibration.history_recorder import RecordedHistory
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem, whiten_at
 from boresight.calibration.process_noise import FrameSteps, choose_drift, free_names
-from boresight.errors import CancelledError
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
+from boresight.estimation.executor import refuse_cancelled
 from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import FilterHistory, FilterState
 from boresight.estimation.singular_values import Selection
@@ -89,8 +89,7 @@ def run_sequential(
     began = time.perf_counter()
     pooled, done = _first_frames(frames, problem, parameters, settings, state)
     for first, last in ((0, done), *_chunks(done, n_frames, settings.replay_frames_per_s > 0)):
-        if cancelled():
-            raise CancelledError(f"Stopped on request after {first} of {n_frames} frames")
+        refuse_cancelled(cancelled, f"after {first} of {n_frames} frames")
         arcs = pooled if first == 0 else frames.arcs(first, last, history.last)
         if arcs.n_exposures:
             chunk = whiten_at(arcs, problem.camera, history.last.x)
@@ -251,6 +250,5 @@ def _keep_pace(began: float, frames_done: int, frames_per_s: float, cancelled: A
         return
     due = began + frames_done / frames_per_s
     while (wait := due - time.perf_counter()) > 0:
-        if cancelled():
-            raise CancelledError(f"Stopped on request after {frames_done} updates")
+        refuse_cancelled(cancelled, f"after {frames_done} updates")
         time.sleep(min(wait, 0.2))

@@ -15,9 +15,9 @@ from boresight.arrays import IntArray
 from boresight.calibration.matching.matched_frames import GivenMatches
 from boresight.calibration.matching.rematch import Matches, joined_matches, matched_telemetry
 from boresight.columns import Columns, write_columns
-from boresight.errors import CancelledError, RefusedInputError
+from boresight.errors import RefusedInputError
 from boresight.estimation.blocks import FRAMES
-from boresight.estimation.executor import Executor, LocalExecutor
+from boresight.estimation.executor import Executor, LocalExecutor, refuse_cancelled
 from boresight.estimation.stored_arcs import Arcs
 from boresight.site import Site
 from boresight.telemetry.quality.detector import OffDetector
@@ -320,8 +320,7 @@ def _copied_in_turn(
     pieces: list[TelemetryPiece] = []
     chunks = file.chunks() if correct is None else map(correct, file.chunks())
     for piece in write_pieces(chunks, sensor, folder / "telemetry"):
-        if cancelled():
-            raise CancelledError(f"Stopped on request after reading {piece.begins} rows")
+        refuse_cancelled(cancelled, f"after reading {piece.begins} rows")
         pieces.append(piece)
         done = piece.begins + piece.rows
         told(READING * min(done / rows, 1.0), f"read {done:,} detections")

@@ -22,7 +22,7 @@ from sqlalchemy.orm import defer
 from boresight.console.access.tables import LoginSession, User
 from boresight.console.alarms.queries import in_state, needs_nobody
 from boresight.console.alarms.tables import ALARM_LEVELS, Alarm
-from boresight.console.alignments.tables import Alignment
+from boresight.console.alignments.tables import Alignment, AlignmentRequest
 from boresight.console.approvals.tables import Approval, Signature
 from boresight.console.campaigns.queries import select_newest_members
 from boresight.console.campaigns.tables import Campaign, CampaignRun
@@ -303,6 +303,16 @@ LISTS = {
             "by": _name_expression(User, Alignment.created_by),
         },
         {"sensor": _of_either_sensor, "state": equals(Alignment.state)},
+    ),
+    "alignment-requests": List(
+        AlignmentRequest,
+        {"request": AlignmentRequest.id},
+        {
+            "state": equals(AlignmentRequest.state),
+            "alignment": equals(AlignmentRequest.alignment_id),
+            "submitted_by": equals(AlignmentRequest.submitted_by),
+            "q": _holds(AlignmentRequest.reason),
+        },
     ),
     "ingest-decisions": List(
         IngestDecision,

@@ -33,8 +33,8 @@ from numpy.typing import NDArray
 
 from boresight import kernels
 from boresight.arrays import FloatArray
-from boresight.errors import CancelledError
 from boresight.estimation.arcs import ArcSet
+from boresight.estimation.executor import refuse_cancelled
 from boresight.estimation.robust import measure_huber_effect
 from boresight.estimation.stored_arcs import Arcs
 
@@ -291,8 +291,7 @@ def fit(  # noqa: PLR0913 - what is fitted, and seven choices by name
         if _decrement(here) < rest**2:
             status = "converged"
             break
-        if cancelled is not None and cancelled():
-            raise CancelledError(f"Stopped on request after {iteration} iterations")
+        refuse_cancelled(cancelled, f"after {iteration} iterations")
         if damping > LARGEST_DAMPING:
             status = "diverged"
             break

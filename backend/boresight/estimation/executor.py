@@ -19,6 +19,12 @@ from boresight.errors import CancelledError
 ProgressCallback = Callable[[int, int], None]
 
 
+def refuse_cancelled(cancelled: Callable[[], bool] | None, where: str) -> None:
+    """Raise CancelledError where a computation was asked to stop; `where` says how far it was, as "after 3 of 7 pieces"."""
+    if cancelled is not None and cancelled():
+        raise CancelledError(f"Stopped on request {where}")
+
+
 class Executor(Protocol):
     """What computes pieces."""
 
@@ -48,8 +54,7 @@ class LocalExecutor:
         """Call `function(*arguments[k])` for every k and return the results in the order of k."""
         results: list[Any] = []
         for piece in arguments:
-            if self._cancelled is not None and self._cancelled():
-                raise CancelledError(f"Stopped on request after {len(results)} of {len(arguments)} pieces")
+            refuse_cancelled(self._cancelled, f"after {len(results)} of {len(arguments)} pieces")
             results.append(function(*piece))
             if done is not None:
                 done(len(results), len(arguments))

@@ -53,6 +53,7 @@ from boresight.arrays import FloatArray, IntArray
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet, angular_sigma, whiten
 from boresight.estimation.batch import BatchFit, NormalEquations
+from boresight.estimation.executor import refuse_cancelled
 from boresight.estimation.prior import Prior
 
 #: Spreads of the starts about a minimum, typical sigmas, and how many starts have each.
@@ -92,7 +93,7 @@ class CostSurface:
     allowed
         Whether a state (n_parameters,) can be.
     cancelled
-        Asked before each iteration of a fit.
+        Asked before each iteration of a fit and each cost.
     prior
         What was known before; its share is part of the cost.
     """
@@ -116,6 +117,7 @@ class CostSurface:
 
     def equations(self, x: FloatArray, threshold: float = np.inf) -> NormalEquations:
         """A, b and costs of a state (n_parameters,) under its own R, with what was known before."""
+        refuse_cancelled(self.cancelled, "while minima were looked for")
         data = batch.normal_equations(self.whiten(x), x, self.free, self.scale, threshold)
         return data.with_prior(self.prior, x, self.free, self.scale)
 

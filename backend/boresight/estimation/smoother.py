@@ -37,8 +37,8 @@ import numpy as np
 
 from boresight import kernels
 from boresight.arrays import FloatArray, IntArray
-from boresight.errors import CancelledError
 from boresight.estimation.blocks import FRAMES
+from boresight.estimation.executor import refuse_cancelled
 from boresight.estimation.filters.history import FilterState
 from boresight.estimation.filters.square_root import padded
 from boresight.estimation.stored_arcs import Arcs
@@ -134,8 +134,7 @@ def _forward(  # noqa: PLR0913, PLR0917 - what `smooth` has, and three arrays to
     size, total = len(origin), 0.0
     mean, root = padded(start.z, size), padded(start.S, size)
     for first in range(0, len(z), FRAMES):
-        if cancelled():
-            raise CancelledError(f"Stopped on request after {first} of {len(z)} frames of the smoother")
+        refuse_cancelled(cancelled, f"after {first} of {len(z)} frames of the smoother")
         block = slice(first, min(first + FRAMES, len(z)))
         part = arcs.frames(block.start, block.stop)
         steps, chi2 = np.zeros((part.n_frames, size)), np.empty(part.n_frames)

@@ -208,6 +208,13 @@ def _known(sensor: Sensor, known: Calibration | None, names: tuple[str, ...]) ->
     return x, np.asarray(np.linalg.inv(P))
 
 
+def _say_when_below(to_gate: float | None) -> str:
+    """Say when the weakest direction is below the gate's limit, in minutes; nothing where it is not."""
+    if to_gate is None:
+        return ""
+    return f", below the gate's {WEAK:g} {f'after {to_gate:.1f} minutes' if to_gate else 'from the beginning'}"
+
+
 def _write(  # noqa: PLR0913 - what a plan is written from
     sensor: Sensor,
     names: tuple[str, ...],
@@ -234,8 +241,7 @@ def _write(  # noqa: PLR0913 - what a plan is written from
     sentence = (
         f"{len(at)} pointings in {took:.1f} minutes; the weakest direction goes from "
         f"{weakest[0]:.2g} to {weakest[-1]:.2g} typical sigmas"
-        + (". " if to_gate is None else f", below the gate's {WEAK:g} after {to_gate:.1f} minutes. ")
-        + f"Weakest at the end: {seen.sentence(len(names) - 1)}"
+        f"{_say_when_below(to_gate)}. Weakest at the end: {seen.sentence(len(names) - 1)}"
     )
     pointings = [
         Pointing(

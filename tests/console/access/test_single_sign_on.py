@@ -394,6 +394,14 @@ def test_a_log_out_token_that_does_not_fit_logs_nobody_out(right, claims):
     assert client.get("/api/v1/runs").status_code == 200
 
 
+def test_a_log_out_token_that_names_only_a_session_is_refused_and_says_what_to_change(right):
+    house, provider = right
+    client, _ = _come(house)
+    answer = house.anybody().post(BACK_CHANNEL, data={"logout_token": provider.make_log_out_token(sub=None)})
+    assert (answer.status_code, "put sub into its log-out tokens" in answer.json()["error_description"]) == (400, True)
+    assert client.get("/api/v1/runs").status_code == 200
+
+
 def test_a_log_out_token_of_another_key_or_none_at_all_logs_nobody_out(right):
     house, provider = right
     client, _ = _come(house)

@@ -1,5 +1,7 @@
 """The pages of alignments: the form, the page of one with both rotations, gates, figure and history, and links to them."""
 
+import csv
+import io
 import re
 from dataclasses import replace
 
@@ -107,7 +109,7 @@ def _dialogs(page):
     return re.findall(r'<dialog id="([^"]*)" class="panel act-dialog"', page)
 
 
-def test_one_is_submitted_on_its_page_and_withdrawn_by_the_same_person(house, good):
+def test_one_is_submitted_on_its_page_and_withdrawn_by_the_same_person_or_an_administrator(house, good):
     place = f"/alignments/{good['id']}"
     assert _dialogs(_read(house, "ada", place)) == ["submit"]
     assert _dialogs(_read(house, "victor", place)) == []
@@ -125,6 +127,11 @@ def test_one_is_submitted_on_its_page_and_withdrawn_by_the_same_person(house, go
     assert _post(house, "ada", f"/alignment-requests/{number}/withdraw", **sent).status_code == 303
     assert [one[1] for one in _requests(house, good)] == ["WITHDRAWN"]
     assert _dialogs(_read(house, "ada", place)) == ["submit"]
+    _post(house, "ada", f"{place}/submit", reason="Again.")
+    number = _requests(house, good)[0][0]
+    assert _dialogs(_read(house, "adele", place)) == ["withdraw"]
+    assert _post(house, "adele", f"/alignment-requests/{number}/withdraw", **sent).status_code == 303
+    assert [one[1] for one in _requests(house, good)] == ["WITHDRAWN", "WITHDRAWN"]
 
 
 def test_the_inbox_leads_an_approver_to_the_page_where_it_is_signed_or_refused(house, good):
@@ -140,6 +147,14 @@ def test_the_inbox_leads_an_approver_to_the_page_where_it_is_signed_or_refused(h
     assert f'href="{place}"' not in _read(house, "ada", "/approvals?show=mine")
     assert f'"{place}"' in house.person("alan").get("/waiting").text
     assert f'waiting</span></span><b class="badge badge-some">{before + 1}</b>' in _read(house, "alan", "/approvals")
+    for query, listed in (("", True), ("&q=first", True), ("&q=last", False)):
+        assert (f'href="{place}">Review and sign</a>' in _read(house, "alan", f"/approvals?show=mine{query}")) == listed
+        text = house.person("alan").get(f"/approvals.csv?show=mine{query}").text
+        mine = [one for one in csv.DictReader(io.StringIO(text)) if one["kind"] == "ALIGNMENT"]
+        assert [(one["request"], one["state"], one["needed"]) for one in mine] == [(str(number), "OPEN", "1")] * listed
+        assert all(one["set"].startswith(f"Alignment {good['id']}: ") for one in mine)
+    asked = house.person("alan").get(f"/api/v1/alignment-requests?state=OPEN&alignment_id={good['id']}").json()
+    assert [one["id"] for one in asked["items"]] == [number]
     led = house.person("alan").get(
         f"/alignment-requests/{number}", headers={"Accept": "text/html"}, follow_redirects=False
     )

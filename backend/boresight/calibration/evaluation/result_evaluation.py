@@ -34,7 +34,7 @@ from boresight.calibration.calibration import (
     RemovedOf,
     ShadowOfSet,
 )
-from boresight.calibration.estimate import Estimate, Parameters
+from boresight.calibration.estimate import Asked, Estimate, Parameters
 from boresight.calibration.evaluation import bootstrap
 from boresight.calibration.evaluation.alignment import alignment_view
 from boresight.calibration.evaluation.evaluate import evaluate_matched_frames, shadow_view
@@ -54,6 +54,7 @@ from boresight.calibration.trust.fitted_set import chosen, nested
 from boresight.calibration.trust.misfit import misfit_advice
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.batch import determined, normal_equations
+from boresight.estimation.executor import refuse_cancelled
 from boresight.estimation.singular_values import CHOSEN, STAR_MODELS, VALUES, Selection
 from boresight.estimation.statistics.cramer_rao import centroid_rows
 from boresight.estimation.statistics.references import View, information_of_pairs, judged, relative, seen
@@ -181,14 +182,18 @@ def evaluate_result(
     ended: CyclesEnd,
     parameters: Parameters,
     settings: CalibrationSettings,
+    cancelled: Asked,
 ) -> Calibration:
-    """Add everything that the calibration set says of its own result."""
+    """Add everything that the calibration set says of its own result; raises CancelledError when `cancelled` says so."""
     telemetry, sensor, estimate = sets.telemetry, sets.sensor, ended.estimate
     evaluation, shadow = _flown(sets, first, ended.matched, estimate.x, settings)
+    refuse_cancelled(cancelled, "after the flight scores")
     matching = matching_view(telemetry, sensor, ended, evaluation)
     P = parameters.full_covariance(estimate.P, n=len(estimate.x))
     problem, matched = ended.matched.problem, ended.matched.telemetry
-    judged = judge_trust(problem, parameters, settings, estimate, matched, sets.catalogue, calibration.minima)
+    judged = judge_trust(
+        problem, parameters, settings, estimate, matched, sets.catalogue, calibration.minima, cancelled
+    )
     return with_advice(
         replace(
             calibration,

@@ -18,12 +18,13 @@ from boresight.calibration.calibration import InputPass, VariationTest
 from boresight.calibration.estimate import WHITENING_ROUNDS, Asked, Parameters
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem, whiten_part
-from boresight.errors import CancelledError, RefusedInputError
+from boresight.errors import RefusedInputError
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.batch import NormalEquations
 from boresight.estimation.block_bordered import Solution, Variation
 from boresight.estimation.blocks import FRAMES
+from boresight.estimation.executor import refuse_cancelled
 from boresight.estimation.prior import Prior
 from boresight.estimation.statistics.special import chdtrc
 from boresight.estimation.stored_arcs import BLOCKS_A_RANGE, over_range
@@ -170,8 +171,7 @@ def fit_passes(
         arcs = WhitenedPasses(problem, ends, states_at(z))
         sums = arcs.sums(states_at(z), parameters)
         for iteration in range(most):
-            if cancelled():
-                raise CancelledError(f"Stopped as asked after {iteration} iterations over the passes")
+            refuse_cancelled(cancelled, f"after {iteration} iterations over the passes")
             found = link.solve(sums, z)
             converged = found.decrement < CONVERGED**2
             if found.decrement < REST**2:

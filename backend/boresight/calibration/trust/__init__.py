@@ -36,7 +36,7 @@ import numpy as np
 
 from boresight.arrays import FloatArray
 from boresight.calibration.calibration import Cause, Minima, ModelMisfit, Trust, TrustTest, UnseenDeparture, Values
-from boresight.calibration.estimate import Estimate, Parameters
+from boresight.calibration.estimate import Asked, Estimate, Parameters, never
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.trust.advice import cause_advice, trust_advice
@@ -64,6 +64,7 @@ from boresight.calibration.trust.residual_spline import find_residual_spline
 from boresight.calibration.trust.residuals import StarResiduals, compute_star_residuals, residuals
 from boresight.calibration.trust.stars import StarTable, star_table, stars, stars_sentence
 from boresight.calibration.trust.trust_tests import STAYING, TANGENTIAL, Examined, make_tests
+from boresight.estimation.executor import refuse_cancelled
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 
@@ -120,18 +121,20 @@ def judge_trust(
     telemetry: Telemetry,
     catalogue: Catalogue | None = None,
     minima: Minima | None = None,
+    cancelled: Asked = never,
 ) -> TrustReport:
     """Judge a finished estimate in every way there is.
 
     `problem`, `parameters`, `settings`, `estimate`: as `calibrate` has them at its end; the arcs are whitened here. `telemetry`:
     the set that the problem was built from, with the star numbers that it was built with. `catalogue`: for what it says against
-    a star's place; None says nothing. A part that cannot be had is None, with the reason in `unavailable`.
+    a star's place; None says nothing. `cancelled`: asked before each part and each iteration of a fit, raises CancelledError
+    when it says so. A part that cannot be had is None, with the reason in `unavailable`.
     """
     try:
-        fitted = fit_best(problem, parameters, settings, estimate, telemetry, catalogue)
+        fitted = fit_best(problem, parameters, settings, estimate, telemetry, catalogue, cancelled)
     except Unavailable as reason:
         return TrustReport(Trust(unavailable=dict.fromkeys((*OF_THE_FIT, *OF_THE_STARS), str(reason))), [], [])
-    parts, unavailable = _computed({name: partial(part, fitted) for name, part in OF_THE_FIT.items()})
+    parts, unavailable = _computed(fitted, {name: partial(part, fitted) for name, part in OF_THE_FIT.items()})
     if "drop_one" in parts:
         parts["drop_one_sentence"] = drop_one_sentence(fitted, parts["drop_one"])
     stars = _of_stars(fitted)
@@ -145,6 +148,7 @@ def judge_trust(
 
 def _tested(fitted: FittedSet, trust: Trust, parts: Parts, stars: StarParts, spread: FloatArray | None) -> TrustReport:
     """Make every test that can be made, look for what explains them, and widen the sigmas by it."""
+    refuse_cancelled(fitted.cancelled, "before the tests of the residuals")
     departures, _ = find_departures(fitted)
     try:
         sums = add_up(fitted, [*departures, *find_companions(fitted)], MOST_TESTED)
@@ -180,11 +184,12 @@ def _unseen(
         )
 
 
-def _computed(parts: Mapping[str, Callable[[], Any]]) -> tuple[Parts, dict[str, str]]:
+def _computed(fitted: FittedSet, parts: Mapping[str, Callable[[], Any]]) -> tuple[Parts, dict[str, str]]:
     """Compute the parts that can be had, and say why the others cannot."""
     found: Parts = {}
     unavailable: dict[str, str] = {}
     for name, part in parts.items():
+        refuse_cancelled(fitted.cancelled, f"before {name} was judged")
         try:
             found[name] = part()
         except Unavailable as reason:
@@ -210,10 +215,12 @@ def _of_stars(fitted: FittedSet) -> StarParts:
         found = compute_star_residuals(fitted)
     except (Unavailable, np.linalg.LinAlgError) as error:
         return StarParts({}, dict.fromkeys(OF_THE_STARS, str(error) if isinstance(error, Unavailable) else SINGULAR))
-    parts, unavailable = _computed({name: partial(part, fitted, found) for name, part in OF_THE_RESIDUALS.items()})
+    parts, unavailable = _computed(
+        fitted, {name: partial(part, fitted, found) for name, part in OF_THE_RESIDUALS.items()}
+    )
     against, missing = residual_against(fitted, found)
     unavailable |= {f"residual_against.{name}": reason for name, reason in missing.items()}
-    tables, why = _computed({"stars": partial(star_table, fitted, found)})
+    tables, why = _computed(fitted, {"stars": partial(star_table, fitted, found)})
     if "stars" in tables:
         parts |= _describe_stars(fitted, found, tables["stars"], fits=against.radius is None or against.radius.even)
     return StarParts({**parts, "residual_against": against}, unavailable | why, found, tables.get("stars"))

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from boresight import kernels
 from boresight.arrays import BoolArray, FloatArray
-from boresight.calibration.estimate import Estimate, Parameters
+from boresight.calibration.estimate import Asked, Estimate, Parameters, never
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.estimation import batch
@@ -65,7 +65,7 @@ class FittedSet:
 
     `problem`, `parameters`, `settings`, `estimate`, `telemetry`, `catalogue`: as `calibrate` has them at its end. `x`:
     (n_parameters,) best fit of the whole set, SI. `arcs`: the arcs, whitened there. `e`, `H`: (n_arcs,) whitened residuals and
-    (n_arcs, n_free) scaled Jacobian there.
+    (n_arcs, n_free) scaled Jacobian there. `cancelled`: asked by what takes long.
     """
 
     problem: Problem
@@ -78,6 +78,7 @@ class FittedSet:
     arcs: ArcSet
     e: FloatArray
     H: FloatArray
+    cancelled: Asked = never
 
     @property
     def names(self) -> list[str]:
@@ -148,6 +149,7 @@ def fit_best(
     estimate: Estimate,
     telemetry: Telemetry,
     catalogue: Catalogue | None,
+    cancelled: Asked = never,
 ) -> FittedSet:
     """Find the best fit of the set and take the rows there.
 
@@ -155,7 +157,7 @@ def fit_best(
     """
     if estimate.status == "diverged" or not np.isfinite(estimate.x).all():
         raise Unavailable("The fit diverged, so there is no estimate to judge: free fewer parameters or start closer.")
-    x, arcs = _best_fit(problem, parameters, settings, estimate)
+    x, arcs = _best_fit(problem, parameters, settings, estimate, cancelled)
     if arcs.n_arcs <= len(parameters.free):
         raise Unavailable("There are not more arcs than free parameters, so nothing can be checked: add frames.")
     e, H = np.empty(arcs.n_arcs), np.empty((arcs.n_arcs, len(parameters.free)))
@@ -165,18 +167,20 @@ def fit_best(
     )  # fmt: skip
     if not (np.isfinite(e).all() and np.isfinite(H).all()):
         raise Unavailable("The camera model has no finite value at this estimate: free fewer parameters.")
-    return FittedSet(problem, parameters, settings, estimate, telemetry, catalogue, x, arcs, e, H)
+    return FittedSet(problem, parameters, settings, estimate, telemetry, catalogue, x, arcs, e, H, cancelled)
 
 
 def _best_fit(
-    problem: Problem, parameters: Parameters, settings: CalibrationSettings, estimate: Estimate
+    problem: Problem, parameters: Parameters, settings: CalibrationSettings, estimate: Estimate, cancelled: Asked
 ) -> tuple[FloatArray, ArcSet]:
     """State and arcs whitened there; the estimate itself where it is the best fit, or Huber's."""
     arcs = problem.whitened(estimate.x).whole()
     by_batch = not settings.sequential and settings.error == "arclength" and settings.robust != "stars"
     if by_batch and parameters.prior is None:
         return estimate.x, arcs
-    fitted = batch.fit(arcs, estimate.x, parameters.free, parameters.scale, max_iterations=MOST_ITERATIONS)
+    fitted = batch.fit(
+        arcs, estimate.x, parameters.free, parameters.scale, max_iterations=MOST_ITERATIONS, cancelled=cancelled
+    )
     if fitted.status == "diverged":
         return estimate.x, arcs
     return fitted.x, problem.whitened(fitted.x).whole()

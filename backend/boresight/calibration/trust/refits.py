@@ -96,8 +96,9 @@ def _fit_all(
     """Fit all free parameters to some frames from the joint estimate; what does not come to rest is refused."""
     free, scale = ground.parameters.free, ground.parameters.scale
     fitted = batch.fit(
-        arcs, ground.x, free, scale, threshold=ground.threshold, max_iterations=max_iterations, begun=begun
-    )
+        arcs, ground.x, free, scale,
+        threshold=ground.threshold, max_iterations=max_iterations, begun=begun, cancelled=ground.cancelled,
+    )  # fmt: skip
     if fitted.status != "converged":
         raise Unavailable(refusal)
     return fitted
@@ -198,7 +199,9 @@ def drop_one(ground: FittedSet) -> list[DroppedParameter]:
 def _hand_back(ground: FittedSet, held: batch.BatchFit, name: str) -> None:
     """Raise LowerMinimum where all parameters, fitted to the whole set from a fit with one held, end below the estimate."""
     parameters, restarts = ground.parameters, ground.estimate.searched.restarts
-    ended = batch.fit(ground.arcs, held.x, parameters.free, parameters.scale, threshold=ground.threshold)
+    ended = batch.fit(
+        ground.arcs, held.x, parameters.free, parameters.scale, threshold=ground.threshold, cancelled=ground.cancelled
+    )
     fall = _equations(ground, ground.arcs, ground.x).chi2 - ended.cost
     surface = CostSurface(
         lambda _: ground.arcs, parameters.free, parameters.scale, ground.threshold, ground.problem.can_be
@@ -214,7 +217,10 @@ def _hand_back(ground: FittedSet, held: batch.BatchFit, name: str) -> None:
 def _refitted(ground: FittedSet, arcs: ArcSet, held: batch.BatchFit, best: Optimum) -> Optimum:
     """The fit of all parameters from one with a parameter held; the former where that is none."""
     free, scale = ground.parameters.free, ground.parameters.scale
-    fitted = batch.fit(arcs, held.x, free, scale, threshold=ground.threshold, max_iterations=MOST_ITERATIONS)
+    fitted = batch.fit(
+        arcs, held.x, free, scale,
+        threshold=ground.threshold, max_iterations=MOST_ITERATIONS, cancelled=ground.cancelled,
+    )  # fmt: skip
     if fitted.status != "converged":
         return replace(best, cost=min(held.cost, best.cost))
     return Optimum(fitted.x, covariance(fitted.A), fitted.cost)
@@ -243,7 +249,7 @@ def _hold(ground: FittedSet, arcs: ArcSet, place: int, best: Optimum) -> batch.B
     start, begun = _start(arcs, x, best, ground, place)
     return batch.fit(
         arcs, start, free[others], scale[others],
-        threshold=ground.threshold, max_iterations=MOST_ITERATIONS, begun=begun.of(others),
+        threshold=ground.threshold, max_iterations=MOST_ITERATIONS, begun=begun.of(others), cancelled=ground.cancelled,
     )  # fmt: skip
 
 

@@ -273,6 +273,12 @@ class IdentityProvider:
         if not given or len(given) > LONGEST_TOKEN:
             raise SingleSignOnError("The request has no log-out token; send one as logout_token.", "claims")
         claims = (await self._decode(await self._discover(), given)).claims
+        if "sub" not in claims and "sid" in claims:
+            raise SingleSignOnError(
+                "The log-out token names a session of the provider (sid) and no person; such sessions are not kept here: have "
+                "the provider put sub into its log-out tokens.",
+                "claims",
+            )
         needed = jwt.ClaimsOption(essential=True)
         registry = jwt.JWTClaimsRegistry(
             leeway=CLOCKS_DIFFER_S,

@@ -121,15 +121,15 @@ def sign(
 def withdraw(
     session: Session, actor: Actor, request_id: int, reason: str, seen_version: int | None
 ) -> AlignmentRequest:
-    """Take an open request back, as the one who submitted it."""
+    """Take an open request back: its submitter, or an administrator; one that is approved stays, as decision 113 says."""
     user_id = require_person(actor, "withdraw a request")
     require_scope(actor, "runs")
     request = session.get_known(AlignmentRequest, request_id)
     require_seen(session, request, seen_version)
     refuse_control_characters(reason=reason)
-    if request.submitted_by != user_id:
+    if request.submitted_by != user_id and "administrator" not in actor.roles:
         raise ForbiddenError(
-            "Somebody else submitted this request; ask them to withdraw it, or an approver to refuse it."
+            "Somebody else submitted this request; ask them or an administrator to withdraw it, or an approver to refuse it."
         )
     _refuse_closed(session, request)
     request.closed_utc = utc_now()

@@ -61,19 +61,6 @@ def list_requests(session: Session, alignment_id: int) -> Sequence[AlignmentRequ
     return session.scalars(query.order_by(AlignmentRequest.id.desc())).all()
 
 
-def list_newest_requests(
-    session: Session, limit: int, *, state: str | None = None, submitted_by: int | None = None
-) -> Sequence[AlignmentRequest]:
-    """Return the newest requests of all alignments, those in a state or of a submitter alone."""
-    row = AlignmentRequest
-    query = sa.select(row).order_by(row.id.desc()).limit(limit)
-    if state is not None:
-        query = query.where(row.state == state)
-    if submitted_by is not None:
-        query = query.where(row.submitted_by == submitted_by)
-    return session.scalars(query).all()
-
-
 def read_open_requests(session: Session) -> tuple[int, str | None]:
     """Return how many requests wait for a signature, and since when the oldest."""
     query = sa.select(sa.func.count(), sa.func.min(AlignmentRequest.submitted_utc))

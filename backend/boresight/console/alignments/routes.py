@@ -137,6 +137,17 @@ def list_alignment_requests(alignment_id: Id, session: Reading) -> Listing[Align
 request_router = operations("/alignment-requests", tags=["alignments"])
 
 
+@request_router.get("", summary="List requests for alignments", response_model=Page[schemas.AlignmentRequest])
+def list_all_alignment_requests(
+    session: Reading,
+    page: Paged,
+    state: Annotated[schemas.AlignmentRequestState | None, Query(examples=["OPEN"])] = None,
+    alignment_id: Id | None = None,
+) -> Listing[AlignmentRequest]:
+    """List the requests that alignments go on board, newest first."""
+    return page.cut(list_newest(session, AlignmentRequest, state=state, alignment=alignment_id, **page.rows))
+
+
 @request_router.get("/{request_id}", summary="Read a request", response_model=schemas.AlignmentRequest)
 def get_alignment_request(request_id: Id, session: Reading) -> AlignmentRequest:
     """Read a request for an alignment; the ETag is needed to sign."""
@@ -175,5 +186,5 @@ def refuse_alignment(
 def withdraw_alignment(
     request_id: Id, given: Reasoned, actor: Who, seen: SeenVersion, session: Writing
 ) -> AlignmentRequest:
-    """Take an open request back, as the one who submitted it."""
+    """Take an open request back in person, as the one who submitted it or as an administrator; an approved one stays."""
     return approval.withdraw(session, actor, request_id, given.reason, seen)

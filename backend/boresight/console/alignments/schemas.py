@@ -11,6 +11,7 @@ from boresight.calibration.alignment import result
 from boresight.console.schemas import Document, Row
 
 AlignmentState = Literal["QUEUED", "RUNNING", "SUCCEEDED", "FAILED"]
+AlignmentRequestState = Literal["OPEN", "APPROVED", "REJECTED", "WITHDRAWN"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +68,7 @@ class AlignmentRequest(Row):
     id: int
     alignment_id: int
     result_sha256: str = Field(description="The result that was shown and is signed for.")
-    state: Literal["OPEN", "APPROVED", "REJECTED", "WITHDRAWN"]
+    state: AlignmentRequestState
     version: int = Field(description='Counts transitions; the ETag is `"v<version>"`.')
     reason: str
     submitted_utc: str

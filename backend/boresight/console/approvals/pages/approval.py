@@ -16,11 +16,11 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.calibration.calibration import Calibration
+from boresight.console import list_queries as lists
 from boresight.console.access.dependencies import Reading, Who, check_own, csrf, get_client, get_needed, get_server
 from boresight.console.access.password_checks import PasswordWorker
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.alignments import approval as alignment_approval
-from boresight.console.alignments import queries as alignment_rows
 from boresight.console.alignments.tables import Alignment, AlignmentRequest
 from boresight.console.approvals import gates, review, threads
 from boresight.console.approvals import queries as approval_queries
@@ -45,6 +45,7 @@ from boresight.console.pages.rendering import (
 from boresight.console.pages.tables import (
     Table,
     TableColumn,
+    TableView,
     accept_one,
     is_text,
     read_all,
@@ -209,6 +210,7 @@ VIEWS = {
     "submitted": "Submitted by me",
     "all": "All",
 }
+SHOWN_FIRST = "waiting"
 REQUESTS = Table(
     "approvals",
     "Requests for approval",
@@ -251,12 +253,13 @@ class AlignmentRow:
     blocked: str | None
 
 
-def _list_alignments(request: Request, session: Session, actor: Actor, show: str) -> list[AlignmentRow]:
-    """Return the newest requests for alignments of an inbox view; each alignment's page has all of its own."""
-    where = _narrowed(show, actor)
-    found = alignment_rows.list_newest_requests(
-        session, REQUESTS.rows_a_page, state=where["state"], submitted_by=where["submitted_by"]
-    )
+def _list_alignments(
+    request: Request, session: Session, actor: Actor, view: TableView, *, limit: int | None = None
+) -> list[AlignmentRow]:
+    """Return the requests for alignments of an inbox view, newest first; at most `limit`."""
+    show = view.where.get("show", SHOWN_FIRST)
+    where = {name: value for name, value in _narrowed(show, actor).items() if name != "show"}
+    found = lists.list_newest(session, AlignmentRequest, limit=limit, q=view.where.get("q"), **where)
     policy, listed = get_server(request).policy, []
     for one in found:
         row = session.get_known(Alignment, one.alignment_id)
@@ -270,10 +273,10 @@ def _list_alignments(request: Request, session: Session, actor: Actor, show: str
 def approvals_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
     """Show the inbox: what waits for a signature, for one's own, what one submitted, or everything."""
     view = read_view(request, REQUESTS)
-    show = view.where.get("show", "waiting")
+    show = view.where.get("show", SHOWN_FIRST)
     found = read_page(session, view, **_narrowed(show, actor))
     entries = _entries(request, session, actor, found.rows)
-    alignments = [] if view.before or view.where.get("q") else _list_alignments(request, session, actor, show)
+    alignments = [] if view.before else _list_alignments(request, session, actor, view, limit=REQUESTS.rows_a_page)
     return render(
         request,
         "approvals/approvals.html",
@@ -289,12 +292,15 @@ def approvals_page(request: Request, session: Reading, actor: Who) -> HTMLRespon
 
 @router.get("/approvals.csv")
 def approvals_csv(request: Request, session: Reading, actor: Who) -> Response:
-    """Give every request of a view as CSV."""
+    """Give every request of a view as CSV, those for alignments first."""
     view = read_view(request, REQUESTS)
-    show = view.where.get("show", "waiting")
+    show = view.where.get("show", SHOWN_FIRST)
+    alignments = _list_alignments(request, session, actor, view)
     entries = _entries(request, session, actor, list(read_all(session, view, **_narrowed(show, actor))))
     shown = (entry for entry in entries if show != "mine" or entry.blocked is None)
-    return write_csv(view, (_csv_row(entry) for entry in shown))
+    names = read_names(session)
+    of_alignments = [_alignment_csv_row(one, names.person(one.asked.submitted_by)) for one in alignments]
+    return write_csv(view, (*of_alignments, *map(_csv_row, shown)))
 
 
 def _narrowed(show: str, actor: Actor) -> dict[str, Any]:
@@ -314,6 +320,21 @@ def _csv_row(entry: InboxRow) -> Beside:
         verdict=None if entry.gates is None else entry.gates.words,
         submitted_by=entry.submitter,
         signed=entry.signed,
+    )
+
+
+def _alignment_csv_row(one: AlignmentRow, submitter: str) -> Beside:
+    """One row of the CSV file; requests for alignments have numbers of their own, which `kind` tells from the others'."""
+    return Beside(
+        one.asked,
+        request=one.asked.id,
+        kind="ALIGNMENT",
+        set=f"Alignment {one.alignment.id}: {one.sensors}",
+        verdict=one.alignment.verdict,
+        submitted_by=submitter,
+        signed=int(one.asked.state == "APPROVED"),
+        needed=1,
+        expires_utc=None,
     )
 
 

@@ -17,6 +17,7 @@ from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import Alarm
 from boresight.console.alignments import approval as alignment_approval
 from boresight.console.alignments import queries as alignment_queries
+from boresight.console.alignments.tables import AlignmentRequest
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals import threads
@@ -135,7 +136,7 @@ def _proposals(session: Session, actor: Actor) -> WaitingItems:
 def _alignments(session: Session, actor: Actor, policy: Policy) -> WaitingItems:
     able = [
         row
-        for row in alignment_queries.list_newest_requests(session, MOST_ALIGNMENTS, state="OPEN")
+        for row in lists.list_newest(session, AlignmentRequest, limit=MOST_ALIGNMENTS, state="OPEN")
         if alignment_approval.explain_why_not_sign(session, actor, row, policy) is None
     ]
     return _first_of(
