@@ -14,7 +14,7 @@ from boresight.telemetry.quality import report as quality_parts
 from boresight.telemetry.quality.findings import FINDINGS, SEVERITIES
 from boresight.telemetry.quality.report import QualityParts, quality_report
 from boresight.telemetry.read.readers import read_telemetry
-from boresight.telemetry.schema import select_rows
+from boresight.telemetry.schema import IMAGE_COLUMNS, select_rows
 from boresight.telemetry.sensors import read_sensor
 from tests.effort import effort
 from tests.strategies import sensors, telemetry_tables
@@ -176,6 +176,12 @@ def test_stars_that_stay_in_place_do_not_make_detections_hot_pixels(telemetry, s
         star_id=np.where(still == 3, 0, telemetry.star_id),
     )
     assert "HOT_PIXELS" not in codes(quality_report(staring, sensor, Stars()))
+
+
+def test_what_the_extraction_from_images_keeps_is_no_column_of_another_name(telemetry, sensor):
+    of_images = {name: pa.chunked_array([["1"] * ROWS]) for name in IMAGE_COLUMNS}
+    report = quality_report(dataclasses.replace(telemetry, unknown=of_images), sensor, Stars())
+    assert "UNKNOWN_COLUMNS" not in codes(report)
 
 
 def test_the_worst_finding_comes_first_and_every_finding_of_the_registry_has_a_case(telemetry, sensor):

@@ -33,17 +33,12 @@ from boresight.images.reading import Image, read_image, read_size
 from boresight.telemetry.data_sheets import LensAndDetector
 from boresight.telemetry.declarations import ImageFormat
 from boresight.telemetry.new_sensor import complete, describe_sensor
-from boresight.telemetry.schema import Telemetry
+from boresight.telemetry.schema import IMAGE_COLUMNS, Telemetry
 from boresight.telemetry.sensors import Sensor
 
 T = TypeVar("T")
 #: Told (message, share of the work that is done).
 Report = Callable[[str, float | None], None]
-#: The columns of the images beside the contract's.
-IMAGE_COLUMNS = (
-    "image", "image_sha256", "flux_dn", "flux_sigma_dn", "peak_dn", "background_dn", "background_sigma_dn", "saturated",
-    "variance_row_px2", "variance_col_px2", "covariance_px2",
-)  # fmt: skip
 #: Share of the stars that are fainter than the magnitude limit is taken to be.
 FAINTEST_SHARE = 0.05
 DEFAULT_LIMIT = 6.0

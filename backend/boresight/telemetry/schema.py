@@ -48,6 +48,11 @@ OPTIONAL_COLUMNS = (
     "temperature_c",
     "psf_sigma_px",
 )
+#: What is kept of each star of an image beside them.
+IMAGE_COLUMNS = (
+    "image", "image_sha256", "flux_dn", "flux_sigma_dn", "peak_dn", "background_dn", "background_sigma_dn", "saturated",
+    "variance_row_px2", "variance_col_px2", "covariance_px2",
+)  # fmt: skip
 
 INTEGER_COLUMNS = ("frame", "exposure", "star_id")
 FLOAT_COLUMNS = tuple(

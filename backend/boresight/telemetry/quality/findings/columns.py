@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from boresight.telemetry.quality.inputs import Finding, QualityInputs, Severity, counted, marked_rows, row_numbers
 from boresight.telemetry.sampling import GAP_FACTOR, Intervals, compute_sampling
+from boresight.telemetry.schema import IMAGE_COLUMNS
 
 _WIDE_TEMPERATURE_C = 10.0
 
@@ -32,8 +33,8 @@ def partial_noise(inputs: QualityInputs) -> Finding | None:
 
 
 def unknown_columns(inputs: QualityInputs) -> Finding | None:
-    """Find columns that the contract does not name."""
-    names = list(inputs.telemetry.unknown)
+    """Find columns that neither the contract nor the extraction from images names."""
+    names = [name for name in inputs.telemetry.unknown if name not in IMAGE_COLUMNS]
     if not names:
         return None
     what = counted(len(names), "column of another name is", "columns of other names are")
