@@ -35,6 +35,9 @@ _TIE = 1e-9  # a triangle that is fatter by less is as fat: rounding must not ch
 _FEW = 7  # stars of which every order is tried
 _TAN_22_5 = math.sqrt(2.0) - 1.0
 _NEXT, _NEXT_BUT_ONE, _TANGENTS, _PRODUCTS = 3, 10, 17, 6  # rows of scratch of a catalogue exposure
+# Numbers by which scratch stands apart from what lies before it: where a loop writes within a few vectors behind what it reads, its
+# compiled form takes one number at a time and rounds otherwise, and the last bits would depend on where the heap puts arrays.
+_GAP = 64
 _ROOM = 13  # rows of scratch an exposure: s (3), and five numbers of each of both kinds of arcs
 
 _part = part(fastmath=FAST)
@@ -337,8 +340,12 @@ def normal_equations(camera, x, pitch, star_start, row_px, col_px, phi, band, fr
     N = len(camera)
     most = _largest_exposure(star_start)
     n_free = free.shape[0]
-    w, room = np.empty((most, _width(camera))), np.empty((_ROOM, most))
-    e, H, T = np.empty(2 * most), np.empty((2 * most, N)), np.empty((N, 2 * most))
+    w, room = np.empty((_GAP + most, _width(camera)))[_GAP:], np.empty((1 + _ROOM, max(most, _GAP)))[1:]
+    e, H, T = (
+        np.empty(_GAP + 2 * most)[_GAP:],
+        np.empty((_GAP + 2 * most, N))[_GAP:],
+        np.empty((_GAP + N, 2 * most))[_GAP:],
+    )
     C, g, scales = np.zeros((N, N)), np.zeros(N), np.empty(N)
     _pad(scale, scales)
     chi2 = 0.0
@@ -374,7 +381,7 @@ def count_beyond(camera, x, pitch, star_start, row_px, col_px, phi, band, thresh
     Called by `estimation.robust`, and by `estimation.batch` for chi-square alone.
     """
     most = _largest_exposure(star_start)
-    g, e = np.empty((_ROOM, most)), np.empty(2 * most)
+    g, e = np.empty((1 + _ROOM, max(most, _GAP)))[1:], np.empty(_GAP + 2 * most)[_GAP:]
     beyond, total = 0, 0.0
     for k in range(star_start.shape[0] - 1):
         s0 = star_start[k]
@@ -390,7 +397,7 @@ def count_beyond(camera, x, pitch, star_start, row_px, col_px, phi, band, thresh
 @loop("camera f1 f i1 f1 f1 f1 f1", fastmath=FAST)
 def residuals(camera, x, pitch, star_start, row_px, col_px, phi, e):
     """Fill `e` (n_arcs,) with measured minus catalogue arclength, radians. Called by `estimation.metrics`."""
-    g = np.empty((_ROOM, _largest_exposure(star_start)))
+    g = np.empty((1 + _ROOM, max(_largest_exposure(star_start), _GAP)))[1:]
     for k in range(star_start.shape[0] - 1):
         s0, a0 = star_start[k], 2 * star_start[k] - 3 * k
         _raw_residuals(camera, x, pitch, s0, star_start[k + 1] - s0, a0, row_px, col_px, phi, g, e, a0)
@@ -403,7 +410,7 @@ def sums_of_squares(camera, states, pitch, star_start, row_px, col_px, phi, tota
     Called by `estimation.metrics.tail_rms` (E Eq 32).
     """
     most = _largest_exposure(star_start)
-    g, e = np.empty((_ROOM, most)), np.empty(2 * most)
+    g, e = np.empty((1 + _ROOM, max(most, _GAP)))[1:], np.empty(_GAP + 2 * most)[_GAP:]
     for m in range(states.shape[0]):
         total = 0.0
         for k in range(star_start.shape[0] - 1):
@@ -419,8 +426,12 @@ def whitened_rows(camera, x, pitch, star_start, row_px, col_px, phi, band, free,
     """Fill whitened `e` (n_arcs,) and `H` (n_arcs, n_free) of several exposures. Called by `estimation.filters.extended`."""
     N = len(camera)
     most, n_free = _largest_exposure(star_start), free.shape[0]
-    w, g, one = np.empty((most, _width(camera))), np.empty((_ROOM, most)), np.empty((2 * most, N))
-    whitened, scales = np.empty(2 * most), np.empty(N)
+    w, g, one = (
+        np.empty((_GAP + most, _width(camera)))[_GAP:],
+        np.empty((1 + _ROOM, max(most, _GAP)))[1:],
+        np.empty((_GAP + 2 * most, N))[_GAP:],
+    )
+    whitened, scales = np.empty(_GAP + 2 * most)[_GAP:], np.empty(N)
     _pad(scale, scales)
     total = 0.0
     for k in range(star_start.shape[0] - 1):
@@ -571,8 +582,12 @@ def square_root_filter(
     n_free = free.shape[0]
     n_frames = frame_start.shape[0] - 1
     most_arcs, fullest = _largest_frame(frame_start, star_start), _largest_exposure(star_start)
-    w, g = np.empty((fullest, _width(camera))), np.empty((_ROOM, fullest))
-    e, H, post = np.empty(most_arcs), np.empty((most_arcs, N)), np.empty(most_arcs)
+    w, g = np.empty((_GAP + fullest, _width(camera)))[_GAP:], np.empty((1 + _ROOM, max(fullest, _GAP)))[1:]
+    e, H, post = (
+        np.empty(_GAP + most_arcs)[_GAP:],
+        np.empty((_GAP + most_arcs, N))[_GAP:],
+        np.empty(_GAP + most_arcs)[_GAP:],
+    )
     z_prior, z_at, S_prior = np.empty(N), np.empty(N), np.empty((N, N)).T
     f, gain, M, x0 = (
         np.empty(N),
@@ -664,9 +679,10 @@ def unscented_filter(
     n_free = free.shape[0]
     n_frames = frame_start.shape[0] - 1
     most = _largest_frame(frame_start, star_start)
-    g = np.empty((_ROOM, _largest_exposure(star_start)))
-    e, H, C = np.empty(most), np.zeros((most, N)), np.empty((most, N))
-    plus, minus = np.empty((N, most)), np.empty((N, most))
+    g = np.empty((1 + _ROOM, max(_largest_exposure(star_start), _GAP)))[1:]
+    e, H, C = np.empty(_GAP + most)[_GAP:], np.empty((_GAP + most, N))[_GAP:], np.empty((_GAP + most, N))[_GAP:]
+    H[:] = 0.0
+    plus, minus = np.empty((_GAP + N, most))[_GAP:], np.empty((_GAP + N, most))[_GAP:]
     z_prior, z_at, point = np.empty(N), np.empty(N), np.empty(x.shape[0])
     S_prior, S_at = np.empty((N, N)).T, np.empty((N, N)).T
     f, gain, M, x0 = (
@@ -812,7 +828,7 @@ def arcs_and_factors(star_start, s, sigma, phi, band, bad):
     E Eq 18 is taken as the product of the unit tangents with which the two arcs leave their common star: no trigonometry,
     and no cancellation for short arcs.
     """
-    g = np.empty((_TANGENTS + _PRODUCTS, _largest_exposure(star_start)))
+    g = np.empty((1 + _TANGENTS + _PRODUCTS, max(_largest_exposure(star_start), _GAP)))[1:]
     for k in range(star_start.shape[0] - 1):
         s0, n = star_start[k], star_start[k + 1] - star_start[k]
         a0 = 2 * s0 - 3 * k

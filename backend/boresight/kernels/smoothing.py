@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from boresight.kernels.arclengths import (
+    _GAP,
     _ROOM,
     _exposure_rows,
     _largest_exposure,
@@ -32,8 +33,8 @@ def forward_pass(
     """
     N, n_free = len(camera), free.shape[0]
     most_arcs, fullest = _largest_frame(frame_start, star_start), _largest_exposure(star_start)
-    w, g = np.empty((fullest, _width(camera))), np.empty((_ROOM, fullest))
-    e, H = np.empty(most_arcs), np.empty((most_arcs, N))
+    w, g = np.empty((_GAP + fullest, _width(camera)))[_GAP:], np.empty((1 + _ROOM, max(fullest, _GAP)))[1:]
+    e, H = np.empty(_GAP + most_arcs)[_GAP:], np.empty((_GAP + most_arcs, N))[_GAP:]
     f, gain, M, there, scales = np.empty(N), np.empty(N), np.empty((N, N)), x.copy(), np.empty(N)
     _pad(scale, scales)
     for k in range(frame_start.shape[0] - 1):

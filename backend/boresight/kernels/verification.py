@@ -12,7 +12,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from boresight.kernels.arclengths import _ROOM, _arcs, _exposure_residuals, _largest_exposure, _stars, _width
+from boresight.kernels.arclengths import (
+    _GAP,
+    _ROOM,
+    _arcs,
+    _exposure_residuals,
+    _largest_exposure,
+    _stars,
+    _width,
+)
 from boresight.kernels.compilation import FAST, loop, part
 from boresight.kernels.matching import (
     _add,
@@ -50,7 +58,7 @@ def find_disagreeing(camera, x, pitch, star_start, row_px, col_px, phi, band, ro
     """
     N = len(camera)
     most = _largest_exposure(star_start)
-    w, g, h = np.empty((most, _width(camera))), np.empty((_ROOM, most)), np.empty(N)
+    w, g, h = np.empty((_GAP + most, _width(camera)))[_GAP:], np.empty((1 + _ROOM, max(most, _GAP)))[1:], np.empty(N)
     for k in range(star_start.shape[0] - 1):
         s0 = star_start[k]
         n = star_start[k + 1] - s0
@@ -90,7 +98,7 @@ def exposure_chi2(camera, x, pitch, star_start, row_px, col_px, phi, band, chi2)
     Called by `calibration.matching.verification`.
     """
     most = _largest_exposure(star_start)
-    g, e = np.empty((_ROOM, most)), np.empty(2 * most)
+    g, e = np.empty((1 + _ROOM, max(most, _GAP)))[1:], np.empty(_GAP + 2 * most)[_GAP:]
     for k in range(star_start.shape[0] - 1):
         s0 = star_start[k]
         n = star_start[k + 1] - s0

@@ -137,6 +137,7 @@ GOOD = {
     "get_alignment_data": _good,
     "submit_alignment": _to_submit,
     "list_alignment_requests": _good,
+    "list_all_alignment_requests": lambda _: ("victor", {"params": {"state": "OPEN"}}),
     "get_alignment_request": lambda house: ("victor", {"request_id": submitted(house)["id"]}),
     "approve_alignment": _signing("approve"),
     "refuse_alignment": _signing("refuse"),

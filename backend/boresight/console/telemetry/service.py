@@ -355,7 +355,7 @@ def hold_for_new_sensor(
     """Check a set as one of a sensor under another name that is its own as the set's diagnosis mends it, without the database."""
     mended = mend_document(document, get_diagnosis(row))
     if mended == document:
-        raise ConflictError(f"The diagnosis of {row.name} corrects nothing of its sensor; go on with that one.")
+        raise ConflictError(f"The diagnosis of {row.name} corrects nothing of its sensor: use the set as it is.")
     mended["name"] = name
     original, catalogue = sources.blobs.path(row.original_sha256), sources.catalogue()
     with hold_prepared(mended, catalogue, original, row.name, limits, sources.catalogue_folder) as prepared:
