@@ -73,19 +73,6 @@ def test_errors_are_spread_as_the_covariance_says_and_residuals_as_R_says():
     assert chi_square(total_chi2, dof).consistent
 
 
-def test_no_bit_depends_on_where_the_arrays_lie():
-    rng = np.random.default_rng(8)
-    field = whitened(star_field(rng, frames=20), GROUND)
-    found = set()
-    for _ in range(400):
-        between = [np.empty(size) for size in rng.integers(1, 400, size=rng.integers(1, 30))]
-        del between[::2]  # so that the next arrays lie here and there
-        moved = replace(field, **{name: getattr(field, name).copy() for name in ("row_px", "col_px", "phi", "band")})
-        A = batch.normal_equations(moved, GROUND, FREE, SCALE)
-        found.add((batch.compute_chi2(moved, GROUND), rms(moved, GROUND), A.chi2, A.A.tobytes(), A.b.tobytes()))
-    assert len(found) == 1
-
-
 def test_the_principal_point_without_distortion_or_tilt_is_called_rank_deficient():
     pinhole = GROUND.copy()
     pinhole[4] = 0.0
