@@ -30,6 +30,7 @@ from boresight.console.fleet import queries as rows
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
 from boresight.console.telemetry.tables import TelemetrySet, find_quality
+from boresight.console.uplinks.tables import Uplink
 from boresight.estimation.pass_forecast import FollowedPass, PassForecaster
 from boresight.estimation.statistics import drift as tests
 from boresight.estimation.statistics.drift import FALSE_ALARM_RATE, Epoch, RegressionLine
@@ -88,29 +89,6 @@ class TrendPoint:
 
 
 @dataclass(frozen=True)
-class BaselinePeriod:
-    """A set was the baseline from a time, until another."""
-
-    parameter_set_id: int
-    name: str
-    from_utc: str
-    to_utc: str | None
-    measured: bool
-    parameters: Mapping[str, float]
-    sigma: Mapping[str, float | None]
-
-
-@dataclass(frozen=True)
-class OnBoardRecord:
-    """A record of an on-board state."""
-
-    at_utc: str
-    state: str
-    parameter_set_id: int
-    name: str
-
-
-@dataclass(frozen=True)
 class Trend:
     """A sensor over the mission; `points` by the time of their data, those of other camera models under `others`."""
 
@@ -119,8 +97,8 @@ class Trend:
     camera_model: str
     points: Sequence[TrendPoint]
     others: Sequence[TrendPoint]
-    periods: Sequence[BaselinePeriod]
-    on_board: Sequence[OnBoardRecord]
+    periods: Sequence[documents.BaselinePeriod]
+    on_board: Sequence[documents.OnBoardMark]
     telemetry: Mapping[int, TelemetrySet]
 
     @property
@@ -149,7 +127,7 @@ def read_trends(session: Session, sensors: Sequence[Sensor]) -> dict[int, Trend]
             promoted[sensor.id],
             finished[sensor.id],
             telemetry[sensor.id],
-            [OnBoardRecord(one.recorded_utc, one.onboard_state, row.id, row.name) for one, row in records[sensor.id]],
+            [_on_board(one, row) for one, row in records[sensor.id]],
         )
         for sensor in sensors
     }
@@ -160,7 +138,7 @@ def _trend(
     promoted: Sequence[tuple[Promotion, ParameterSet]],
     finished: Sequence[Any],
     telemetry: Mapping[int, TelemetrySet],
-    on_board: Sequence[OnBoardRecord],
+    on_board: Sequence[documents.OnBoardMark],
 ) -> Trend:
     """Judge which calibrations of a sensor count, and put them in order."""
     baseline = promoted[-1][1] if promoted else None
@@ -259,18 +237,24 @@ def _counted_once(points: Sequence[TrendPoint]) -> Iterator[TrendPoint]:
         yield point
 
 
-def _periods(promoted: Sequence[tuple[str, ParameterSet]]) -> Iterator[BaselinePeriod]:
+def _on_board(record: Uplink, row: ParameterSet) -> documents.OnBoardMark:
+    return documents.OnBoardMark(
+        at_utc=record.recorded_utc, state=record.onboard_state, parameter_set_id=row.id, name=row.name
+    )
+
+
+def _periods(promoted: Sequence[tuple[str, ParameterSet]]) -> Iterator[documents.BaselinePeriod]:
     ends = [*(at_utc for at_utc, _ in promoted[1:]), None] if promoted else []
     for (at_utc, row), to_utc in zip(promoted, ends, strict=True):
         document = parse_parameter_set(row.document)
-        yield BaselinePeriod(
-            row.id,
-            row.name,
-            at_utc,
-            to_utc,
-            row.run_id is not None,
-            document.parameters.to_dict(),
-            document.reliable_sigma.to_dict(),
+        yield documents.BaselinePeriod(
+            parameter_set_id=row.id,
+            name=row.name,
+            from_utc=at_utc,
+            to_utc=to_utc,
+            measured=row.run_id is not None,
+            parameters=document.parameters,
+            sigma=document.reliable_sigma,
         )
 
 

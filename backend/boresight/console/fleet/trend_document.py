@@ -21,7 +21,6 @@ from boresight.console.fleet import trend as drifts
 from boresight.console.fleet.status import OLD_DAYS, count_days_since
 from boresight.console.fleet.trend import (
     GROUND_SHIFTED,
-    BaselinePeriod,
     DriftResult,
     Trend,
     TrendPoint,
@@ -178,8 +177,8 @@ def write_trend_document(
         baseline=None if baseline is None else documents.SetName(parameter_set_id=baseline.id, name=baseline.name),
         points=[_point(point) for point in trend.points],
         others=[_point(point) for point in trend.others],
-        baselines=[_period(period) for period in trend.periods],
-        on_board=[documents.OnBoardMark(**vars(record)) for record in trend.on_board],
+        baselines=list(trend.periods),
+        on_board=list(trend.on_board),
         truth=None if trend.sensor.truth is None else Values(trend.sensor.truth),
         annotations=[
             documents.Annotation(at_utc=row.at_utc, text=row.text, printed_name=row.printed_name, made_utc=row.made_utc)
@@ -190,11 +189,6 @@ def write_trend_document(
             answer=advice.answer, sentence=advice.sentence, code=advice.code, reasons=list(advice.reasons)
         ),
     )
-
-
-def _period(period: BaselinePeriod) -> documents.BaselinePeriod:
-    said = {"parameters": Values(period.parameters), "sigma": Values(period.sigma)}
-    return documents.BaselinePeriod(**(vars(period) | said))
 
 
 def _point(point: TrendPoint) -> documents.TrendPoint:

@@ -125,9 +125,8 @@ def write_command(review: RunReview) -> str:
         prior = f"run-{run.prior_run_id}.json"
         use = review.result.prior if review.result else None
         if use is not None and use.drift_sigma and settings.prior_age_days is None:
-            settings = replace(
-                settings, prior_age_days=use.age_days
-            )  # which the rows of its sets told where its result does not
+            # Which the rows of its sets told where its result does not.
+            settings = replace(settings, prior_age_days=use.age_days)
     words = calibrate_command(
         [one.name for one in (review.data, *review.further)],
         f"run-{run.id}.sensor.json",
