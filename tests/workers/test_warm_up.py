@@ -10,11 +10,11 @@ import pytest
 from boresight.settings import read_settings, use_kernel_folder
 
 RUNS = """
-import os
 import sys
 from dataclasses import replace
 from pathlib import Path
 import numpy as np
+from boresight.kernels import workshop
 from boresight.kernels.compilation import LOOPS
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import METHODS, OPTIONS, CalibrationSettings
@@ -25,12 +25,9 @@ from boresight.workers.tasks import warm
 
 folder = Path(sys.argv[1])
 
-def compiled():
-    return {path.name for path in Path(os.environ["NUMBA_CACHE_DIR"]).rglob("*.nbc")}
-
 warm(folder)
-before = compiled()
-assert before
+made = []
+workshop._compile = made.extend
 catalogue = load_catalogue(folder)
 for name, scenario in (("fit", calibration_scenario(1)), ("held", validation_scenario(1))):
     write_parquet(simulate(replace(scenario, frames=8), np.random.default_rng(1), catalogue), folder / name)
@@ -49,7 +46,7 @@ undeclared = [
     for signature in loop.dispatcher.signatures
     if tuple(signature) != loop.signature(loop.camera_of(signature))
 ]
-print(sorted(compiled() - before), undeclared, max(len(loop.dispatcher.signatures) for loop in LOOPS.values()))
+print(sorted(name for _, name, _ in made), undeclared, max(len(loop.dispatcher.signatures) for loop in LOOPS.values()))
 """
 
 
