@@ -14,7 +14,7 @@ from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import ArchivedRun, JointSet, Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.db.sessions import Session
-from boresight.verdicts.gates import parse_bound_report
+from boresight.verdicts.gates import parse_held_out
 
 UNDECIDED = ("CALIBRATING", "UNCONFIRMED", "ASKED")
 
@@ -86,8 +86,7 @@ def list_aligned_runs(session: Session) -> dict[int, int]:
 def list_validation_tables(session: Session) -> set[str]:
     """Return the tables of the frames that gates held out, by their SHA-256."""
     documents = session.scalars(sa.select(GateReport.document))
-    used = (parse_bound_report(document).held_out for document in documents)
-    return {one.sha256 for one in used if one is not None}
+    return {used.sha256 for document in documents if (used := parse_held_out(document)) is not None}
 
 
 def list_undecided(session: Session) -> dict[int, int]:

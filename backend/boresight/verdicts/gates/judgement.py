@@ -105,13 +105,19 @@ class BoundHashes:
 class BoundGateReport(GateReport):
     """A report of the store, with the frames that were held out and what it is bound to."""
 
-    held_out: HeldOut | None
+    held_out: HeldOut | None = None
     bound: BoundHashes
 
 
 def parse_bound_report(document: Mapping[str, Any]) -> BoundGateReport:
     """Read a report of the store from its JSON."""
     return parse_part(BoundGateReport, document, RefusedInputError)
+
+
+def parse_held_out(document: Mapping[str, Any]) -> HeldOut | None:
+    """Read of a report of the store only which frames were held out."""
+    held_out = document.get("held_out")
+    return None if held_out is None else parse_part(HeldOut, held_out, RefusedInputError)
 
 
 def parse_report(document: Mapping[str, Any]) -> GateReport:
