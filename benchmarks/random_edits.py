@@ -56,7 +56,8 @@ from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor, parse_sensor, sensor_document
 from boresight.verdicts.gates import parse_profile
-from boresight.verdicts.gates.assessment import assess, ground_set
+from boresight.verdicts.gates.assessed_set import ground_set
+from boresight.verdicts.gates.assessment import assess
 
 FRAMES, VALIDATION_FRAMES = 24, 12
 SEED = 20_260_101

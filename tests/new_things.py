@@ -34,7 +34,8 @@ from boresight.sky.catalogue import load_catalogue
 from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.sensors import parse_sensor, sensor_document
 from boresight.verdicts.gates import judge, parse_profile
-from boresight.verdicts.gates.assessment import assess, ground_set
+from boresight.verdicts.gates.assessed_set import ground_set
+from boresight.verdicts.gates.assessment import assess
 from boresight.verdicts.gates.judgement import gate_rows
 from tests.passwords import add_person, use_hasher
 from tests.served import PASSWORD, serving, settings_in

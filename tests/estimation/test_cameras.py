@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from boresight.calibration.conversion import convert
 from boresight.cameras import CAMERA_MODELS
+from boresight.cameras.model import corners
 from boresight.cameras.pinhole_radial import PINHOLE_RADIAL, turning_radius_squared
 from tests.estimation.fields import (
     PITCH,
@@ -49,6 +50,15 @@ class TestCameraModel:
         np.testing.assert_allclose(camera.directions(x, *place, PITCH), s, rtol=0, atol=4e-16)
         few = camera.directions_of_few(x, *np.transpose([place, (np.nan, 0.0)]), PITCH)
         np.testing.assert_allclose(few, [np.ravel(s), [np.nan] * 3], rtol=0, atol=4e-16)
+
+    def test_the_compiled_form_is_blind_at_the_corners_where_the_plain_one_is(self, camera):
+        rng, row_col, found = np.random.default_rng(3), corners(1944, 2592), set()
+        for size in np.repeat([0.0, 3.0, 100.0, 3000.0], 25):
+            x = state(camera, size * rng.normal(size=16))
+            blind = camera.blind_corner(x, 1944, 2592, PITCH) is not None
+            assert np.isfinite(camera.directions(x, *row_col, PITCH)).all() == (not blind)
+            found.add(blind)
+        assert False in found
 
     def test_the_jacobian_is_finite_for_a_star_on_the_principal_point(self, camera):
         x = state(camera, np.ones(16))

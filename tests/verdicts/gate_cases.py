@@ -19,7 +19,7 @@ from boresight.calibration.calibration import (
 from boresight.calibration.trust.trust_tests import TRUST_TESTS
 from boresight.simulation.sensors import st16_sensor
 from boresight.verdicts.gates import GateInputs
-from boresight.verdicts.gates.assessment import ground_set
+from boresight.verdicts.gates.assessed_set import AssessedSet, ground_set, parse_assessed_set
 
 SENSOR = st16_sensor(1)
 NAMES = ("f_m", "m0_px", "n0_px", "b4_per_m4", "b2_per_m2", "a1_rad", "a2_rad", "g_y")
@@ -29,10 +29,10 @@ SIGMA = 0.02 * SENSOR.typical_sigma
 
 
 def a_set(**changed: Any) -> dict[str, Any]:
-    start = ground_set(SENSOR)
     sigma = SIGMA
     return {
-        **start,
+        "sensor": SENSOR.name,
+        "camera_model": SENSOR.camera_model,
         "parameters": dict(zip(NAMES, (SENSOR.initial + 5 * sigma).tolist(), strict=True)),
         "sigma": dict(zip(NAMES, sigma.tolist(), strict=True)),
         "covariance": {"names": list(NAMES), "matrix": np.diag(sigma**2).tolist()},
@@ -63,6 +63,10 @@ def a_result(**changed: Any) -> Calibration:
     return replace(sound, **changed)
 
 
+def as_read(document: Any) -> AssessedSet:
+    return document if isinstance(document, AssessedSet) else parse_assessed_set(document, SENSOR)
+
+
 def gate_inputs(**changed: Any) -> GateInputs:
     values: dict[str, Any] = {
         "sensor": SENSOR,
@@ -71,4 +75,5 @@ def gate_inputs(**changed: Any) -> GateInputs:
         "result": a_result(),
         "no_validation": "There are none.",
     }
-    return GateInputs(**(values | changed))
+    values |= changed
+    return GateInputs(**values | {name: as_read(values[name]) for name in ("candidate", "incumbent")})

@@ -24,12 +24,11 @@ from boresight.platform.db.documents import canonical
 from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
 from boresight.simulation.sensors import st16_truth
 from boresight.verdicts.gates import GATES, judge, measure, parse_profile
+from boresight.verdicts.gates.assessed_set import assess_calibration, ground_set, read_incumbent
 from boresight.verdicts.gates.assessment import (
-    as_set,
     assess,
     change_of_share,
     compute_validation_scores,
-    ground_set,
     of_result,
     started_from,
 )
@@ -48,7 +47,7 @@ from boresight.verdicts.numbers import (
 )
 from tests.calibrations import changed
 from tests.effort import effort
-from tests.verdicts.gate_cases import NAMES, SENSOR, SIGMA, a_result, a_set, gate_inputs
+from tests.verdicts.gate_cases import NAMES, SENSOR, SIGMA, a_result, a_set, as_read, gate_inputs
 
 
 def found(name, **changed):
@@ -139,8 +138,8 @@ def test_what_is_no_covariance_fails_and_a_strong_but_possible_correlation_is_on
     [
         ({"candidate": a_set(sensor="ST16-2")}, "belongs to the sensor ST16-2"),
         ({"candidate": a_set(camera_model="pinhole_radial")}, "camera model pinhole_radial"),
-        ({"made_with": {"detector": {"rows": 1944, "columns": 2592, "pixel_pitch_m": 4e-6}, "parity": 1}}, "Detector"),
-        ({"made_with": {"detector": {"rows": 1944, "columns": 2592, "pixel_pitch_m": 2.2e-6}, "parity": -1}}, "parity"),
+        ({"made_with": dataclasses.replace(SENSOR, pixel_pitch_m=4e-6)}, "Detector"),
+        ({"made_with": dataclasses.replace(SENSOR, parity=-SENSOR.parity)}, "parity"),
     ],
 )
 def test_a_set_of_another_sensor_fails(changed, words):
@@ -255,11 +254,11 @@ def test_quantisation_is_nothing_in_float64_something_in_float32_unknown_without
 
 def test_a_run_started_from_the_incumbent_or_not_and_a_file_is_as_unsure_as_the_ground_unless_it_says():
     ground = ground_set(SENSOR)
-    started, nothing = (Calibration(status="converged", initial=Values(x)) for x in (ground["parameters"], {}))
-    starts = [(started, ground), (started, a_set()), (nothing, ground)]
+    started, nothing = (Calibration(status="converged", initial=Values(x)) for x in (ground.parameters, {}))
+    starts = [(started, ground), (started, as_read(a_set())), (nothing, ground)]
     assert [started_from(*pair) for pair in starts] == [True, False, False]
-    assert as_set(a_set()["parameters"], SENSOR)["covariance"] == ground["covariance"]
-    assert as_set(a_set(), SENSOR)["covariance"] == a_set()["covariance"]
+    assert read_incumbent(a_set()["parameters"], SENSOR).covariance == ground.covariance
+    assert to_plain(read_incumbent(a_set(), SENSOR).covariance) == a_set()["covariance"]
 
 
 JUNK = st.one_of(
@@ -286,7 +285,7 @@ def spoiled(document, path, junk):
 @given(st.data())
 def test_whatever_stands_in_a_document_there_is_a_report_that_can_be_stored(data):
     which = data.draw(st.sampled_from(["candidate", "incumbent"]))
-    sound = {"candidate": a_set(), "incumbent": ground_set(SENSOR)}[which]
+    sound = a_set()
     path = data.draw(st.sampled_from(list(places(sound))))
     report = judge(parse_profile({}), measure(gate_inputs(**{which: spoiled(sound, path, data.draw(JUNK))})))
     assert canonical(to_plain(report))
@@ -379,7 +378,7 @@ TRUTH = st16_truth(1)
 
 def known(x):
     covariance = {"names": list(NAMES), "matrix": np.diag((1e-3 * SENSOR.typical_sigma) ** 2).tolist()}
-    return {**ground_set(SENSOR), "parameters": dict(zip(NAMES, x.tolist(), strict=True)), "covariance": covariance}
+    return as_read(a_set(parameters=dict(zip(NAMES, x.tolist(), strict=True)), covariance=covariance))
 
 
 def make_frames(number, frames, catalogue):
@@ -467,8 +466,8 @@ def test_a_runs_own_validation_gives_the_scores_that_seeing_the_frames_again_giv
     telemetry = simulate(scenario, np.random.default_rng(11), catalogue)
     validation = make_frames(12, 20, catalogue)
     result = calibrate(telemetry, SENSOR, catalogue, GIVEN, validation=validation)
-    own, written = of_result(result), result.to_dict()
-    assert own == compute_validation_scores(validation, SENSOR, catalogue, ground_set(SENSOR), written, GIVEN)
+    own, written, known = of_result(result), result.to_dict(), assess_calibration(result, SENSOR)
+    assert own == compute_validation_scores(validation, SENSOR, catalogue, ground_set(SENSOR), known, GIVEN)
     incumbent = ground_set(SENSOR)
     by_result, by_frames = (
         assess(result, SENSOR, incumbent, parse_profile({}), frames) for frames in (None, (validation, catalogue))

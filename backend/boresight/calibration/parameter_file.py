@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from boresight.arrays import FloatArray
-from boresight.calibration.calibration import Calibration
+from boresight.calibration.calibration import Calibration, Covariance
 from boresight.calibration.matching.rematch import ground_covariance
 from boresight.calibration.options import CalibrationSettings
 from boresight.cameras import CAMERA_MODELS
@@ -56,32 +56,53 @@ def read_document(path: Path, wanted: str = "a calibration JSON or an object of 
 
 def parse_parameters(document: Mapping[str, Any], sensor: Sensor, name: str) -> tuple[FloatArray, FloatArray | None]:
     """Read a sensor's parameters from a document; `name` is what refusals call it. As `read_parameters`."""
-    model = document.get("camera_model", sensor.camera_model)
-    if model != sensor.camera_model:
-        raise RefusedInputError(
-            f"{name} uses the camera model {model}, the sensor {sensor.camera_model}: choose parameters of this sensor."
-        )
-    if document.get("status") in FAILED:
-        raise RefusedInputError(
-            f"{name} is a calibration that {_ended(document['status'])}: choose one that converged."
-        )
     values = document.get("parameters", document)
     if not isinstance(values, Mapping):
         raise RefusedInputError(f"{name} has `parameters` that are not an object: write names and numbers.")
-    values = in_metres(values, CAMERA_MODELS[sensor.camera_model].parameter_names, sensor.pixel_pitch_m)
-    _check_names(values, sensor, name)
-    x = np.array([values[parameter] for parameter in CAMERA_MODELS[sensor.camera_model].parameter_names], np.float64)
-    faults = Faults(name)
     subject = "the set under 'parameters'" if "parameters" in document else "the set of parameters"
-    check_geometry(replace(sensor, initial=x), CAMERA_MODELS[sensor.camera_model], faults, subject)
-    faults.refuse()
-    return x, _covariance(document.get("covariance"), sensor, name)
+    model, status = document.get("camera_model", sensor.camera_model), document.get("status")
+    x = _check_parameters(model, status, values, sensor, name, subject)
+    covariance = document.get("covariance")
+    if covariance is None:
+        return x, None
+    try:
+        names, matrix = list(covariance["names"]), covariance["matrix"]
+    except (TypeError, LookupError, ValueError) as error:
+        raise _no_covariance(name) from error
+    return x, _spread_covariance(names, matrix, sensor, name)
+
+
+def take_parameters(
+    result: Calibration, covariance: Covariance, sensor: Sensor, name: str
+) -> tuple[FloatArray, FloatArray | None]:
+    """Take the parameters of a calibration with one of its covariances. As `read_parameters`."""
+    subject = "the set under 'parameters'"
+    x = _check_parameters(result.camera_model, result.status, result.parameters, sensor, name, subject)
+    return x, _spread_covariance(covariance.names, covariance.matrix, sensor, name)
 
 
 def read_reliable_parameters(result: Calibration, sensor: Sensor, name: str) -> tuple[FloatArray, FloatArray | None]:
     """Take the parameters of a calibration with the covariance to decide by: with misfit where it has one. As `read_parameters`."""
-    covariance = result.covariance if result.misfit is None else result.misfit.covariance
-    return parse_parameters(replace(result, covariance=covariance).to_dict(), sensor, name)
+    return take_parameters(result, result.reliable_covariance, sensor, name)
+
+
+def _check_parameters(
+    model: Any, status: Any, values: Mapping[str, Any], sensor: Sensor, name: str, subject: str
+) -> FloatArray:
+    """Return (n_parameters,) in the camera model's order; refuse what is no set of this sensor's."""
+    if model != sensor.camera_model:
+        raise RefusedInputError(
+            f"{name} uses the camera model {model}, the sensor {sensor.camera_model}: choose parameters of this sensor."
+        )
+    if status in FAILED:
+        raise RefusedInputError(f"{name} is a calibration that {_ended(status)}: choose one that converged.")
+    values = in_metres(values, CAMERA_MODELS[sensor.camera_model].parameter_names, sensor.pixel_pitch_m)
+    _check_names(values, sensor, name)
+    x = np.array([values[parameter] for parameter in CAMERA_MODELS[sensor.camera_model].parameter_names], np.float64)
+    faults = Faults(name)
+    check_geometry(replace(sensor, initial=x), CAMERA_MODELS[sensor.camera_model], faults, subject)
+    faults.refuse()
+    return x
 
 
 def _ended(status: str) -> str:
@@ -108,21 +129,22 @@ def _check_names(values: Mapping[str, Any], sensor: Sensor, name: str) -> None:
             )
 
 
-def _covariance(covariance: Any, sensor: Sensor, name: str) -> FloatArray | None:
-    """Spread a document's covariance over all parameters; those not named in it are known as a ground calibration knows them."""
-    if covariance is None:
-        return None
+def _no_covariance(name: str) -> RefusedInputError:
+    return RefusedInputError(f"{name} has a covariance that is not names and a square matrix: write the file again.")
+
+
+def _spread_covariance(names: Sequence[str], rows: Any, sensor: Sensor, name: str) -> FloatArray | None:
+    """Spread a covariance over all parameters; those not named in it are known as a ground calibration knows them."""
     parameters = CAMERA_MODELS[sensor.camera_model].parameter_names
-    refusal = RefusedInputError(f"{name} has a covariance that is not names and a square matrix: write the file again.")
     try:
-        names, matrix = list(covariance["names"]), np.array(covariance["matrix"], np.float64)
+        matrix = np.array(rows, np.float64)
         places = [parameters.index(parameter) for parameter in names]
-    except (TypeError, KeyError, ValueError) as error:
-        raise refusal from error
+    except (TypeError, ValueError) as error:
+        raise _no_covariance(name) from error
     if not names:
         return None
     if matrix.shape != (len(names), len(names)) or not np.isfinite(matrix).all() or (np.diag(matrix) < 0).any():
-        raise refusal
+        raise _no_covariance(name)
     P = ground_covariance(sensor, CalibrationSettings().initial_sigma_scale)
     P[np.ix_(places, places)] = matrix
     return P

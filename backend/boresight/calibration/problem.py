@@ -16,6 +16,7 @@ import numpy as np
 from boresight.arrays import FloatArray, IntArray, TimeArray
 from boresight.calibration.calibration import LeftOut
 from boresight.cameras import CAMERA_MODELS, CameraModel
+from boresight.cameras.model import corners
 from boresight.estimation import MINIMUM_STARS
 from boresight.estimation import arcs as arcsets
 from boresight.estimation.arcs import ArcSet
@@ -66,6 +67,10 @@ class Problem:
         """(2, n_parameters) lowest and highest values that are not absurd."""
         return np.array(self.camera.plausible).T
 
+    @cached_property
+    def _corners(self) -> tuple[FloatArray, FloatArray]:
+        return corners(self.sensor.rows, self.sensor.columns)
+
     def whitened(self, x: FloatArray) -> Arcs:
         """Return the arcs with R taken at state x (n_parameters,); those of the last state asked for are kept."""
         key = np.asarray(x, np.float64).tobytes()
@@ -79,10 +84,9 @@ class Problem:
     def can_be(self, x: FloatArray) -> bool:
         """Whether a state (n_parameters,) is one that can be: inside its ranges, with a direction for every corner."""
         low, high = self._plausible
-        if not (np.isfinite(x).all() and bool(np.all((low <= x) & (x <= high)))):
+        if not ((low <= x) & (x <= high)).all():
             return False
-        sensor = self.sensor
-        return self.camera.blind_corner(x, sensor.rows, sensor.columns, sensor.pixel_pitch_m) is None
+        return bool(np.isfinite(self.camera.directions(x, *self._corners, self.sensor.pixel_pitch_m)).all())
 
     def find_place(self, frame: IntArray) -> IntArray:
         """Places (n,) of frame numbers (n,) among those that take part."""

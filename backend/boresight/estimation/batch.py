@@ -51,6 +51,10 @@ LARGEST_DAMPING = 1e12
 ROUNDING = 1e-11
 
 
+#: Eigenvalues, eigenvectors and which of them are determined.
+Spectrum = tuple[FloatArray, FloatArray, NDArray[np.bool_]]
+
+
 @dataclass(frozen=True)
 class Step:
     """One accepted iterate.
@@ -59,8 +63,8 @@ class Step:
     ----------
     x
         (n_parameters,) state, SI.
-    sigma
-        (n_free,) one-sigma of the free parameters there, in typical sigmas; infinite where not determined.
+    spectrum
+        What `determined` says of A there.
     chi2
         Whitened sum of squares, or of Huber's loss.
     sum_of_squares
@@ -70,10 +74,15 @@ class Step:
     """
 
     x: FloatArray
-    sigma: FloatArray
+    spectrum: Spectrum
     chi2: float
     sum_of_squares: float
     damping: float
+
+    @property
+    def sigma(self) -> FloatArray:
+        """(n_free,) one-sigma of the free parameters, in typical sigmas; infinite where not determined."""
+        return _sigma_of(*self.spectrum)
 
 
 Status = Literal["converged", "max_iterations", "rank_deficient", "diverged"]
@@ -135,7 +144,7 @@ class NormalEquations:
         return cls(A, b, chi2, total)
 
     @cached_property
-    def spectrum(self) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    def spectrum(self) -> Spectrum:
         """What `determined` says of A, once."""
         return determined(self.A)
 
@@ -196,7 +205,7 @@ def _squares_of_block(block: ArcSet, x: FloatArray) -> float:
     return float(kernels.count_beyond(*block.of_whitened_loop(x), np.inf)[1])
 
 
-def determined(A: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+def determined(A: FloatArray) -> Spectrum:
     """Eigenvalues (ascending), eigenvectors and which of them carry information rather than rounding."""
     values, vectors = np.linalg.eigh(A)
     return values, vectors, values > RANK_TOLERANCE * max(values.max(initial=0.0), np.finfo(float).tiny)
@@ -280,12 +289,13 @@ def fit(  # noqa: PLR0913 - what is fitted, and seven choices by name
     data = begun or normal_equations(arcs, x, free, scale, threshold)
     here = data.with_prior(prior, x, free, scale)
     steps: list[Step] = []
+    identity = np.eye(len(free))
     status: Status = "max_iterations" if here.finite() else "diverged"
     for iteration in range(max_iterations + 1):
         if not here.finite():
             break
         if not steps or steps[-1].chi2 != here.chi2:
-            steps.append(Step(x.copy(), _sigma_of(*here.spectrum), here.chi2, here.sum_of_squares, damping))
+            steps.append(Step(x.copy(), here.spectrum, here.chi2, here.sum_of_squares, damping))
             if report is not None:
                 report(steps[-1])
         if _decrement(here) < rest**2:
@@ -295,7 +305,7 @@ def fit(  # noqa: PLR0913 - what is fitted, and seven choices by name
         if damping > LARGEST_DAMPING:
             status = "diverged"
             break
-        dz = np.linalg.solve(here.A + damping * np.eye(len(free)), -here.b)
+        dz = np.linalg.solve(here.A + damping * identity, -here.b)
         trial = x.copy()
         trial[free] += scale * dz
         data_there = normal_equations(arcs, trial, free, scale, threshold)

@@ -682,8 +682,9 @@ def assess(
     from boresight.library.results import Assessment
 
     with _prepared(progress, "reading the calibration") as prepared:
-        from boresight.verdicts.gates import assessment as gates
         from boresight.verdicts.gates import parse_profile
+        from boresight.verdicts.gates.assessed_set import ground_set, read_incumbent
+        from boresight.verdicts.gates.assessment import assess
 
         described = read_any_sensor(sensor)
         limits = parse_profile(
@@ -695,16 +696,14 @@ def assess(
         )
         candidate = read_any_calibration(calibration)
         incumbent = (
-            gates.ground_set(described)
-            if against is None
-            else gates.as_set(read_parameter_document(against), described)
+            ground_set(described) if against is None else read_incumbent(read_parameter_document(against), described)
         )
         frames = None
         if validate is not None:
             stars, _, catalogue = read_set(validate, described, prepared)
             frames = stars, catalogue
         prepared.report("measuring and judging", None)
-        report = gates.assess(candidate, described, incumbent, limits, frames)
+        report = assess(candidate, described, incumbent, limits, frames)
     return Assessment(
         sensor=described.name,
         verdict=report.verdict,

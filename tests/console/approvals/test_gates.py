@@ -28,7 +28,7 @@ from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.db import sessions
 from boresight.platform.db.sessions import open_reading, open_writing, utc_after, utc_now
-from boresight.verdicts.gates import DEFAULT_PROFILE
+from boresight.verdicts.gates import DEFAULT_PROFILE, BoundGateReport
 from tests.console.conftest import PASSWORD
 from tests.passwords import approve, proved
 
@@ -247,17 +247,17 @@ def waive(engine, people, blocked):
     return act
 
 
-def document(engine, parameter_set_id: int) -> dict[str, Any]:
+def find_report(engine, parameter_set_id: int) -> BoundGateReport:
     with open_reading(engine) as session:
-        return gates.read_with_waivers(session, gate_rows.find_newest_report(session, parameter_set_id))
+        return gates.lay_waivers(session, gate_rows.find_newest_report(session, parameter_set_id))
 
 
 @pytest.mark.parametrize("who", ["ana", "cy", "bo"])
 def test_an_analyst_or_an_approver_waives_in_person(waive, engine, blocked, who):
     waiver = waive(who)
-    found = document(engine, blocked.id)
-    assert (found["blocking"], found["waived"]) == ([], ["parameter-shift"])
-    assert found["words"] == "NO-DATA (1 gate waived)"
+    found = find_report(engine, blocked.id)
+    assert (found.blocking, found.waived) == ([], ["parameter-shift"])
+    assert found.words == "NO-DATA (1 gate waived)"
     assert (waiver.reason, waiver.printed_name) == (REASON, who.title())
     with open_reading(engine) as session:
         record = audit.find_last_change(session, f"parameter-sets/{blocked.id}/waivers")
@@ -297,7 +297,7 @@ def test_neither_another_role_nor_a_key_nor_the_command_line_waives(waive, peopl
 def test_what_is_no_waiver_is_refused_and_leaves_nothing(waive, engine, blocked, given, error, words):
     with pytest.raises(error, match=words):
         waive(**given)
-    assert document(engine, blocked.id)["words"] == "FAIL"
+    assert find_report(engine, blocked.id).words == "FAIL"
 
 
 def test_a_gate_that_the_profile_does_not_let_be_waived_stays(waive, set_profile, engine, blobs, people, blocked):
@@ -322,8 +322,8 @@ def test_a_gate_is_waived_once_for_up_to_30_days_and_a_waiver_that_expires_block
         waive("cy")
     later = sessions.utc_after(31 * DAY_S)
     monkeypatch.setattr(gates, "utc_now", lambda: later)
-    found = document(engine, blocked.id)
-    assert (found["words"], found["blocking"]) == ("FAIL (1 gate waived)", ["parameter-shift"])
+    found = find_report(engine, blocked.id)
+    assert (found.words, found.blocking) == ("FAIL (1 gate waived)", ["parameter-shift"])
     with open_reading(engine) as session:
         assert approval_queries.list_waivers_in_force(session, blocked.id, later) == []
         assert len(approval_queries.list_waivers(session, [blocked.id])) == 1

@@ -151,7 +151,7 @@ def test_within_the_forecast_nothing_is_prepared_and_outside_a_set_with_its_gate
 )
 def test_what_is_recommended_is_what_the_trend_advises(answer, blocking, advised):
     found = PolicyFinding("ASKED", (Reason("OUTSIDE", "It left the baseline."),))
-    assert service.recommend(found, {"blocking": blocking}, Advice(answer, "Said.", "trend_valid")) == advised
+    assert service.recommend(found, blocking, Advice(answer, "Said.", "trend_valid")) == advised
 
 
 def test_one_question_a_sensor_a_newer_one_supersedes_it(pipeline):

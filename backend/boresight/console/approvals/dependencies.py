@@ -12,6 +12,7 @@ from boresight.console.approvals import service as approvals
 from boresight.console.approvals.gates import read_gate_inputs
 from boresight.platform.db.sessions import open_reading
 from boresight.platform.web.paging import Id
+from boresight.verdicts.gates import parse_bound_report
 
 
 def assess_before_submission(
@@ -23,7 +24,7 @@ def assess_before_submission(
             return None
         case = read_gate_inputs(session, parameter_set_id)
         report = gates.find_valid_report(session, parameter_set_id)
-    if report is not None and (case.validation is None or report.document.get("held_out")):
+    if report is not None and (case.validation is None or parse_bound_report(report.document).held_out):
         return None
     return gates.examine(case, forecast_sources.blobs, forecast_sources.catalogue(), forecast_sources.catalogue_folder)
 

@@ -7,7 +7,7 @@ administrator, who neither runs nor signs, sets limits, and the sensor's undecid
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from boresight.calibration.calibration import parse_calibration
@@ -30,7 +30,8 @@ from boresight.platform.web.text_validation import refuse_control_characters
 from boresight.telemetry.sensors import parse_sensor
 from boresight.verdicts import gates
 from boresight.verdicts.gates import Measurement
-from boresight.verdicts.gates.assessment import ground_set, of_result
+from boresight.verdicts.gates.assessed_set import assess_calibration, ground_set
+from boresight.verdicts.gates.assessment import of_result
 
 DEFAULT = gates.parse_profile({}).document()
 DEFAULT_SHA256 = compute_sha256(DEFAULT)
@@ -183,15 +184,14 @@ def dry_run(session: Session, blobs: BlobStore, sensor_id: int, document: Mappin
 
 def _measure(blobs: BlobStore, run: Run) -> dict[str, Measurement]:
     try:
-        result = read_result(blobs, str(run.result_sha256), run.id)
         sensor = parse_sensor(run.sensor_document)
-        found = parse_calibration(result)
+        found = parse_calibration(read_result(blobs, str(run.result_sha256), run.id))
         inputs = gates.GateInputs(
             sensor=sensor,
-            candidate={**result, "sensor": sensor.name},  # as for a set made from that run
+            candidate=replace(assess_calibration(found, sensor), sensor=sensor.name),  # as for a set made from that run
             incumbent=ground_set(sensor),
             result=found,
-            made_with=run.sensor_document,
+            made_with=sensor,
             validation=of_result(found),
             no_validation=NO_VALIDATION,
         )

@@ -14,7 +14,7 @@ STALE.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +58,7 @@ from boresight.telemetry.sensors import Sensor, parse_sensor
 from boresight.telemetry.working_table import WorkingTable
 from boresight.verdicts import gates
 from boresight.verdicts.gates import GATES
+from boresight.verdicts.gates.assessed_set import parse_assessed_set
 from boresight.verdicts.gates.assessment import compute_validation_scores, of_result, started_from
 
 
@@ -76,7 +77,7 @@ class StoredGateInputs:
     validation: tuple[str, str] | None
     profile: Mapping[str, Any]
     definition: Mapping[str, Any] | None
-    bound: dict[str, str | None]
+    bound: gates.BoundHashes
 
 
 def read_gate_inputs(session: Session, parameter_set_id: int) -> StoredGateInputs:
@@ -102,18 +103,18 @@ def read_gate_inputs(session: Session, parameter_set_id: int) -> StoredGateInput
     )
 
 
-def compute_bound_hashes(session: Session, row: ParameterSet) -> dict[str, str | None]:
+def compute_bound_hashes(session: Session, row: ParameterSet) -> gates.BoundHashes:
     """Return the hashes of everything that a report on a set rests on, as they are now."""
     run = None if row.run_id is None else session.get_one(Run, row.run_id)
     incumbent = set_rows.find_baseline(session, row.sensor_id)
     definition = table_definitions.find_definition_in_force(session, row.sensor_id)
-    return {
-        "set_sha256": compute_sha256(row.document),
-        "run_result_sha256": None if run is None else run.result_sha256,
-        "profile_sha256": get_profile_in_force(session, row.sensor_id).sha256,
-        "incumbent_sha256": None if incumbent is None else incumbent.sha256,
-        "table_definition_sha256": None if definition is None else definition.sha256,
-    }
+    return gates.BoundHashes(
+        set_sha256=compute_sha256(row.document),
+        run_result_sha256=None if run is None else run.result_sha256,
+        profile_sha256=get_profile_in_force(session, row.sensor_id).sha256,
+        incumbent_sha256=None if incumbent is None else incumbent.sha256,
+        table_definition_sha256=None if definition is None else definition.sha256,
+    )
 
 
 def _find_incumbent(session: Session, row: ParameterSet) -> ParameterSet | None:
@@ -147,7 +148,7 @@ class GateAssessment:
     """A report that is not stored yet."""
 
     parameter_set_id: int
-    document: dict[str, Any]
+    report: gates.BoundGateReport
 
 
 def measure(session: Session, blobs: BlobStore, catalogue: Catalogue | None, parameter_set_id: int) -> GateAssessment:
@@ -161,36 +162,41 @@ def examine(
     """Measure and judge a set from its inputs."""
     sensor = parse_sensor(stored.sensor_document)
     result = None if stored.result_sha256 is None else parse_calibration(read_result(blobs, stored.result_sha256))
-    validation, why = _seen(stored, blobs, sensor, result, catalogue, cache_folder)
+    candidate = parse_assessed_set(stored.candidate, sensor)
+    incumbent = None
+    if stored.incumbent is not None:
+        incumbent = parse_assessed_set(stored.incumbent, sensor, "The incumbent")
+    validation, why = _seen(stored, blobs, sensor, candidate, incumbent, result, catalogue, cache_folder)
     inputs = gates.GateInputs(
         sensor=sensor,
-        candidate=stored.candidate,
-        incumbent=stored.incumbent,
+        candidate=candidate,
+        incumbent=incumbent,
         result=result,
-        made_with=stored.made_with,
+        made_with=None if stored.made_with is None else parse_sensor(stored.made_with),
         validation=validation,
         no_validation=why,
         definition=stored.definition,
     )
     report = gates.judge(gates.parse_profile(stored.profile), gates.measure(inputs))
-    seen = (
-        None
-        if validation is None or stored.validation is None
-        else {"name": stored.validation[0], "sha256": stored.validation[1]}
-    )
-    return GateAssessment(stored.parameter_set_id, {**to_plain(report), "held_out": seen, "bound": stored.bound})
+    held_out = None
+    if validation is not None and stored.validation is not None:
+        held_out = gates.HeldOut(name=stored.validation[0], sha256=stored.validation[1])
+    bound = gates.BoundGateReport(**vars(report), held_out=held_out, bound=stored.bound)
+    return GateAssessment(stored.parameter_set_id, bound)
 
 
 def _seen(
     stored: StoredGateInputs,
     blobs: BlobStore,
     sensor: Sensor,
+    candidate: gates.AssessedSet,
+    incumbent: gates.AssessedSet | None,
     result: Calibration | None,
     catalogue: Catalogue | None,
     cache_folder: Path | None,
 ) -> tuple[gates.ValidationScores | None, str]:
     """Return the scores on validation frames, or None with the reason; a comparison that the run made already is reused."""
-    if stored.incumbent is not None and result is not None and started_from(result, stored.incumbent):
+    if incumbent is not None and result is not None and started_from(result, incumbent):
         own = of_result(result)
         if own is not None:
             return own, ""
@@ -199,12 +205,11 @@ def _seen(
     if catalogue is None:
         return None, NOT_SEEN
     name, sha256 = stored.validation
-    incumbent = stored.candidate if stored.incumbent is None else stored.incumbent
     try:
         settings = CalibrationSettings.parse(stored.settings or {})
         frames = WorkingTable(table_path(blobs, sha256)).read()
         return compute_validation_scores(
-            frames, sensor, catalogue, incumbent, stored.candidate, settings, cache_folder
+            frames, sensor, catalogue, incumbent or candidate, candidate, settings, cache_folder
         ), ""
     except CorruptFileError:
         raise  # no evidence is made of, or in spite of, a file that was altered
@@ -222,34 +227,36 @@ def record_report(session: Session, actor: Actor, assessment: GateAssessment) ->
 def _record(session: Session, actor: Actor, assessment: GateAssessment) -> GateReport:
     row = session.get_known(ParameterSet, assessment.parameter_set_id)
     profile = ensure_profile(session, actor, row.sensor_id)
-    bound = assessment.document["bound"]
-    moved = [_word(name) for name, now in compute_bound_hashes(session, row).items() if bound[name] != now]
+    moved = _list_moved(assessment.report.bound, compute_bound_hashes(session, row))
     if moved:
         since = describe_baseline(session, row.sensor_id)
         raise StaleError(
             f"The {' and the '.join(moved)} changed while {row.name} was assessed.{since} Assess it again."
         )
-    sha256 = compute_sha256(assessment.document)
+    document = to_plain(assessment.report)
+    sha256 = compute_sha256(document)
     newest = rows.find_newest_report(session, row.id)
     if newest is not None and newest.sha256 == sha256:
         return newest
     report = GateReport(
         parameter_set_id=row.id,
         gate_profile_id=profile.id,
-        verdict=assessment.document["verdict"],
-        document=assessment.document,
+        verdict=assessment.report.verdict,
+        document=document,
         sha256=sha256,
         created_utc=utc_now(),
         created_by=actor.user_id,
     )
     session.put(report)
-    told = {"set": row.name, "verdict": report.verdict, "blocking": report.document["blocking"], "sha256": sha256}
+    told = {"set": row.name, "verdict": report.verdict, "blocking": assessment.report.blocking, "sha256": sha256}
     audit.append(session, actor, "assessed", f"parameter-sets/{row.id}/gate-report", None, told)
     return report
 
 
-def _word(name: str) -> str:
-    return name.removesuffix("_sha256").replace("_", " ")
+def _list_moved(bound: gates.BoundHashes, now: gates.BoundHashes) -> list[str]:
+    """List in words what has another hash now."""
+    names = [one.name for one in fields(bound) if getattr(bound, one.name) != getattr(now, one.name)]
+    return [name.removesuffix("_sha256").replace("_", " ") for name in names]
 
 
 def find_valid_report(session: Session, parameter_set_id: int) -> GateReport | None:
@@ -273,11 +280,8 @@ def get_report(session: Session, parameter_set_id: int, sha256: str | None = Non
 
 def list_moved_since(session: Session, report: GateReport) -> list[str]:
     """List the inputs of a report that have changed; it is valid while there are none."""
-    bound, now = (
-        report.document["bound"],
-        compute_bound_hashes(session, session.get_known(ParameterSet, report.parameter_set_id)),
-    )
-    return [_word(name) for name in now if bound[name] != now[name]]
+    now = compute_bound_hashes(session, session.get_known(ParameterSet, report.parameter_set_id))
+    return _list_moved(gates.parse_bound_report(report.document).bound, now)
 
 
 def choose_report_for_submission(
@@ -290,26 +294,21 @@ def choose_report_for_submission(
     return known or _record(session, actor, measure(session, blobs, None, parameter_set_id))
 
 
-def read_with_waivers(session: Session, report: GateReport, bound: Collection[int] | None = None) -> dict[str, Any]:
-    """Return a report's document with the waivers laid over it."""
-    return {**report.document, **to_plain(lay_waivers(session, report, bound))}
-
-
-def lay_waivers(session: Session, report: GateReport, bound: Collection[int] | None = None) -> gates.GateReport:
+def lay_waivers(session: Session, report: GateReport, bound: Collection[int] | None = None) -> gates.BoundGateReport:
     """Return a report with the waivers laid over it: what is waived, what blocks, and the verdict in words."""
     return _laid_over(report, rows.list_waivers(session, [report.parameter_set_id]), bound)
 
 
 def _laid_over(
     report: GateReport, waivers: Collection[Waiver], bound: Collection[int] | None = None
-) -> gates.GateReport:
+) -> gates.BoundGateReport:
     now = utc_now()
     holding = [waiver for waiver in waivers if (waiver.expires_utc > now if bound is None else waiver.id in bound)]
     waived = {waiver.gate for waiver in holding}
-    return gates.summarise(gates.parse_report(report.document), waived, {waiver.gate for waiver in waivers})
+    return gates.summarise(gates.parse_bound_report(report.document), waived, {waiver.gate for waiver in waivers})
 
 
-def read_verdicts(session: Session, parameter_set_ids: Collection[int]) -> dict[int, gates.GateReport]:
+def read_verdicts(session: Session, parameter_set_ids: Collection[int]) -> dict[int, gates.BoundGateReport]:
     """Return the newest report of each of some sets that was ever assessed, with the waivers laid over it for ever."""
     given = rows.list_waivers(session, parameter_set_ids)
     return {
@@ -388,12 +387,12 @@ def _get_blocking_report(session: Session, parameter_set_id: int, name: str, gat
     report = find_valid_report(session, parameter_set_id)
     if report is None:
         raise ConflictError(f"{name} has no up-to-date gate report: assess it, then waive what blocks it.")
-    document = read_with_waivers(session, report)
-    answer = next(one for one in document["gates"] if one["name"] == gate)
-    if gate not in document["blocking"]:
-        how = "waived already" if answer["waived"] else answer["status"]
+    found = lay_waivers(session, report)
+    answer = next(one for one in found.gates if one.name == gate)
+    if gate not in found.blocking:
+        how = "waived already" if answer.waived else answer.status
         raise ConflictError(f"The gate {gate} does not block {name}: it is {how}. There is nothing to waive.")
-    if answer["critical"] or not answer["waivable"]:
-        why = "it is critical" if answer["critical"] else "the gate profile does not allow it to be waived"
+    if answer.critical or not answer.waivable:
+        why = "it is critical" if answer.critical else "the gate profile does not allow it to be waived"
         raise ForbiddenError(f"Nobody can waive the gate {gate}: {why}. Calibrate again.")
     return report

@@ -12,6 +12,7 @@ from pydantic import Field, SecretStr
 from starlette.requests import Request
 from starlette.responses import Response
 
+from boresight.calibration.calibration import to_plain
 from boresight.console import list_queries as lists
 from boresight.console.access.dependencies import (
     Blobs,
@@ -162,7 +163,7 @@ Examined = Annotated[gates.GateAssessment, Depends(_examine)]
 
 def _shown(session: Session, row: GateReport) -> Beside:
     """Return a report with its waivers applied, and whether its inputs are unchanged."""
-    document = gates.read_with_waivers(session, row)
+    document = to_plain(gates.lay_waivers(session, row)) | {"bound": row.document["bound"]}  # as it is stored
     laid_over = {name: document[name] for name in LAID_OVER}
     given = approval_queries.list_waivers(session, [row.parameter_set_id])
     return Beside(row, **laid_over, holds=not gates.list_moved_since(session, row), waivers=given)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from datetime import datetime
@@ -329,7 +329,7 @@ def _list_alternatives(found: PolicyFinding, run: Run) -> tuple[Mapping[str, Any
     return tuple({"answer": one, "sentence": said[one]} for one in ANSWERS)
 
 
-def recommend(found: PolicyFinding, gate_report: Mapping[str, Any], advice: Advice | None) -> str:
+def recommend(found: PolicyFinding, blocking: Sequence[str], advice: Advice | None) -> str:
     """Return the answer that the findings speak for: never to wait for data where the sensor's trend says to recalibrate now.
 
     What stops a set at the gates does not make the baseline valid again: then another calibration is asked for, on validation
@@ -338,7 +338,7 @@ def recommend(found: PolicyFinding, gate_report: Mapping[str, Any], advice: Advi
     jumps = found.forecast is not None and found.forecast.rejects
     if jumps or (advice is not None and advice.answer != "YES"):
         return "MORE DATA"
-    return "RECALIBRATE" if gate_report["blocking"] else "SUBMIT"
+    return "RECALIBRATE" if blocking else "SUBMIT"
 
 
 def prepare_set(session: Session, blobs: BlobStore, decision_id: int) -> ParameterSet:
@@ -358,9 +358,10 @@ def conclude(session: Session, found: Found, assessment: GateAssessment | None =
         _end(session, row, judged.state, judged.reasons, evidence)
         return row
     report = gates.record_report(session, INGEST, assessment)
-    advised = recommend(judged, report.document, found.advice)
+    blocking = assessment.report.blocking
+    advised = recommend(judged, blocking, found.advice)
     evidence |= {
-        "gates": {"verdict": report.verdict, "blocking": report.document["blocking"], "sha256": report.sha256},
+        "gates": {"verdict": report.verdict, "blocking": blocking, "sha256": report.sha256},
         "alternatives": [{**one, "recommended": one["answer"] == advised} for one in found.alternatives],
         "advised": advised,
         "recalibrate": None if found.advice is None else asdict(found.advice),

@@ -14,6 +14,7 @@ from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import ArchivedRun, JointSet, Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.db.sessions import Session
+from boresight.verdicts.gates import parse_held_out
 
 UNDECIDED = ("CALIBRATING", "UNCONFIRMED", "ASKED")
 
@@ -85,7 +86,7 @@ def list_aligned_runs(session: Session) -> dict[int, int]:
 def list_validation_tables(session: Session) -> set[str]:
     """Return the tables of the frames that gates held out, by their SHA-256."""
     documents = session.scalars(sa.select(GateReport.document))
-    return {document["held_out"]["sha256"] for document in documents if document.get("held_out")}
+    return {used.sha256 for document in documents if (used := parse_held_out(document)) is not None}
 
 
 def list_undecided(session: Session) -> dict[int, int]:

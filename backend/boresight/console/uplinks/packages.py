@@ -18,7 +18,7 @@ from boresight.console.alignments import queries as alignment_rows
 from boresight.console.alignments.tables import parse_summary
 from boresight.console.approvals import queries as approval_rows
 from boresight.console.approvals import staleness
-from boresight.console.approvals.gates import read_with_waivers
+from boresight.console.approvals.gates import lay_waivers
 from boresight.console.approvals.signers import list_second_persons
 from boresight.console.approvals.tables import Approval, Signature
 from boresight.console.fleet.tables import Sensor
@@ -167,12 +167,12 @@ def _describe_gates(session: Session, row: ParameterSet) -> dict[str, Any] | Non
     report = approval_rows.find_newest_report(session, row.id, bound.get("gate_report_sha256"))
     if report is None:
         return None
-    laid_over = read_with_waivers(session, report, bound.get("waivers"))
+    laid_over = lay_waivers(session, report, bound.get("waivers"))
     return {
         "sha256": report.sha256,
-        "verdict": laid_over["verdict"],
-        "words": laid_over["words"],
-        "waived": laid_over["waived"],
+        "verdict": laid_over.verdict,
+        "words": laid_over.words,
+        "waived": laid_over.waived,
         "waivers": [
             {key: getattr(waiver, key) for key in WAIVED} for waiver in approval_rows.list_waivers(session, [row.id])
         ],

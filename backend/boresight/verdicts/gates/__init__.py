@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from boresight.verdicts.gates.assessed_set import AssessedSet
 from boresight.verdicts.gates.judgement import (
+    BoundGateReport,
+    BoundHashes,
     GateAnswer,
     GateReport,
+    HeldOut,
     judge,
+    parse_bound_report,
+    parse_held_out,
     parse_report,
     read_measurements,
     summarise,
@@ -17,16 +23,22 @@ from boresight.verdicts.gates.profile import DEFAULT_PROFILE, Profile, Threshold
 __all__ = [
     "DEFAULT_PROFILE",
     "GATES",
+    "AssessedSet",
+    "BoundGateReport",
+    "BoundHashes",
     "Gate",
     "GateAnswer",
     "GateInputs",
     "GateReport",
+    "HeldOut",
     "Measurement",
     "Profile",
     "Threshold",
     "ValidationScores",
     "judge",
     "measure",
+    "parse_bound_report",
+    "parse_held_out",
     "parse_profile",
     "parse_report",
     "read_measurements",

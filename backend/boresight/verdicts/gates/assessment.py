@@ -24,7 +24,6 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,14 +34,12 @@ from boresight.calibration.evaluation import bootstrap
 from boresight.calibration.evaluation.evaluate import evaluate_matched_frames
 from boresight.calibration.matching.matched_frames import match_under_states
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.parameter_file import parse_parameters
-from boresight.cameras import CAMERA_MODELS
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
+from boresight.verdicts.gates.assessed_set import AssessedSet, assess_calibration
 from boresight.verdicts.gates.judgement import GateReport, judge
 from boresight.verdicts.gates.measurements import (
-    Document,
     GateInputs,
     Score,
     ValidationScores,
@@ -56,16 +53,13 @@ def compute_validation_scores(
     telemetry: Telemetry,
     sensor: Sensor,
     catalogue: Catalogue,
-    incumbent: Document,
-    candidate: Document,
+    incumbent: AssessedSet,
+    candidate: AssessedSet,
     settings: CalibrationSettings,
     cache_folder: Path | None = None,
 ) -> ValidationScores:
     """See validation frames under both sets and score them."""
-    states = [
-        parse_parameters(incumbent, sensor, "The incumbent"),
-        parse_parameters(candidate, sensor, "The set"),
-    ]
+    states = [incumbent.state, candidate.state]
     telemetry = put_right(telemetry, sensor, catalogue, states[-1][0])
     before, after = match_under_states(telemetry, sensor, catalogue, states, settings, cache_folder)
     evaluation = evaluate_matched_frames(telemetry, sensor, before, after, settings, _rng())
@@ -145,35 +139,9 @@ def _mover(gained: float, lost: float, n_blocks: float) -> tuple[float, float]:
 NO_FRAMES = "No held-out frames were given: add a telemetry set that the calibration did not use."
 
 
-def ground_set(sensor: Sensor) -> dict[str, Any]:
-    """Return a sensor's start as a set: declared, its sigmas the typical spread from unit to unit."""
-    names = CAMERA_MODELS[sensor.camera_model].parameter_names
-    sigma = [float(value) for value in sensor.typical_sigma]
-    return {
-        "sensor": sensor.name,
-        "camera_model": sensor.camera_model,
-        "parameters": dict(zip(names, map(float, sensor.initial), strict=True)),
-        "sigma": dict(zip(names, sigma, strict=True)),
-        "covariance": {"names": list(names), "matrix": np.diag(np.square(sigma)).tolist()},
-        "status": "ground calibration",
-    }
-
-
-def as_set(document: Document, sensor: Sensor) -> dict[str, Any]:
-    """Return parameters from a file as a set; without a covariance they are known as a ground calibration's are."""
-    x, _ = parse_parameters(document, sensor, "The incumbent")
-    declared = ground_set(sensor)
-    covariance = document.get("covariance") or declared["covariance"]
-    return {
-        **declared,
-        "parameters": dict(zip(declared["parameters"], map(float, x), strict=True)),
-        "covariance": covariance,
-    }
-
-
-def started_from(result: Calibration, incumbent: Document) -> bool:
+def started_from(result: Calibration, incumbent: AssessedSet) -> bool:
     """Whether a run started from the incumbent, so that its own validation already compares with it."""
-    values = incumbent["parameters"]
+    values = incumbent.parameters
     known = {name: value for name, value in result.initial.items() if value is not None}
     return set(known) == set(values) and all(math.isclose(known[name], values[name], rel_tol=1e-12) for name in values)
 
@@ -181,12 +149,12 @@ def started_from(result: Calibration, incumbent: Document) -> bool:
 def assess(
     result: Calibration,
     sensor: Sensor,
-    incumbent: Document,
+    incumbent: AssessedSet,
     profile: Profile,
     frames: tuple[Telemetry, Catalogue] | None = None,
 ) -> GateReport:
     """Judge a calibration."""
-    validation, why, candidate = None, NO_FRAMES, result.to_dict()
+    validation, why, candidate = None, NO_FRAMES, assess_calibration(result, sensor)
     if frames is not None:
         settings = result.inputs.settings
         settings.check()

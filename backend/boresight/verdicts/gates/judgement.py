@@ -26,7 +26,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 from boresight.calibration.calibration import parse_part
 from boresight.errors import RefusedInputError
@@ -79,6 +79,47 @@ class GateReport:
     waived: list[str]
 
 
+Report = TypeVar("Report", bound=GateReport)
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldOut:
+    """The validation frames that were used."""
+
+    name: str
+    sha256: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoundHashes:
+    """The hashes of everything that a report of the store rests on."""
+
+    set_sha256: str
+    run_result_sha256: str | None
+    profile_sha256: str
+    incumbent_sha256: str | None
+    table_definition_sha256: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoundGateReport(GateReport):
+    """A report of the store, with the frames that were held out and what it is bound to."""
+
+    held_out: HeldOut | None = None
+    bound: BoundHashes
+
+
+def parse_bound_report(document: Mapping[str, Any]) -> BoundGateReport:
+    """Read a report of the store from its JSON."""
+    return parse_part(BoundGateReport, document, RefusedInputError)
+
+
+def parse_held_out(document: Mapping[str, Any]) -> HeldOut | None:
+    """Read of a report of the store only which frames were held out."""
+    held_out = document.get("held_out")
+    return None if held_out is None else parse_part(HeldOut, held_out, RefusedInputError)
+
+
 def parse_report(document: Mapping[str, Any]) -> GateReport:
     """Read a report from its JSON; whatever else stands in it is left out."""
     return parse_part(GateReport, document, RefusedInputError)
@@ -87,27 +128,27 @@ def parse_report(document: Mapping[str, Any]) -> GateReport:
 def judge(profile: Profile, measurements: Mapping[str, Measurement], gates: Mapping[str, Gate] = GATES) -> GateReport:
     """Answer every gate of a profile; `gates`: those that it names."""
     nothing = Measurement(None, "This was not measured.")
-    return _sum_up(
-        [_answer(gates[one.name], one, measurements.get(one.name, nothing)) for one in profile.thresholds], 0
-    )
+    answers = [_answer(gates[one.name], one, measurements.get(one.name, nothing)) for one in profile.thresholds]
+    return GateReport(**_sum_up(answers, 0))
 
 
-def summarise(report: GateReport, waived: Collection[str], ever_waived: Collection[str]) -> GateReport:
+def summarise(report: Report, waived: Collection[str], ever_waived: Collection[str]) -> Report:
     """Return a report as it stands with waivers."""
     answers = [replace(answer, waived=answer.name in waived) for answer in report.gates]
-    return _sum_up(answers, len(set(ever_waived) | set(waived)))
+    return replace(report, **_sum_up(answers, len(set(ever_waived) | set(waived))))
 
 
-def _sum_up(answers: list[GateAnswer], ever_waived: int) -> GateReport:
+def _sum_up(answers: list[GateAnswer], ever_waived: int) -> dict[str, Any]:
+    """Return the members of a report that follow from its answers."""
     counted = [answer for answer in answers if not answer.observe_only]
     verdict = find_worst(answer.status for answer in counted if not (_stands(answer) and _passed_by(answer)))
-    return GateReport(
-        gates=answers,
-        verdict=verdict,
-        words=words(verdict, ever_waived),
-        blocking=[answer.name for answer in counted if _blocks(answer)],
-        waived=[answer.name for answer in answers if answer.waived],
-    )
+    return {
+        "gates": answers,
+        "verdict": verdict,
+        "words": words(verdict, ever_waived),
+        "blocking": [answer.name for answer in counted if _blocks(answer)],
+        "waived": [answer.name for answer in answers if answer.waived],
+    }
 
 
 def find_worst(statuses: Iterable[str]) -> str:

@@ -40,15 +40,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from boresight.arrays import FloatArray
-from boresight.calibration.calibration import Calibration, ChiSquareTest, InnovationTest, TrustTest
+from boresight.calibration.calibration import Calibration, ChiSquareTest, Covariance, InnovationTest, TrustTest
 from boresight.calibration.matching.verification import MANY_REMOVED
-from boresight.calibration.parameter_file import parse_parameters
 from boresight.calibration.trust.causes import gate_of_cause
 from boresight.calibration.trust.efficiency import field_arc_sigma
 from boresight.calibration.trust.trust_tests import MATTERS, gate_of_test
@@ -58,8 +57,8 @@ from boresight.estimation.filters import FILTERS
 from boresight.estimation.statistics.observability import WEAK
 from boresight.telemetry.sensors import Sensor
 from boresight.uplink import table_definition
+from boresight.verdicts.gates.assessed_set import INCOMPLETE, AssessedSet
 
-Document = Mapping[str, Any]
 Ends = tuple[float | None, float | None]
 
 
@@ -82,19 +81,16 @@ class ValidationScores:
 
 @dataclass(frozen=True)
 class GateInputs:
-    """Everything a verdict rests on.
-
-    `candidate`, `incumbent`: parameter sets as they were written, for whether they are sound is what the gates ask.
-    """
+    """Everything a verdict rests on; `made_with`: the sensor as it was when the run was launched."""
 
     sensor: Sensor
-    candidate: Document
-    incumbent: Document | None
+    candidate: AssessedSet
+    incumbent: AssessedSet | None
     result: Calibration | None = None
-    made_with: Document | None = None
+    made_with: Sensor | None = None
     validation: ValidationScores | None = None
     no_validation: str = ""
-    definition: Document | None = None
+    definition: Mapping[str, Any] | None = None
 
     @property
     def camera(self) -> CameraModel:
@@ -106,29 +102,18 @@ class GateInputs:
         """Its parameters, in order."""
         return self.camera.parameter_names
 
-    @cached_property
+    @property
     def x(self) -> FloatArray:
         """(n_parameters,) the set's parameters, SI; refuses as `parse_parameters`."""
-        return parse_parameters(self.candidate, self.sensor, "The set")[0]
+        return self.candidate.state[0]
 
-    @cached_property
-    def x_incumbent(self) -> FloatArray | None:
-        """(n_parameters,) the incumbent's; None where there is no incumbent."""
-        return None if self.incumbent is None else parse_parameters(self.incumbent, self.sensor, "The incumbent")[0]
-
-    def read_covariance(self, document: Document) -> FloatArray:
-        """Spread a set's covariance over all parameters, (n_parameters, n_parameters) SI, 0 for those it held fixed."""
-        return self._fill_in(document["covariance"])
-
-    def read_reliable_covariance(self, document: Document) -> FloatArray:
-        """The same of the covariance to decide by: with misfit where the set has it, else of noise alone."""
-        misfit = document.get("misfit")
-        return self._fill_in(document["covariance"] if misfit is None else misfit["covariance"])
-
-    def _fill_in(self, covariance: Mapping[str, Any]) -> FloatArray:
-        places = [self.names.index(name) for name in covariance["names"]]
+    def spread(self, covariance: Covariance | None) -> FloatArray:
+        """Spread a covariance over all parameters, (n_parameters, n_parameters) SI, 0 for those that were held fixed."""
+        if covariance is None:
+            raise RefusedInputError(INCOMPLETE)
+        places = [self.names.index(name) for name in covariance.names]
         P = np.zeros((len(self.names),) * 2)
-        P[np.ix_(places, places)] = np.array(covariance["matrix"], np.float64).reshape(len(places), len(places))
+        P[np.ix_(places, places)] = np.asarray(covariance)
         return P
 
     @property
@@ -153,7 +138,6 @@ ENDED = {
     "ground calibration": ("PASS", "A ground calibration is declared; there was nothing to settle."),
 }
 ARCSEC = float(np.degrees(1.0) * 3600)
-INCOMPLETE = "This set lacks the numbers for this gate: calibrate again."
 NO_DEFINITION = "There is no table definition: an administrator or analyst adds it under the sensor's table on board."
 
 
@@ -223,24 +207,27 @@ def finite(inputs: GateInputs) -> Measurement:
         inputs.x  # noqa: B018 - reading it is the check
     except RefusedInputError as refusal:
         return answer("FAIL", str(refusal))
-    sigma = inputs.candidate.get("sigma") or {}
-    bad = [name for name in inputs.names if sigma.get(name) is not None and not _is_sigma(sigma[name])]
+    sigma = inputs.candidate.sigma
+    bad = [name for name in inputs.names if not _is_sigma(sigma.get(name))]
     if bad:
         return answer("FAIL", f"The sigma of {', '.join(bad)} is not a positive number: calibrate again.")
     return answer("PASS", "Every parameter is a finite number in its model's range.")
 
 
-def _is_sigma(value: object) -> bool:
-    return isinstance(value, int | float) and bool(np.isfinite(value)) and value >= 0
+def _is_sigma(value: float | None) -> bool:
+    return value is None or (math.isfinite(value) and value >= 0)
 
 
 def covariance(inputs: GateInputs) -> Measurement:
     """Ask for a symmetric, positive definite covariance whose roots are the sigmas."""
+    stated = inputs.candidate.covariance
     try:
-        P = inputs.read_covariance(inputs.candidate)
-    except (KeyError, TypeError, ValueError):
+        P = inputs.spread(stated)
+    except (RefusedInputError, ValueError):
+        stated = None
+    if stated is None:
         return answer("FAIL", "The covariance is not names and a square matrix of numbers: calibrate again.")
-    places = [inputs.names.index(name) for name in inputs.candidate["covariance"]["names"]]
+    places = [inputs.names.index(name) for name in stated.names]
     if not places:
         return answer("FAIL", "There is no covariance, so no sigma can be trusted: calibrate again with more frames.")
     return _of_matrix(inputs, P[np.ix_(places, places)], [inputs.names[place] for place in places])
@@ -259,31 +246,33 @@ def _of_matrix(inputs: GateInputs, P: np.ndarray, names: list[str]) -> Measureme
         return answer(
             "FAIL", f"The covariance is not positive definite (least eigenvalue {least:.2g}): free fewer parameters."
         )
-    sigma = inputs.candidate.get("sigma") or {}
-    stated = [(name, sigma[name], root) for name, root in zip(names, np.sqrt(variance), strict=True) if sigma.get(name)]
-    off = [name for name, given, root in stated if abs(given - root) > 1e-3 * root]
+    roots = dict(zip(names, np.sqrt(variance), strict=True))
+    off = [name for name, root in roots.items() if _differs(inputs.candidate.sigma.get(name), root)]
     if off:
         return answer("FAIL", f"The sigma of {', '.join(off)} is not the root of its variance: calibrate again.")
     return answer("PASS", f"Symmetric and positive definite; least eigenvalue of the correlations {least:.2g}.")
 
 
+def _differs(sigma: float | None, root: float) -> bool:
+    return sigma is not None and sigma != 0 and abs(sigma - root) > 1e-3 * root
+
+
 def sensor(inputs: GateInputs) -> Measurement:
     """Ask whether set, run and sensor speak of one camera."""
     candidate, here = inputs.candidate, inputs.sensor
-    if candidate.get("sensor") not in (None, here.name):
+    if candidate.sensor not in (None, here.name):
         return answer(
-            "FAIL", f"The set belongs to the sensor {candidate['sensor']}, not to {here.name}: choose the right one."
+            "FAIL", f"The set belongs to the sensor {candidate.sensor}, not to {here.name}: choose the right one."
         )
-    if candidate.get("camera_model") != here.camera_model:
+    if candidate.camera_model != here.camera_model:
         return answer(
             "FAIL",
-            f"The set is of the camera model {candidate.get('camera_model')}, the sensor of {here.camera_model}.",
+            f"The set is of the camera model {candidate.camera_model}, the sensor of {here.camera_model}.",
         )
     made = inputs.made_with
     if made is None:
         return answer("PASS", f"Set and sensor are {here.name}, {here.camera_model}.")
-    detector = {"rows": here.rows, "columns": here.columns, "pixel_pitch_m": here.pixel_pitch_m}
-    if made.get("detector") != detector or made.get("parity") != here.parity:
+    if any(getattr(made, name) != getattr(here, name) for name in ("rows", "columns", "pixel_pitch_m", "parity")):
         return answer("FAIL", f"Detector or parity of {here.name} differ from those of the run: run it again.")
     return answer(
         "PASS", f"Set, run and sensor are {here.name}, {here.camera_model}, {here.rows} x {here.columns} pixels."
@@ -292,10 +281,10 @@ def sensor(inputs: GateInputs) -> Measurement:
 
 def parameter_shift(inputs: GateInputs) -> Measurement:
     """Measure the largest shift from the incumbent, in sigmas of the difference."""
-    x_0 = inputs.x_incumbent
-    if inputs.incumbent is None or x_0 is None:
+    if inputs.incumbent is None:
         return absent("There is no incumbent to compare it with.")
-    P, P_0 = (inputs.read_reliable_covariance(document) for document in (inputs.candidate, inputs.incumbent))
+    x_0 = inputs.incumbent.state[0]
+    P, P_0 = (inputs.spread(one.reliable_covariance) for one in (inputs.candidate, inputs.incumbent))
     sigma = np.sqrt(np.diag(P) + np.diag(P_0) + (FLOOR * inputs.sensor.typical_sigma) ** 2)
     shift = (inputs.x - x_0) / sigma
     i = int(np.argmax(np.abs(shift)))
@@ -309,7 +298,7 @@ def parameter_shift(inputs: GateInputs) -> Measurement:
 
 def convergence(inputs: GateInputs) -> Measurement:
     """Ask whether the estimate came to rest."""
-    status = str(inputs.candidate.get("status"))
+    status = str(inputs.candidate.status)
     return answer(
         *ENDED.get(status, ("FAIL", f"The run ended {status.replace('_', ' ')}: its numbers are not an estimate."))
     )
@@ -410,10 +399,10 @@ def _size(tests: Sequence[TrustTest]) -> float:
 
 def arc_uncertainty(inputs: GateInputs) -> Measurement:
     """Measure what the covariance does to an arc at the worst place of the detector."""
-    worst, degrees = _worst_arc(inputs, inputs.candidate, inputs.x)
+    worst, degrees = _worst_arc(inputs, inputs.candidate)
     incumbent = None
-    if inputs.incumbent is not None and inputs.x_incumbent is not None:
-        incumbent = _worst_arc(inputs, inputs.incumbent, inputs.x_incumbent)[0] / inputs.pixel_rad
+    if inputs.incumbent is not None:
+        incumbent = _worst_arc(inputs, inputs.incumbent)[0] / inputs.pixel_rad
     return Measurement(
         worst / inputs.pixel_rad,
         f"An arc of {degrees:.2g}° may be {worst * ARCSEC:.2g} arcsec off (1 sigma) at the worst place of the detector.",
@@ -421,9 +410,9 @@ def arc_uncertainty(inputs: GateInputs) -> Measurement:
     )
 
 
-def _worst_arc(inputs: GateInputs, document: Document, x: Any) -> tuple[float, float]:
+def _worst_arc(inputs: GateInputs, known: AssessedSet) -> tuple[float, float]:
     """Largest sigma of an arc over the detector, rad, and the length of the arcs, degrees."""
-    sigma, length = field_arc_sigma(inputs.sensor, x, inputs.read_reliable_covariance(document))
+    sigma, length = field_arc_sigma(inputs.sensor, known.state[0], inputs.spread(known.reliable_covariance))
     return float(np.nanmax(sigma)), float(np.degrees(length))
 
 
