@@ -340,7 +340,9 @@ async def record(request: Request, actor: Who, blobs: Blobs, set_id: int) -> Res
             session, actor, set_id, state, source, seen_version(typed), package_id=package_id, happened=happened
         )
 
-    return await _taken_step(request, actor, blobs, "record", typed, change, "Recorded.")
+    return await _taken_step(
+        request, actor, blobs, "record", typed, change, f"Recorded: the set is {typed.get('onboard_state', '')}."
+    )
 
 
 @router.post("/parameter-sets/{set_id:int}/uplink/read-back")
