@@ -29,7 +29,7 @@ def test_a_file_in_the_watched_folder_becomes_a_question_that_a_person_answers(p
         page.get_by_label("Reason").last.fill("Two passes a day.")
         page.get_by_role("button", name="Draft version 1").click()
         page.get_by_role("button", name="Dry run on the past").click()
-        expect(page.get_by_text("had they agreed each time")).to_be_visible()
+        expect(page.get_by_text("No set in the past has a calibration to judge")).to_be_visible()
     with people.seat("administrator") as window:
         window.open(f"/sensors/{sensor_id}/ingest")
         window.page.get_by_role("button", name=re.compile("^Enable policy")).click()

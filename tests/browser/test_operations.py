@@ -40,7 +40,7 @@ def record(window, state, source, *, is_early=False):
         asked.get_by_label("Package that was sent").select_option(index=1)
     asked.get_by_label("Source").fill(source)
     asked.get_by_role("button", name=state).click()
-    expect(window.page.get_by_role("status").filter(has_text="Recorded.")).to_be_visible()
+    expect(window.page.get_by_role("status").filter(has_text="Recorded: the set is")).to_be_visible()
 
 
 def upload(window, dump, source):
@@ -181,3 +181,15 @@ def test_clock_and_time_axes_are_in_the_form_that_was_chosen(people, drifting):
             hovered = window.page.evaluate(HOVERED)
             assert bool(hovered) == (form == "local")
             assert all("+05:45)" in text for text in hovered)
+
+
+@pytest.mark.full
+def test_a_mention_leads_to_its_comment_though_the_gate_that_it_is_about_is_folded_away(people, numbers):
+    about = {"kind": "gate", "name": "coverage", "text": "@approver is one corner empty?"}
+    with people.seat("analyst") as window:
+        window.open(f"/approvals/{numbers['request']}")
+        assert window.send(f"/approvals/{numbers['request']}/threads", about).ok
+    with people.seat("approver") as window:
+        window.open("/")
+        window.page.get_by_role("link", name=re.compile("^Answer")).click()
+        expect(window.page.locator("blockquote", has_text="is one corner empty?")).to_be_in_viewport()

@@ -23,7 +23,7 @@ ADVICE_KINDS = {
     "diagnosis": "why a set hardly matches",
     "distant_start": "one linearisation from a distant start",
     "diverged": "a fit that diverged",
-    "drop_one": "parameters that the data do not ask for",
+    "drop_one": "parameters without evidence of a change",
     "efficiency": "sigmas below the bound",
     "few_frames": "a set of few frames",
     "filter_states": "a filter that tries impossible states",

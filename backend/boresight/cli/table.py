@@ -40,23 +40,18 @@ def export(
     from boresight.console.uplinks import packages
     from boresight.platform.actors import COMMAND_LINE
     from boresight.platform.blobs.opening import open_blobs
-    from boresight.platform.db.sessions import open_store, open_writing
+    from boresight.platform.db.sessions import open_reading, open_store, open_writing
 
     settings = read_settings()
     blobs = open_blobs(settings.blob_location)
-    with open_store(settings.database_url) as engine, open_writing(engine) as session:
-        row = packages.set_named(session, parameter_set)
-        package = packages.build(
-            session,
-            COMMAND_LINE,
-            blobs,
-            row.id,
-            flight_software_version=flight_software,
-            table_id=table_id,
-            policy=settings.policy,
-            key=settings.own_key,
-        )
-        content = packages.read(session, blobs, package.id)
+    policy, said = settings.policy, {"flight_software_version": flight_software, "table_id": table_id}
+    with open_store(settings.database_url) as engine:
+        with open_reading(engine) as session:
+            row = packages.set_named(session, parameter_set)
+            made = packages.prepare(session, COMMAND_LINE, row.id, policy=policy, key=settings.own_key)
+        with open_writing(engine) as session:
+            package = packages.build(session, COMMAND_LINE, blobs, row.id, made, policy=policy, **said)
+            content = packages.read(session, blobs, package.id)
     write_bytes(content, file)
     tell(f"{row.name}: {package.sha256}  {file}", file)
     tell(f"back to {package.inputs['backout']['name']}; audit head {package.inputs['first_built']['audit_head']}", file)

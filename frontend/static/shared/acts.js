@@ -52,11 +52,15 @@ function takeUp() {
   const named = location.hash.length > 1 ? find(`#${CSS.escape(location.hash.slice(1))}`, HTMLElement) : null;
   if (named instanceof HTMLDialogElement && named.matches(".act-dialog") && !named.open) open(named);
   else if (named?.matches("input, textarea, select")) named.focus();
-  const folded = named?.closest("details.thread, details.advanced") ?? named?.querySelector(":scope > details.advanced:only-child");
-  if (folded instanceof HTMLDetailsElement && !folded.open) {
-    folded.open = true;
-    named?.scrollIntoView({ block: "center" });
+  const within = named?.querySelector(":scope > details.advanced:only-child") ?? named;
+  let at = within?.matches("details:not(.thread, .advanced)") ? within.parentElement : within;
+  let isFolded = false;
+  while ((at = at?.closest("details") ?? null) instanceof HTMLDetailsElement) {
+    isFolded ||= !at.open;
+    at.open = true;
+    at = at.parentElement;
   }
+  if (isFolded) named?.scrollIntoView({ block: "center" });
 }
 
 addEventListener("hashchange", takeUp);

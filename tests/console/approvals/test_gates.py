@@ -332,6 +332,9 @@ def test_a_gate_is_waived_once_for_up_to_30_days_and_a_waiver_that_expires_block
 def test_baseline_and_package_tell_the_verdict_that_was_signed_also_when_its_waiver_is_over(
     waive, engine, blobs, people, blocked, monkeypatch
 ):
+    def export(session, row):
+        return packages.build(session, people["dee"], blobs, row.id, packages.prepare(session, people["dee"], row.id))
+
     waive()
     with open_writing(engine) as session:
         request = approvals.submit(session, people["ana"], blobs, blocked.id, "With the waiver.", blocked.version)
@@ -339,7 +342,7 @@ def test_baseline_and_package_tell_the_verdict_that_was_signed_also_when_its_wai
             approve(session, people[name], request)
         row = session.get_known(ParameterSet, blocked.id)
         approvals.promote(session, people["dee"], row.id, row.version)
-        package = packages.build(session, people["dee"], blobs, row.id)
+        package = export(session, row)
         assert set_queries.find_baseline(session, 1).id == blocked.id
         shown = gates.read_verdicts(session, [blocked.id])[blocked.id].words
     assert shown == "NO-DATA (1 gate waived)"
@@ -351,4 +354,4 @@ def test_baseline_and_package_tell_the_verdict_that_was_signed_also_when_its_wai
     later = sessions.utc_after(2 * DAY_S)
     monkeypatch.setattr(gates, "utc_now", lambda: later)
     with open_writing(engine) as session:
-        assert packages.build(session, people["dee"], blobs, blocked.id).id == package.id
+        assert export(session, blocked).id == package.id

@@ -190,6 +190,7 @@ def test_a_comment_stands_on_its_gate_is_answered_resolved_and_reopened(site, re
     about = {"kind": "gate", "name": "coverage"}
     made = alan.post(f"{request_page}/threads", **about, text="@ada is one <b>corner</b> empty?")
     assert made.headers["location"] == f"{request_page}#thread-gate-coverage"
+    assert "gate Detector coverage , open Alan Approver: @ada is one" in read(ada.get(request_page))
     assert '<b class="mention">@ada</b> is one &lt;b&gt;corner' in ada.get(request_page)
     assert ada.post(f"{request_page}/threads", **about, thread="1", text="Yes.").status_code == 303
     for action in ("resolved", "reopened"):

@@ -11,10 +11,10 @@ from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.uplinks import packages, table_definitions
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError, StaleError
-from boresight.platform.actors import Policy
+from boresight.platform.actors import POLICY, Policy
 from boresight.platform.audit import log as audit
 from boresight.platform.audit.signing import SigningKey
-from boresight.platform.db.sessions import open_writing
+from boresight.platform.db.sessions import open_reading, open_writing
 from boresight.uplink.verify_package import verify
 from tests.console.conftest import PASSWORD, SENSOR
 from tests.passwords import approve, proved
@@ -38,9 +38,11 @@ def _unpacked(content):
 
 @pytest.fixture
 def build(engine, people, blobs):
-    def act(row, who="dee", **said):
+    def act(row, who="dee", key=None, policy=POLICY, **said):
+        with open_reading(engine) as session:
+            prepared = packages.prepare(session, people[who], row.id, policy=policy, key=key)
         with open_writing(engine) as session:
-            package = packages.build(session, people[who], blobs, row.id, **said)
+            package = packages.build(session, people[who], blobs, row.id, prepared, policy=policy, **said)
             return package, _unpacked(packages.read(session, blobs, package.id))
 
     return act
@@ -96,6 +98,27 @@ def test_an_exported_package_is_signed_once_verifies_on_board_and_is_built_again
     with open_writing(engine) as session:
         assert audit.find_last_change(session, f"packages/{package.id}").after["signed_by"] == package.signature["key"]
         assert audit.verify(session, blobs=blobs).ok
+
+
+def test_nothing_is_computed_in_the_transaction_that_stores_and_what_changed_meanwhile_is_not_stored(
+    engine, people, blobs, define, monkeypatch
+):
+    def make():
+        with open_reading(engine) as session:
+            return packages.prepare(session, people["dee"], 1)
+
+    def store(prepared):
+        with open_writing(engine) as session:
+            return packages.build(session, people["dee"], blobs, 1, prepared)
+
+    early = make()
+    define()
+    late = make()
+    monkeypatch.setattr(packages, "make_files", None)
+    monkeypatch.setattr(packages, "build_package", None)
+    with pytest.raises(StaleError, match="changed while the package was built: export it again"):
+        store(early)
+    assert store(late).inputs == late.inputs
 
 
 def test_the_way_back_of_an_approved_set_is_the_baseline_and_of_the_baseline_the_one_before(

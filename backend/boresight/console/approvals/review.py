@@ -112,15 +112,19 @@ def _list_warnings(session: Session, approval: Approval, row: ParameterSet) -> l
     incumbent = None
     if (sha256 := approval.bound.get("incumbent_sha256")) is not None:
         incumbent = set_rows.find_other_with_document(session, row, sha256)
+    said = warn_of_set(session, row, incumbent)
+    if row.run_id is None:
+        said["ground-calibration"] = "This is a ground calibration: declared, not estimated from telemetry."
+    return [Point(WARNING, name, "Warning", sentence) for name, sentence in said.items()]
+
+
+def warn_of_set(session: Session, row: ParameterSet, incumbent: ParameterSet | None) -> dict[str, str]:
+    """Return what an approver of a set is warned of besides its gates: its advice, far shifts and the turn of the attitude."""
     typical = session.get_one(Sensor, row.sensor_id).document["typical_sigma"]
     found = parse_parameter_set(row.document)
     old = {} if incumbent is None else parse_parameter_set(incumbent.document).parameters
     said: dict[str, str] = {f"advice-{i}": sentence for i, sentence in enumerate(found.coded_advice, 1)}
-    said |= warn_of_shifts(found, old, typical)
-    said |= warn_of_turn(found)
-    if row.run_id is None:
-        said["ground-calibration"] = "This is a ground calibration: declared, not estimated from telemetry."
-    return [Point(WARNING, name, "Warning", sentence) for name, sentence in said.items()]
+    return said | warn_of_shifts(found, old, typical) | warn_of_turn(found)
 
 
 def warn_of_shifts(

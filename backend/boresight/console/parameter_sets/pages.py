@@ -21,7 +21,7 @@ from boresight.console import list_queries as lists
 from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading, Who, csrf, get_needed, get_server, same_for_roles
 from boresight.console.access.passwords import PasswordProof
-from boresight.console.approvals import gates
+from boresight.console.approvals import gates, review
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.dependencies import assess_before_submission
@@ -303,7 +303,7 @@ def _page(
         uplinks=lists.list_newest(session, Uplink, set=set_id),
         conversions=list_conversions(session, row),
         panel=make_gates_panel(session, actor, row),
-        advice=parse_parameter_set(row.document).coded_advice,
+        advice=list(review.warn_of_set(session, row, incumbent).values()),
         needed=get_needed(request, session, actor),
         policy=policy,
         baseline=baseline,

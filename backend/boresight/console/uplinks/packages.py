@@ -2,12 +2,16 @@
 
 `inputs` gathers everything that the bytes follow from, and only what lasts, into one document; so the same set under
 the same definition, signatures and way back is the package that exists already, byte for byte.
+
+The bytes are made and signed before the transaction that stores them: what the table's number format does to the camera may need
+loops that were never compiled on this machine, which takes minutes where it is busy.
 """
 
 from __future__ import annotations
 
 import base64
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from boresight import __version__
@@ -30,7 +34,7 @@ from boresight.console.telemetry.tables import TelemetrySet, parse_quality
 from boresight.console.transitions import describe_last_change
 from boresight.console.uplinks import queries as rows
 from boresight.console.uplinks.tables import Package, TableDefinition
-from boresight.errors import ConflictError, CorruptFileError, NotFoundError, RefusedInputError
+from boresight.errors import ConflictError, CorruptFileError, NotFoundError, RefusedInputError, StaleError
 from boresight.platform.actors import POLICY, Actor, Policy, require_role, require_scope
 from boresight.platform.audit import log as audit
 from boresight.platform.audit.signing import Signer, SigningKey
@@ -215,20 +219,45 @@ EXPORTED = ("APPROVED", "BASELINE")
 MEDIA_TYPE = "application/zip"
 
 
+@dataclass(frozen=True)
+class Prepared:
+    """A package as it would be stored: its inputs, its signature where there is a key, and its bytes."""
+
+    inputs: dict[str, Any]
+    signature: dict[str, str] | None
+    content: bytes
+
+
+def prepare(
+    session: Session, actor: Actor, parameter_set_id: int, *, policy: Policy = POLICY, key: SigningKey | None = None
+) -> Prepared | None:
+    """Make the package of a set, signed where there is a key, or the one that exists again; None where `build` will refuse."""
+    _require_exporter(actor)
+    row = session.get_known(ParameterSet, parameter_set_id)
+    if row.ground_state not in EXPORTED:
+        return None
+    inputs = _gather_inputs(session, row, rows.find_definition_in_force(session, row.sensor_id), policy)
+    existing = _find_existing(session, row, inputs, signed=key is not None)
+    if existing is not None:
+        return Prepared(existing.inputs, existing.signature, rebuild(existing.inputs, existing.signature))
+    inputs["first_built"] = {"at_utc": utc_now(), "audit_head": audit.head(session)}
+    signature = None if key is None else _sign(key.load(), make_files(inputs, signed=True)[SUMS])
+    return Prepared(inputs, signature, rebuild(inputs, signature))
+
+
 def build(
     session: Session,
     actor: Actor,
     blobs: BlobStore,
     parameter_set_id: int,
+    prepared: Prepared | None,
     *,
     flight_software_version: str | None = None,
     table_id: str | None = None,
     policy: Policy = POLICY,
-    key: SigningKey | None = None,
 ) -> Package:
-    """Build the package of a set, signed where there is a key, or return the one that exists."""
-    require_role(actor, "operator", "analyst")
-    require_scope(actor, "uplinks")
+    """Store the package that was prepared, or return the one that exists."""
+    _require_exporter(actor)
     row = session.get_known(ParameterSet, parameter_set_id)
     if row.ground_state not in EXPORTED:
         raise ConflictError(
@@ -239,12 +268,22 @@ def build(
     definition = rows.find_definition_in_force(session, row.sensor_id)
     _refuse_other_versions(session, row, definition, flight_software_version, table_id)
     inputs = _gather_inputs(session, row, definition, policy)
-    existing = _find_existing(session, row, inputs, signed=key is not None)
+    if prepared is None or _lasting(prepared.inputs) != inputs:
+        raise StaleError(f"{row.name} or its sensor changed while the package was built: export it again.")
+    existing = _find_existing(session, row, inputs, signed=prepared.signature is not None)
     if existing is not None:
-        return _keep(session, blobs, existing)
-    inputs["first_built"] = {"at_utc": utc_now(), "audit_head": audit.head(session)}
-    signature = None if key is None else _sign(key.load(), make_files(inputs, signed=True)[SUMS])
-    return _store(session, actor, blobs, row, definition, inputs, signature)
+        return _keep(session, blobs, existing, prepared)
+    return _store(session, actor, blobs, row, definition, prepared)
+
+
+def _require_exporter(actor: Actor) -> None:
+    require_role(actor, "operator", "analyst")
+    require_scope(actor, "uplinks")
+
+
+def _lasting(inputs: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the inputs without the moment when the package was first built."""
+    return {key: value for key, value in inputs.items() if key != "first_built"}
 
 
 def _sign(signer: Signer, content: bytes) -> dict[str, str]:
@@ -320,17 +359,17 @@ def _find_existing(session: Session, row: ParameterSet, inputs: Mapping[str, Any
     for package in lists.list_newest(session, Package, set=row.id):
         if signed and package.signature is None:
             continue
-        if {key: value for key, value in package.inputs.items() if key != "first_built"} == inputs:
+        if _lasting(package.inputs) == inputs:
             return package
     return None
 
 
-def _keep(session: Session, blobs: BlobStore, package: Package) -> Package:
-    """Return a package, rebuilding its file where that was lost or altered."""
+def _keep(session: Session, blobs: BlobStore, package: Package, prepared: Prepared) -> Package:
+    """Return a package, storing its file again where that was lost or altered."""
     try:
         blobs.path(package.sha256)
     except (NotFoundError, CorruptFileError):
-        if blobs.put(rebuild(package.inputs, package.signature)) != package.sha256:
+        if blobs.put(prepared.content) != package.sha256:
             raise
         register_blob(session, blobs, package.sha256, MEDIA_TYPE)
     return package
@@ -342,11 +381,11 @@ def _store(
     blobs: BlobStore,
     row: ParameterSet,
     definition: TableDefinition | None,
-    inputs: dict[str, Any],
-    signature: dict[str, str] | None,
+    prepared: Prepared,
 ) -> Package:
-    """Build the package and store it with its inputs and its signature."""
-    sha256 = register_blob(session, blobs, blobs.put(rebuild(inputs, signature)), MEDIA_TYPE).sha256
+    """Store a package with its inputs and its signature."""
+    inputs, signature = prepared.inputs, prepared.signature
+    sha256 = register_blob(session, blobs, blobs.put(prepared.content), MEDIA_TYPE).sha256
     package = Package(
         parameter_set_id=row.id,
         table_definition_id=None if definition is None else definition.id,

@@ -47,7 +47,7 @@ from boresight.console.uplinks.tables import Package, TableDefinition, Uplink
 from boresight.errors import RefusedInputError
 from boresight.platform.actors import Actor
 from boresight.platform.blobs import files
-from boresight.platform.db.sessions import Session
+from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.media import StoredFile, ZipFile
 from boresight.platform.web.openapi import refuses
 from boresight.platform.web.paging import Id, Listing, Page, Paged
@@ -305,6 +305,21 @@ class Export(Shape):
     table_id: str | None = Field(None, examples=["STR_CAM"])
 
 
+def prepared_package(
+    actor: Who,
+    parameter_set_id: Id,
+    policy: ServerPolicy,
+    engine: Database,
+    key: OwnKey,
+    idempotency: Annotated[Idempotency, Depends(get_idempotency)],
+) -> packages.Prepared | None:
+    """Make the package before the transaction that stores it; nothing where the answer is known."""
+    if idempotency.is_answered(engine):
+        return None
+    with open_reading(engine) as session:
+        return packages.prepare(session, actor, parameter_set_id, policy=policy, key=key)
+
+
 @package_router.post(
     "/parameter-sets/{parameter_set_id}:export",
     summary="Build the uplink package",
@@ -316,14 +331,14 @@ def export_parameter_set(
     parameter_set_id: Id,
     actor: Who,
     policy: ServerPolicy,
+    prepared: Annotated[packages.Prepared | None, Depends(prepared_package)],
     session: Writing,
     blobs: Blobs,
-    key: OwnKey,
     export: Export | None = None,
 ) -> Package:
     """Build the signed package for an approved set or the baseline; the same inputs give the existing one."""
     said = {} if export is None else export.model_dump()
-    return packages.build(session, actor, blobs, parameter_set_id, policy=policy, key=key, **said)
+    return packages.build(session, actor, blobs, parameter_set_id, prepared, policy=policy, **said)
 
 
 @package_router.get("/packages", summary="List packages", response_model=Page[schemas.Package])

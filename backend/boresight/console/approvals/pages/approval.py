@@ -67,6 +67,7 @@ from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.answers import make_four_views
+from boresight.verdicts.gates import GATES
 from boresight.verdicts.gates.judgement import STATUSES, GateReport
 
 MEANINGS = {
@@ -136,6 +137,12 @@ def group_threads(found: Sequence[Thread]) -> dict[tuple[str, str], list[Thread]
     return grouped
 
 
+def title_thread(kind: str, name: str) -> str:
+    """Return what a thread is about, as the page calls it; a gate that is no more has its name alone."""
+    titles = {"gate": {gate.name: gate.title for gate in GATES.values()}, "figure": review.VIEWS}
+    return f"{kind} {titles.get(kind, {}).get(name, name)}"
+
+
 def request_page(
     request: Request,
     session: Session,
@@ -175,6 +182,7 @@ def request_page(
         against=sorted(against, key=lambda one: -STATUSES.index(one.status)),
         points=points,
         threads=group_threads(found),
+        title_thread=title_thread,
         open_threads=sum(thread.state == "OPEN" for thread in found),
         views=make_views(points, result),
         further=list_further_evidence(row, incumbent),

@@ -164,7 +164,12 @@ def _questions(session: Session, actor: Actor, names: Mapping[int, str]) -> Wait
     if "analyst" not in actor.roles:
         return NOTHING
     first = [
-        WaitingAction("caution", f"{names[row.sensor_id]} left its baseline: decide.", f"/ingest/{row.id}", "Decide")
+        WaitingAction(
+            "caution",
+            f"{names[row.sensor_id]} no longer agrees with its baseline: decide.",
+            f"/ingest/{row.id}",
+            "Decide",
+        )
         for row in ingest_queries.list_asked(session, MOST_ACTIONS)
     ]
     return WaitingItems(ingest_queries.count_asked(session), first)

@@ -63,7 +63,7 @@ from boresight.mission_control.systems import Link
 from boresight.platform.actors import Actor
 from boresight.platform.blobs import files
 from boresight.platform.blobs.store import BlobStore
-from boresight.platform.db.sessions import Session
+from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.paging import parse_row_id
 
 board_router = APIRouter()
@@ -286,12 +286,18 @@ async def export(
     """Build the set's package, or show the one that exists."""
     typed, _ = await _form(request)
 
-    def change(session: Session) -> Package:
-        return packages.build(session, actor, blobs, set_id, policy=policy, key=key)
+    def make() -> packages.Prepared | None:
+        with open_reading(request.app.state.engine) as session:
+            return packages.prepare(session, actor, set_id, policy=policy, key=key)
 
-    return await _taken_step(
-        request, actor, blobs, "package", typed, change, "The package is built; download it below."
-    )
+    async def prepare() -> tuple[packages.Prepared | None]:
+        return (await run_in_threadpool(make),)
+
+    def change(session: Session, prepared: packages.Prepared | None) -> Package:
+        return packages.build(session, actor, blobs, set_id, prepared, policy=policy)
+
+    said = "The package is built; download it below."
+    return await _taken_step(request, actor, blobs, "package", typed, change, said, prepare)
 
 
 @router.post("/parameter-sets/{set_id:int}/uplink/hand-over")
@@ -334,7 +340,9 @@ async def record(request: Request, actor: Who, blobs: Blobs, set_id: int) -> Res
             session, actor, set_id, state, source, seen_version(typed), package_id=package_id, happened=happened
         )
 
-    return await _taken_step(request, actor, blobs, "record", typed, change, "Recorded.")
+    return await _taken_step(
+        request, actor, blobs, "record", typed, change, f"Recorded: the set is {typed.get('onboard_state', '')}."
+    )
 
 
 @router.post("/parameter-sets/{set_id:int}/uplink/read-back")
