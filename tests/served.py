@@ -184,6 +184,14 @@ class House:
         self.end(run["id"])
         return run["id"]
 
+    def converged(self) -> int:
+        """A run that has ended with its summary, as one that is started from has."""
+        run_id = self.finished()
+        with open_writing(self.app.state.engine) as session:
+            session.get_one(Run, run_id).summary = {"status": "converged"}
+            audit.append(session, SYSTEM, "summarised", f"runs/{run_id}")
+        return run_id
+
     def chosen(self) -> int:
         run_id = self.finished()
         asked = self.person("ada").post(f"/api/v1/runs/{run_id}/choice").json()

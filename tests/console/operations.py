@@ -329,6 +329,17 @@ GOOD: dict[str, Callable[[House], Made]] = {
         {"sensor_id": house.new_sensor()["id"], "params": {"at": "2099-01-01T00:00:00Z"}},
     ),
     "get_sensor_as_of": lambda house: ("victor", {"sensor_id": house.new_sensor()["id"]}),
+    "plan_pointings": lambda house: (
+        "victor",
+        {
+            "sensor_id": house.new_sensor()["id"],
+            "json": {
+                "start_utc": "2026-10-01T00:00:00Z",
+                "minutes": 2.0,
+                "candidates": [[10.0, 5.0, 0.0], [200.0, 60.0, 90.0]],
+            },
+        },
+    ),
     "list_sensor_timeline": lambda house: ("victor", {"sensor_id": house.new_sensor()["id"]}),
     "list_telemetry_sets": lambda _: ("victor", {}),
     "upload_telemetry_set": _upload,

@@ -120,6 +120,7 @@ BODIES: dict[str, dict[str, Any]] = {
     "answer_ingest_decision": {"json": {"answer": "WAIT", "reason": "x"}},
     "change_message_address": {"json": {}},
     "edit_sensor": {"json": {"name": "x"}},
+    "plan_pointings": {"json": {"start_utc": "2026-10-01T00:00:00Z", "minutes": 2.0}},
     "record_opening": {"json": {"evidence": "radial"}},
     "attach": {"files": {"file": ("a.txt", b"x")}},
     "get_attachment": {"attachment_id": 1},

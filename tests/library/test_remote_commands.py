@@ -63,6 +63,20 @@ def test_a_set_is_diagnosed_on_a_server_and_the_files_are_mended_here(run, files
     assert json.loads(again.stdout)["causes"][0]["name"] == "none"
 
 
+def test_what_to_observe_next_is_planned_on_a_server(run, files, house):
+    finished = house.converged()
+    sensor = house.person("ada").get(f"/api/v1/runs/{finished}").json()["sensor_id"]
+    name = house.person("ada").get(f"/api/v1/sensors/{sensor}").json()["name"]
+    (files / "few.csv").write_text("ra_deg,dec_deg,roll_deg\n10,5,0\n200,60,90\n120,-40,30\n")
+    words = ("plan", "--sensor", name, "--start", "2026-10-01T00:00:00Z", "--minutes", "4", "--calibration", finished)
+    words += ("--candidates", files / "few.csv", "--sun-deg", 0, "--moon-deg", 0, "--out", files / "plan.csv")
+    done = run(*words, "--json", files / "plan.json")
+    assert done.exit_code == 0, done.stderr
+    document = json.loads((files / "plan.json").read_text())
+    assert document["sentence"] in done.stdout
+    assert len((files / "plan.csv").read_text().splitlines()) == 1 + len(document["pointings"])
+
+
 def test_a_report_and_a_package_come_from_the_server(run, files, house):
     done = run("report", house.finished(), "--out", files / "run.html")
     assert done.exit_code == 0, done.stderr

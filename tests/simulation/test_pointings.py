@@ -14,8 +14,8 @@ from boresight.calibration.problem import build_problem
 from boresight.cameras import CAMERA_MODELS
 from boresight.cli import main
 from boresight.estimation.batch import normal_equations
-from boresight.library.pointings import make_plan
 from boresight.simulation.orbits import sun_direction
+from boresight.simulation.plans import make_plan
 from boresight.simulation.pointings import (
     Candidates,
     Constraints,
@@ -223,6 +223,7 @@ def test_a_plan_of_a_sensor_file_without_distortion_is_that_of_a_lens_that_has_s
         ({"minutes": 0.0}, "minutes"),
         ({"visits": 0}, "visits"),
         ({"start": "yesterday"}, "start_utc"),
+        ({"start": "now"}, "start_utc"),
         ({"criterion": "E"}, "'E'"),
         ({"orbit": {"altitude_km": 570.0}}, "node_hour"),
         ({"sun_deg": 120.0, "moon_deg": 120.0}, "candidate"),

@@ -9,6 +9,7 @@ import click
 
 from boresight.cli.input import INPUT_FILE
 from boresight.cli.output import STANDARD_OUTPUT, check_one_stream, check_writable, json_option, write_bytes, write_json
+from boresight.cli.remote import first_message, open_client, server_option
 from boresight.errors import RefusedInputError
 from boresight.library import functions as library
 from boresight.library.progress import progress
@@ -32,7 +33,11 @@ def _read_orbit(_: click.Context, __: click.Parameter, text: str | None) -> dict
 @click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Sensor file, JSON.")
 @click.option("--start", required=True, metavar="UTC", help="When it begins, as 2026-10-01T00:00:00Z.")
 @click.option("--minutes", type=float, required=True, help="How long it may take.")
-@click.option("--calibration", type=INPUT_FILE, help="Calibration JSON: what is known before.")
+@click.option(
+    "--calibration",
+    metavar="FILE",
+    help="Calibration JSON: what is known before; on a server a set's name or a run's number.",
+)
 @click.option(
     "--candidates",
     type=INPUT_FILE,
@@ -60,16 +65,18 @@ def _read_orbit(_: click.Context, __: click.Parameter, text: str | None) -> dict
 @click.option("--earth-deg", type=float, help="Least angle from the Earth's limb; 20 if left out.")
 @click.option("--visits", type=int, help="How often one pointing may be held; 3 if left out.")
 @click.option("--out", "out_file", metavar="FILE", help="Write the pointings as CSV; - is standard output.")
+@server_option
 @json_option
 def plan(  # noqa: PLR0913, PLR0917 - an option each
     sensor_file: Path,
     start: str,
     minutes: float,
-    calibration: Path | None,
+    calibration: str | None,
     candidates: Path | None,
     orbit: dict[str, float] | None,
     criterion: str,
     out_file: str | None,
+    server_url: str | None,
     json_file: str | None,
     **constraints: Any,
 ) -> None:
@@ -77,16 +84,21 @@ def plan(  # noqa: PLR0913, PLR0917 - an option each
 
     Each exposure's information is computed from the catalogue's stars on the detector, its attitude unknown. Chosen by gain a
     second of slew and dwell, then improved by exchange, clear of Sun, Moon and Earth.
+
+    With --server it is computed there; --sensor may be the name of a sensor of that server.
     """
     check_one_stream(out_file, json_file)
     check_writable(out_file, "CSV")
     check_writable(json_file)
     given = {name: value for name, value in constraints.items() if value is not None}
-    with progress("planning") as report:
-        found = library.plan(
-            sensor_file, start, minutes, calibration=calibration, candidates=candidates, criterion=criterion, orbit=orbit,
-            progress=report, **given,
-        )  # fmt: skip
+    conditions = {"candidates": candidates, "criterion": criterion, "orbit": orbit, **given}
+    with progress("planning" if server_url is None else first_message(server_url)) as report:
+        if server_url is None:
+            known = None if calibration is None else INPUT_FILE.convert(calibration, None, None)
+            found = library.plan(sensor_file, start, minutes, calibration=known, progress=report, **conditions)
+        else:
+            with open_client(server_url) as server:
+                found = server.plan(str(sensor_file), start, minutes, calibration=calibration, **conditions)
     write_json(found.to_dict(), json_file)
     if out_file is not None:
         write_bytes(found.to_csv(), out_file)

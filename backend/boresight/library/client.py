@@ -11,8 +11,9 @@ import asyncio
 import random
 import ssl
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from os import PathLike
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal, Self, Unpack
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
     from boresight.library.choice import Choice
     from boresight.library.diagnosis import Diagnosis
     from boresight.library.inputs import SensorSource, TelemetrySource
+    from boresight.library.pointings import PointingPlan
     from boresight.library.remote import ServerTelemetry
     from boresight.library.results import Calibration
 
@@ -332,6 +334,25 @@ class Client(_Connection):
         with reporting(progress, "asking the server") as report:
             return self._run(remote.diagnose(telemetry, sensor, report))
 
+    def plan(
+        self,
+        sensor: SensorSource | ServerSensor | int,
+        start: str,
+        minutes: float,
+        *,
+        calibration: StoredPrior | None = None,
+        candidates: str | PathLike[str] | None = None,
+        criterion: str = "A",
+        orbit: Mapping[str, float] | None = None,
+        **constraints: float,
+    ) -> PointingPlan:
+        """Plan what one of the server's sensors is to observe next; as `boresight.plan`, nothing is stored.
+
+        `calibration`: what is known before, a parameter set or its name, or a run or its number.
+        """
+        given = {"criterion": criterion, "orbit": None if orbit is None else dict(orbit), **constraints}
+        return self._run(remote.plan(sensor, start, minutes, calibration, candidates, given))
+
     def _run(self, operation: Operation[T]) -> T:
         """Do what an operation asks until it has its answer."""
         try:
@@ -545,6 +566,25 @@ class AsyncClient(_Connection):
         """
         with reporting(progress, "asking the server") as report:
             return await self._run(remote.diagnose(telemetry, sensor, report))
+
+    async def plan(
+        self,
+        sensor: SensorSource | ServerSensor | int,
+        start: str,
+        minutes: float,
+        *,
+        calibration: StoredPrior | None = None,
+        candidates: str | PathLike[str] | None = None,
+        criterion: str = "A",
+        orbit: Mapping[str, float] | None = None,
+        **constraints: float,
+    ) -> PointingPlan:
+        """Plan what one of the server's sensors is to observe next; as `boresight.plan`, nothing is stored.
+
+        `calibration`: what is known before, a parameter set or its name, or a run or its number.
+        """
+        given = {"criterion": criterion, "orbit": None if orbit is None else dict(orbit), **constraints}
+        return await self._run(remote.plan(sensor, start, minutes, calibration, candidates, given))
 
     async def _run(self, operation: Operation[T]) -> T:
         """Do what an operation asks until it has its answer."""

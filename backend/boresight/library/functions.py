@@ -843,6 +843,7 @@ def plan(
     """
     from boresight.library import pointings
     from boresight.library.inputs import read_any_calibration, read_any_sensor
+    from boresight.simulation.plans import make_plan
     from boresight.simulation.pointings import Constraints
     from boresight.simulation.scenes import parse_orbit, parse_start
 
@@ -855,7 +856,8 @@ def plan(
     wanted = Constraints(start_utc=begins, minutes=minutes, orbit=circle, **cast("Any", constraints))
     listed = None if candidates is None else pointings.read_candidates(Path(candidates))
     with _prepared(progress, "planning") as prepared:
-        return pointings.make_plan(described, known, listed, wanted, criterion, prepared.load_catalogue())
+        found = make_plan(described, known, listed, wanted, criterion, prepared.load_catalogue())
+    return pointings.PointingPlan.of(found)
 
 
 @_on_kernels

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from boresight.library.choice import Choice
     from boresight.library.diagnosis import Diagnosis
     from boresight.library.inputs import SensorSource, TelemetrySource
+    from boresight.library.pointings import PointingPlan
     from boresight.library.progress import Report
     from boresight.library.results import Assessment, Calibration
     from boresight.verdicts.gates import GateAnswer
@@ -438,13 +439,38 @@ def launch(
         order["joint_set_ids"] = [_id(one) for one in further]
     if validate is not None:
         order["validation_set_id"] = _id(validate)
+    answer = yield _post("/runs", order | (yield from _name_prior(prior)))
+    return parse_run(answer.document())
+
+
+def _name_prior(prior: StoredPrior | None) -> Operation[dict[str, int]]:
+    """Return how an order names the calibration that it starts from; nothing where it is none."""
+    if prior is None:
+        return {}
     if isinstance(prior, str) and not prior.isdecimal():
         prior = yield from read_parameter_set(prior)
-    if prior is not None:
-        named = isinstance(prior, ParameterSet)
-        order["prior_set_id" if named else "prior_run_id"] = int(prior) if isinstance(prior, str) else _id(prior)
-    answer = yield _post("/runs", order)
-    return parse_run(answer.document())
+    named = isinstance(prior, ParameterSet)
+    return {"prior_set_id" if named else "prior_run_id": int(prior) if isinstance(prior, str) else _id(prior)}
+
+
+def plan(
+    sensor: SensorSource | ServerSensor | int,
+    start: str,
+    minutes: float,
+    calibration: StoredPrior | None,
+    candidates: str | os.PathLike[str] | None,
+    conditions: Mapping[str, Any],
+) -> Operation[PointingPlan]:
+    """Plan what to observe next; a sensor that is not there is registered first."""
+    from boresight.library.pointings import PointingPlan, list_degrees
+
+    order: dict[str, Any] = {"start_utc": start, "minutes": minutes, **conditions}
+    if candidates is not None:
+        order["candidates"] = list_degrees(Path(candidates))
+    known = yield from find_sensor(sensor)
+    order |= yield from _name_prior(calibration)
+    answer = yield replace(_post(f"/sensors/{known.id}:plan", order), key=None, slow=True)
+    return PointingPlan.parse(answer.document())
 
 
 def _list_several(given: Any) -> list[Any]:

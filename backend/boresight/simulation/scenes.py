@@ -323,6 +323,8 @@ def parse_start(text: Any) -> np.datetime64:
     refusal = RefusedInputError(
         "`start_utc` must be an ISO 8601 time in UTC from 1980 to 2100, as 2026-10-01T00:00:00Z."
     )
+    if not str(text)[:1].isdecimal():  # NumPy also takes "now" and "today"
+        raise refusal
     try:
         instant = np.datetime64(str(text).removesuffix("Z"), "us")
     except ValueError as error:

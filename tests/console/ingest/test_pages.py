@@ -4,6 +4,8 @@ import re
 
 import pytest
 
+from boresight.console.ingest.service import supersede_overtaken
+from boresight.platform.db.sessions import open_writing
 from tests.console.ingest.decisions import asked, draft, in_force, received, send, step
 
 
@@ -28,6 +30,15 @@ def test_a_decision_that_is_calibrating_follows_its_run_and_asks_nothing(house):
     page = _read(house, "ada", f"/ingest/{row['id']}")
     assert f'href="/runs/{row["run_id"]}"' in page
     assert "live-page.js" in page
+    assert 'name="answer"' not in page
+
+
+def test_a_question_that_a_newer_set_replaced_says_so(house):
+    row = asked(house)
+    with open_writing(house.app.state.engine) as session:
+        supersede_overtaken(session, row["id"])
+    page = _read(house, "ada", f"/ingest/{row['id']}")
+    assert "This is not asked any more" in page
     assert 'name="answer"' not in page
 
 

@@ -28,6 +28,7 @@ def test_a_joint_run_shows_its_sets_and_its_dry_run_counts_them(house):
     expected = {"joint_set_ids": [further], "prior_run_id": None, "prior_set_id": None}
     assert {name: made[name] for name in expected} == expected
     assert client.get(f"/api/v1/runs/{made['id']}").json() == made
+    assert "<span>2 sets</span>" in client.get(f"/runs/{made['id']}").text
     assert client.get("/api/v1/runs", params={"telemetry_set_id": further}).json()["items"] == [made]
     assert client.post("/api/v1/runs", json=order | {"joint_set_ids": [set_id]}).status_code == 422
     assert client.post("/api/v1/runs", json=order | {"prior_run_id": made["id"]}).status_code == 409

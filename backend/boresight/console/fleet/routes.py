@@ -1,10 +1,11 @@
-"""Operations on sensors: register, read, edit, what held at a time, every event, and the trend over the mission."""
+"""Operations on sensors: register, read, edit, what held at a time, every event, the trend, and what to observe next."""
 
 from __future__ import annotations
 
 from typing import Annotated, Any
 
 from fastapi import Body, Query
+from pydantic import Field
 from starlette.requests import Request
 from starlette.responses import Response
 
@@ -12,8 +13,18 @@ from boresight.calibration.calibration import to_plain
 from boresight.cameras import CAMERA_MODELS, DEFAULT_CAMERA
 from boresight.console import list_queries as lists
 from boresight.console import schemas as console_schemas
-from boresight.console.access.dependencies import SAME_FOR_ALL, Reading, SeenVersion, Who, Writing
-from boresight.console.fleet import schemas, timeline
+from boresight.console.access.dependencies import (
+    SAME_FOR_ALL,
+    Blobs,
+    Database,
+    IsDryRun,
+    Reading,
+    SeenVersion,
+    Stars,
+    Who,
+    Writing,
+)
+from boresight.console.fleet import pointings, schemas, timeline
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.tables import Sensor
 from boresight.console.fleet.timeline import TimelineEvent
@@ -24,9 +35,13 @@ from boresight.console.uplinks import schemas as uplink_schemas
 from boresight.console.uplinks import service as uplinks
 from boresight.errors import RefusedInputError
 from boresight.figures import figure_json, trend
+from boresight.platform.db.sessions import open_reading
 from boresight.platform.web.media import CsvFile, csv_response
+from boresight.platform.web.openapi import refuses
 from boresight.platform.web.paging import Id, Listing, Page, Paged
 from boresight.platform.web.response_cache import cover_with_tag
+from boresight.simulation.plans import PointingPlan
+from boresight.simulation.pointings import Constraints, Criterion
 from boresight.telemetry.declarations import DECLARATIONS
 
 router = operations("/sensors", tags=["sensors"])
@@ -176,3 +191,70 @@ def get_sensor_trend_data(sensor_id: Id, session: Reading, model: Model = None) 
     return csv_response(
         trend.table(make_trend_document(session, sensor_id), _known(model)), f"sensor-{sensor_id}-trend.csv"
     )
+
+
+class OrbitMeasures(console_schemas.Shape):
+    """A circular orbit, for the Earth's limb."""
+
+    altitude_km: float
+    inclination_deg: float
+    node_hour: float = Field(description="Local solar hour of the ascending node.")
+
+
+class PlanConditions(console_schemas.Shape):
+    """When, from what, and what a plan has to keep; left out, as `boresight plan` has it."""
+
+    start_utc: str = Field(description="ISO 8601, UTC.", examples=["2026-10-01T00:00:00Z"])
+    minutes: float = Field(
+        description=f"How long it may take; with room for at most {pointings.MOST_DWELLS} dwells.", examples=[10.0]
+    )
+    criterion: Criterion = Field(
+        "A", description="A: least sum of variances in typical sigmas. D: least volume of the confidence region."
+    )
+    prior_set_id: Id | None = Field(
+        None, description="A parameter set, approved or active, whose covariance is known before; left out, nothing is."
+    )
+    prior_run_id: Id | None = Field(None, description="The same by a run that has ended; give at most one of the two.")
+    candidates: list[Annotated[list[float], Field(min_length=3, max_length=3)]] | None = Field(
+        None,
+        min_length=1,
+        max_length=pointings.MOST_CANDIDATES,
+        description="Attitudes that may be chosen, each as ra_deg, dec_deg, roll_deg; left out, the whole sky.",
+    )
+    orbit: OrbitMeasures | None = Field(None, description="Left out, the Earth is in nobody's way.")
+    dwell_s: float = Field(Constraints.dwell_s, description="How long a pointing is held.")
+    exposure_s: float = Field(Constraints.exposure_s, description="From one exposure to the next.")
+    slew_deg_s: float = Field(Constraints.slew_deg_s, description="Rate of a turn.")
+    settle_s: float = Field(Constraints.settle_s, description="Wait after a turn.")
+    sun_deg: float = Field(Constraints.sun_deg, description="Least angle from the Sun.")
+    moon_deg: float = Field(Constraints.moon_deg, description="Least angle from the Moon.")
+    earth_deg: float = Field(Constraints.earth_deg, description="Least angle from the Earth's limb.")
+    visits: int = Field(Constraints.visits, description="How often one pointing may be held.")
+
+
+#: Of the conditions, those that are constraints as they stand.
+KEPT = {"minutes", "dwell_s", "exposure_s", "slew_deg_s", "settle_s", "sun_deg", "moon_deg", "earth_deg", "visits"}
+
+
+@router.post("/{sensor_id}:plan", summary="Plan what to observe next", response_model=PointingPlan)
+@refuses(404, 409, 503)
+def plan_pointings(
+    sensor_id: Id, conditions: PlanConditions, asked: IsDryRun, engine: Database, blobs: Blobs, stars: Stars
+) -> Response:
+    """Choose the pointings and rolls that shrink what is known least, by the minute, clear of Sun, Moon and Earth.
+
+    The answer has them in order, with the sigmas before and after and when the gate of observability is passed. Nothing is stored
+    in any case; plans are computed one at a time, and who comes while others wait is told to come back (503).
+    """
+    constraints = pointings.read_constraints(
+        conditions.start_utc,
+        None if conditions.orbit is None else conditions.orbit.model_dump(),
+        conditions.model_dump(include=KEPT),
+    )
+    candidates = pointings.read_candidates(conditions.candidates)
+    with open_reading(engine) as session:
+        sensor = session.get_known(Sensor, sensor_id)
+        known = pointings.read_known(session, blobs, sensor, conditions.prior_run_id, conditions.prior_set_id)
+        document = sensor.document
+    found = pointings.compute(document, known, candidates, constraints, conditions.criterion, stars)
+    return json_response(found.to_dict(), headers={"X-Validate-Only": "true"} if asked else None)
