@@ -9,6 +9,7 @@ from boresight.cameras import CAMERA_MODELS
 from boresight.estimation.statistics.cramer_rao import centroid_rows
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.camera)
 def test_the_plain_cameras_are_the_product_s(case):
     camera, truth = CAMERA_MODELS[case.camera], np.array(case.truth)

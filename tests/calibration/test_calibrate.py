@@ -69,7 +69,7 @@ def test_every_method_writes_the_contracts_document_and_finds_the_truth(method, 
     assert (document["history"] is None) == (method == "batch") == (document["trace"] is not None)
 
 
-@pytest.mark.few(1)
+@pytest.mark.full
 @pytest.mark.parametrize("seed", few_of([1, 2, 3, 4], 2))
 def test_a_covariance_that_does_not_hold_is_said_with_what_to_hold_and_that_mends_it(seed, catalogue):
     model = "inverted_wang_decentred"

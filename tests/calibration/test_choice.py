@@ -391,6 +391,7 @@ def test_a_choice_is_read_as_it_was_written(tangential_set, catalogue, tmp_path)
         parse_choice({name: value for name, value in found.to_dict().items() if name != "noise"})
 
 
+@pytest.mark.full
 def test_noise_that_is_stated_wrongly_is_said_and_changes_no_choice(tangential_set, catalogue):
     found = choose(
         tangential_set, parse_sensor(document("brown_conrady", 0.05)), catalogue, CalibrationSettings(match="given")

@@ -56,7 +56,7 @@ def test_every_method_and_every_choice_of_some_methods_alone_is_among_the_ways()
     assert {"method": "svd", "star_model": 2} in ways
 
 
-@pytest.mark.few(20)
+@pytest.mark.few(8)
 @pytest.mark.parametrize(("model", "way"), list(by_every_way()))
 def test_every_camera_by_every_way_ends_at_the_truth_as_its_sigmas_say_and_is_read_back(model, way, catalogue):
     sets, total = effort(1, 20), 0.0

@@ -326,7 +326,7 @@ def test_large_sets_are_thinned_evenly_over_their_length(catalogue, frames, star
     assert np.diff(taken).max() <= np.diff(taken).min() + 1
 
 
-@pytest.mark.few(2)
+@pytest.mark.full
 def test_the_camera_of_the_paper_is_judged_alike(catalogue):
     few = case(pinhole_field(9), wu(), catalogue, method="svd")
     seen = to_plain(frame_observability(few.problem, few.parameters, few.estimate))

@@ -128,7 +128,7 @@ def test_the_loss_is_of_the_batch():
         CalibrationSettings.parse({"method": "sqrf", "robust": "stars"})
 
 
-@pytest.mark.few(1)
+@pytest.mark.full
 @pytest.mark.parametrize(("frames", "stars"), [(1, 12), (1, 30), (5, 100)])
 def test_few_exposures_reach_their_fixed_point_though_rounding_hides_the_last_of_the_way(catalogue, frames, stars):
     for seed in range(4):

@@ -59,6 +59,7 @@ def extracted(paths):
     return extract(sources, sensor_of_images(sources, LensAndDetector()), DetectionOptions(gain_e_per_dn=1.0)).telemetry
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("camera", few_of(CAMERAS, 1))
 def test_images_alone_tell_parity_and_focal_length_and_calibrate_from_there(
     camera, tmp_path, catalogue, catalogue_folder

@@ -99,6 +99,7 @@ def test_no_size_of_the_pieces_changes_a_bit(long_set, sensor, catalogue):
         same()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("choices", [{}, {"method": "sqrf"}, {"match_rule": "flight"}], ids=str)
 def test_matches_that_follow_the_estimate_are_the_same_from_a_file_in_pieces(choices, catalogue, tmp_path, monkeypatch):
     monkeypatch.setattr(matched, "MATCHED_FRAMES", 32)

@@ -121,7 +121,7 @@ def test_a_run_that_none_can_be_is_compared_with_nothing(house, part, other):
     assert house.person("ada").get(path, params={"compare": other}).status_code == 404
 
 
-@pytest.mark.few(12)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("window", [("0", "1"), ("-1e308", "1e308"), ("-inf", "inf"), ("nan", "1"), ("1", "0")])
 def test_every_figure_takes_a_window_or_refuses_it(house, window):
     run_id, client = house.finished(), house.person("ada")

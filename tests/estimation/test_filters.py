@@ -279,6 +279,7 @@ def test_errors_of_the_batch_are_spread_as_its_covariance_says_and_residuals_as_
     assert chi_square(total_chi2, dof).consistent
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("method", ["ekf", "sqrf", "ukf"])
 def test_a_filter_ends_where_the_batch_does(method):
     field = wu_whitened(wu_field(np.random.default_rng(2), frames=60), WU_TRUTH)

@@ -266,6 +266,7 @@ def test_a_real_sparse_exposure_has_other_minima_and_huber_is_taken_to_the_lowes
         assert np.abs(moved).max() > 3
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("robust", ["none", "huber"])
 def test_what_drop_one_leads_to_is_taken_up_and_said(robust, catalogue, monkeypatch):
     telemetry, sensor, *_ = sparse_set(HIGHER)

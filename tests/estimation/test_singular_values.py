@@ -228,6 +228,7 @@ def ends_of_subsets():
     }
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("values", "more"), [((1, 2), 0.02), ((1, 3), 0.005), ((1, 2, 3), 0.001)], ids=str)
 def test_the_sigmas_are_those_of_the_second_and_third(ends_of_subsets, values, more):
     found, usual = (

@@ -136,6 +136,7 @@ def test_a_plan_keeps_its_time_and_its_distances_and_holds_nothing_too_often(sky
         assert np.degrees(np.arccos(np.einsum("ni,ni->n", z, there))).min() >= least
 
 
+@pytest.mark.full
 def test_a_plan_is_better_than_chance_by_both_measures(sky):
     candidates, A_1, _ = sky
     drawn = [draw_pointings(candidates, A_1, KNOWN, HALF_HOUR, np.random.default_rng(seed)) for seed in range(10)]
@@ -151,6 +152,7 @@ def _value(A, criterion):
     return np.log(e).sum() if criterion == "D" else -(1.0 / e).sum()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("criterion", ["A", "D"])
 def test_exchange_is_no_worse_than_greedy_choice_and_within_a_thousandth_of_every_plan_there_is(sky, criterion):
     candidates, A_1, _ = sky

@@ -76,6 +76,7 @@ def test_the_sensor_is_mended_by_who_saw_its_version(house):
     assert ada.get(f"{page}/mended-sensor.json").json()["initial"] == mended["initial"]
 
 
+@pytest.mark.full
 def test_a_mirrored_sensor_is_registered_as_it_is_under_another_name_with_its_set(house):
     ada, sensor = house.person("ada"), house.new_sensor()
     mirrored = sensor["document"] | {"name": f"{sensor['name']} turned", "parity": -sensor["document"]["parity"]}

@@ -69,7 +69,7 @@ def folder(sets, catalogue, catalogue_folder):
     return catalogue_folder
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("of", CAMERAS)
 @pytest.mark.parametrize("sent_to", CAMERAS)
 @pytest.mark.parametrize("are_named", [True, False])

@@ -111,6 +111,7 @@ SAID = [
 ]
 
 
+@pytest.mark.full
 def test_what_the_log_of_runs_said_is_in_its_columns_after_the_way_up_and_the_journal_still_holds(
     store: Engine,
 ) -> None:
@@ -133,6 +134,7 @@ def test_what_the_log_of_runs_said_is_in_its_columns_after_the_way_up_and_the_jo
             previous = line["hash"]
 
 
+@pytest.mark.full
 def test_a_webhook_knows_which_head_it_was_told_of_newest_after_the_way_up(store: Engine) -> None:
     with open_writing(store) as session:
         hook = session.put(Webhook(label="x", url="https://mission.invalid/", actions=[], secret="s", created_utc=NOW))
