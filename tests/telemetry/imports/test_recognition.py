@@ -244,3 +244,8 @@ def test_a_table_compressed_by_gzip_is_recognised_as_what_is_inside(load, tmp_pa
     packed.write_bytes(gzip.compress((tmp_path / "t.fits").read_bytes()))
     with pytest.raises(RefusedInputError, match=r"--profile contract --out t-stars\.csv"):
         read_size(packed, packed.name)
+
+
+def test_a_name_of_thousands_of_digits_is_a_name_like_any_other(tmp_path):
+    with pytest.raises(RefusedInputError):
+        read_telemetry(write(tmp_path / "digits.csv", "1" * 5000))

@@ -74,7 +74,9 @@ ROWS = ("run", "runs", "reference", "compare", "history")  # parameters that nam
 READS_FILES = (
     "/result",
     "/choice",
-    "/choice/figure",
+    "/figure",
+    "/source",
+    "/camera-file",
     "/report",
     "}",
     "/data",

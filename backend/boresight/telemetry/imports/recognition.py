@@ -89,7 +89,7 @@ _LARGEST_PX, _FAINTEST = 30_000.0, 30.0
 _CLOCKS: Final[Mapping[TimeForm, tuple[float, float]]] = {
     "jd": (2.4e6, 2.5e6), "mjd": (4e4, 8e4), "seconds": (5e8, 4e9), "milliseconds": (5e11, 4e12),
 }  # fmt: skip
-_NUMBERED = re.compile(r"^(.*?)(\d+)(.*)$")
+_NUMBERED = re.compile(r"^(.*?)(\d{1,9})(?!\d)(.*)$")  # no star has a longer number
 
 
 @dataclass(frozen=True)
