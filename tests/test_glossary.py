@@ -20,8 +20,11 @@ REPLACED = set(
         desk sighting specimen upkeep weigh weigh_block weighed wu_weighed""",
     )
 )
-#: A member of the REST API keeps its name.
-PUBLISHED = "backend/boresight/console/approvals/schemas.py: held_out"
+#: A member of the REST API and of stored gate reports keeps its name.
+PUBLISHED = {
+    "backend/boresight/console/approvals/schemas.py: held_out",
+    "backend/boresight/verdicts/gates/judgement.py: held_out",
+}
 IN_SCRIPTS = re.compile(r"\b(?:class|function|const|let|@typedef \{.*\}) (\w+)")
 DEFINED = re.compile(r"\b(?:def|class) (\w+)|^ *(\w+)(?::| =)|[(,] *(\w+): ", re.MULTILINE)
 
@@ -76,4 +79,4 @@ def test_nothing_is_named_by_a_replaced_word_again():
     for path in (ROOT / "frontend/static").rglob("*.js"):
         names = IN_SCRIPTS.findall(path.read_text(encoding="utf-8"))
         found += [f"{path.relative_to(ROOT)}: {name}" for name in (path.stem, *names) if name in REPLACED]
-    assert [one for one in found if one != PUBLISHED] == []
+    assert [one for one in found if one not in PUBLISHED] == []

@@ -41,7 +41,7 @@ class PointingPlan(Summarised, Tabular, plans.PointingPlan):
             return cls(**known | {"pointings": [plans.Pointing(**row) for row in rows]})
         except (KeyError, TypeError) as error:
             raise UnavailableError(
-                f"The server's plan lacks {error}: the server has another version of Boresight; update the older one."
+                f"The server's plan lacks {error}: the server has another version of Boresight; install the newer one."
             ) from error
 
     def _columns(self) -> pa.Table:

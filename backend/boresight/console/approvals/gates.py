@@ -178,10 +178,10 @@ def examine(
         definition=stored.definition,
     )
     report = gates.judge(gates.parse_profile(stored.profile), gates.measure(inputs))
-    held_out = None
+    frames = None
     if validation is not None and stored.validation is not None:
-        held_out = gates.HeldOut(name=stored.validation[0], sha256=stored.validation[1])
-    bound = gates.BoundGateReport(**vars(report), held_out=held_out, bound=stored.bound)
+        frames = gates.HeldOut(name=stored.validation[0], sha256=stored.validation[1])
+    bound = gates.BoundGateReport(**vars(report), held_out=frames, bound=stored.bound)
     return GateAssessment(stored.parameter_set_id, bound)
 
 

@@ -100,4 +100,4 @@ def list_package_records(session: Session, package_ids: Sequence[int], action: s
     """Return the audit records of an action on packages, newest first."""
     objects = [f"packages/{number}" for number in package_ids]
     query = sa.select(AuditRecord).where(AuditRecord.object.in_(objects), AuditRecord.action == action)
-    return session.scalars(query.order_by(AuditRecord.id.desc()).limit(100)).all()
+    return session.scalars(query.order_by(AuditRecord.id.desc())).all()

@@ -116,8 +116,8 @@ def parse_bound_report(document: Mapping[str, Any]) -> BoundGateReport:
 
 def parse_held_out(document: Mapping[str, Any]) -> HeldOut | None:
     """Read of a report of the store only which frames were held out."""
-    held_out = document.get("held_out")
-    return None if held_out is None else parse_part(HeldOut, held_out, RefusedInputError)
+    frames = document.get("held_out")
+    return None if frames is None else parse_part(HeldOut, frames, RefusedInputError)
 
 
 def parse_report(document: Mapping[str, Any]) -> GateReport:
