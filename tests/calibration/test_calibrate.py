@@ -39,7 +39,6 @@ from boresight.telemetry.sensors import read_sensor
 from boresight.verdicts.verdict import make_verdict
 from tests.calibration.conftest import telemetry
 from tests.calibration.sets import described, in_memory, lens_case, same_in_pieces, sky, written
-from tests.effort import few_of
 from tests.estimation.fields import FREE, SCALE, TRUTH
 
 CONTRACT = {
@@ -70,7 +69,7 @@ def test_every_method_writes_the_contracts_document_and_finds_the_truth(method, 
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("seed", few_of([1, 2, 3, 4], 2))
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
 def test_a_covariance_that_does_not_hold_is_said_with_what_to_hold_and_that_mends_it(seed, catalogue):
     model = "inverted_wang_decentred"
     # with next to no distortion nothing tells tilt from a moved principal point

@@ -20,7 +20,6 @@ from boresight.telemetry.data_sheets import LensAndDetector
 from boresight.telemetry.read.readers import read_telemetry
 from boresight.telemetry.schema import select_rows
 from boresight.telemetry.sensors import parse_sensor, sensor_document
-from tests.effort import few_of
 from tests.images.files import write_fits
 
 ROWS, COLUMNS, PITCH_M = 480, 640, 15e-6
@@ -60,7 +59,7 @@ def extracted(paths):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("camera", few_of(CAMERAS, 1))
+@pytest.mark.parametrize("camera", CAMERAS)
 def test_images_alone_tell_parity_and_focal_length_and_calibrate_from_there(
     camera, tmp_path, catalogue, catalogue_folder
 ):

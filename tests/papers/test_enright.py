@@ -198,7 +198,6 @@ def test_the_head_counts_every_printed_number_once_and_nothing_circular(study):
     assert sum(study["statements"].values()) == len(rows) - 8 + 4  # without Table III's, and the figures'
 
 
-@pytest.mark.full
 def test_every_estimator_stands_in_the_document_with_nees_and_its_ratio_to_the_bound(study):
     found = {line["estimator"]: line for line in study["estimators"]}
     assert set(found) == set(ESTIMATORS)

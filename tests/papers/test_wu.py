@@ -141,7 +141,6 @@ def test_the_document_follows_its_schema(study):
     assert all(any(cause in row["reason"] for cause in causes) for row in judged if row["verdict"] == "not reproduced")
 
 
-@pytest.mark.full
 def test_criterion_b_tells_the_noise_that_the_text_does_not(study):
     rows = {row["label"]: row for row in study["tables"][2]["rows"]}
     for noise, agrees in (("0.2", True), ("0.5", False)):

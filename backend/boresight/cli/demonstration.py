@@ -269,7 +269,7 @@ class _Fleet:
         if (row.ground_state, row.onboard_state) == ("BASELINE", "NOT SENT"):
             operator, _ = self._log_in("operator")
             with open_reading(self.engine) as session:
-                made = packages.prepare(session, operator, row.id, policy=self.policy, key=self.key)
+                made = packages.prepare(session, operator, self.blobs, row.id, policy=self.policy, key=self.key)
             with open_writing(self.engine) as session:
                 package = packages.build(session, operator, self.blobs, row.id, made, policy=self.policy)
                 uplinks.record(session, operator, row.id, "SENT", "Simulated pass 1.", package_id=package.id)

@@ -48,7 +48,7 @@ def export(
     with open_store(settings.database_url) as engine:
         with open_reading(engine) as session:
             row = packages.set_named(session, parameter_set)
-            made = packages.prepare(session, COMMAND_LINE, row.id, policy=policy, key=settings.own_key)
+            made = packages.prepare(session, COMMAND_LINE, blobs, row.id, policy=policy, key=settings.own_key)
         with open_writing(engine) as session:
             package = packages.build(session, COMMAND_LINE, blobs, row.id, made, policy=policy, **said)
             content = packages.read(session, blobs, package.id)

@@ -350,8 +350,7 @@ class Client(_Connection):
 
         `calibration`: what is known before, a parameter set or its name, or a run or its number.
         """
-        given = {"criterion": criterion, "orbit": None if orbit is None else dict(orbit), **constraints}
-        return self._run(remote.plan(sensor, start, minutes, calibration, candidates, given))
+        return self._run(remote.plan(sensor, start, minutes, calibration, candidates, criterion, orbit, constraints))
 
     def _run(self, operation: Operation[T]) -> T:
         """Do what an operation asks until it has its answer."""
@@ -583,8 +582,9 @@ class AsyncClient(_Connection):
 
         `calibration`: what is known before, a parameter set or its name, or a run or its number.
         """
-        given = {"criterion": criterion, "orbit": None if orbit is None else dict(orbit), **constraints}
-        return await self._run(remote.plan(sensor, start, minutes, calibration, candidates, given))
+        return await self._run(
+            remote.plan(sensor, start, minutes, calibration, candidates, criterion, orbit, constraints)
+        )
 
     async def _run(self, operation: Operation[T]) -> T:
         """Do what an operation asks until it has its answer."""

@@ -459,12 +459,16 @@ def plan(
     minutes: float,
     calibration: StoredPrior | None,
     candidates: str | os.PathLike[str] | None,
-    conditions: Mapping[str, Any],
+    criterion: str,
+    orbit: Mapping[str, float] | None,
+    constraints: Mapping[str, float],
 ) -> Operation[PointingPlan]:
     """Plan what to observe next; a sensor that is not there is registered first."""
     from boresight.library.pointings import PointingPlan, list_degrees
 
-    order: dict[str, Any] = {"start_utc": start, "minutes": minutes, **conditions}
+    order: dict[str, Any] = {"start_utc": start, "minutes": minutes, "criterion": criterion, **constraints}
+    if orbit is not None:
+        order["orbit"] = dict(orbit)
     if candidates is not None:
         order["candidates"] = list_degrees(Path(candidates))
     known = yield from find_sensor(sensor)

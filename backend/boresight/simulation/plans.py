@@ -7,8 +7,6 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyarrow as pa
-from pyarrow import csv
 
 from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.options import CalibrationSettings
@@ -81,20 +79,6 @@ class PointingPlan:
     def to_dict(self) -> dict[str, Any]:
         """Return the document that `boresight plan --json` writes."""
         return {"schema": self.schema} | asdict(self)
-
-    def columns(self) -> pa.Table:
-        """Return a row a pointing."""
-        rows = [asdict(one) for one in self.pointings]
-        for row in rows:
-            row |= dict(zip(("q_x", "q_y", "q_z", "q_w"), row.pop("quaternion"), strict=True))
-        names = ("start_utc", "slew_s", "dwell_s", *CANDIDATE_COLUMNS, "q_x", "q_y", "q_z", "q_w", "stars", "weakest")
-        return pa.table({name: [row[name] for row in rows] for name in names})
-
-    def to_csv(self) -> bytes:
-        """Return the pointings as CSV."""
-        sink = pa.BufferOutputStream()
-        csv.write_csv(self.columns(), sink, csv.WriteOptions(quoting_style="needed"))
-        return bytes(sink.getvalue())
 
 
 def parse_candidates(angles_deg: Sequence[FloatArray], named: Callable[[int], str]) -> Candidates:

@@ -333,7 +333,9 @@ def test_baseline_and_package_tell_the_verdict_that_was_signed_also_when_its_wai
     waive, engine, blobs, people, blocked, monkeypatch
 ):
     def export(session, row):
-        return packages.build(session, people["dee"], blobs, row.id, packages.prepare(session, people["dee"], row.id))
+        return packages.build(
+            session, people["dee"], blobs, row.id, packages.prepare(session, people["dee"], blobs, row.id)
+        )
 
     waive()
     with open_writing(engine) as session:

@@ -40,7 +40,7 @@ def _unpacked(content):
 def build(engine, people, blobs):
     def act(row, who="dee", key=None, policy=POLICY, **said):
         with open_reading(engine) as session:
-            prepared = packages.prepare(session, people[who], row.id, policy=policy, key=key)
+            prepared = packages.prepare(session, people[who], blobs, row.id, policy=policy, key=key)
         with open_writing(engine) as session:
             package = packages.build(session, people[who], blobs, row.id, prepared, policy=policy, **said)
             return package, _unpacked(packages.read(session, blobs, package.id))
@@ -105,7 +105,7 @@ def test_nothing_is_computed_in_the_transaction_that_stores_and_what_changed_mea
 ):
     def make():
         with open_reading(engine) as session:
-            return packages.prepare(session, people["dee"], 1)
+            return packages.prepare(session, people["dee"], blobs, 1)
 
     def store(prepared):
         with open_writing(engine) as session:

@@ -126,7 +126,7 @@ def test_the_table_is_the_one_in_force_when_it_was_sent(engine, people, read, lo
 def test_what_a_package_carried_is_what_a_dump_is_held_against(engine, people, read, blobs):
     define(engine, people["ana"])
     with open_writing(engine) as session:
-        package = packages.build(session, people["dee"], blobs, 1, packages.prepare(session, people["dee"], 1))
+        package = packages.build(session, people["dee"], blobs, 1, packages.prepare(session, people["dee"], blobs, 1))
         uplinks.record(session, people["dee"], 1, "SENT", "pass 1", package_id=package.id)
     advance(engine, people["dee"], "LOADED")
     with open_reading(engine) as session:

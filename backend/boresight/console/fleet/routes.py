@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Annotated, Any
 
 from fastapi import Body, Query
@@ -233,7 +234,7 @@ class PlanConditions(console_schemas.Shape):
 
 
 #: Of the conditions, those that are constraints as they stand.
-KEPT = {"minutes", "dwell_s", "exposure_s", "slew_deg_s", "settle_s", "sun_deg", "moon_deg", "earth_deg", "visits"}
+KEPT = {one.name for one in fields(Constraints)} - {"start_utc", "orbit"}
 
 
 @router.post("/{sensor_id}:plan", summary="Plan what to observe next", response_model=PointingPlan)

@@ -221,17 +221,23 @@ MEDIA_TYPE = "application/zip"
 
 @dataclass(frozen=True)
 class Prepared:
-    """A package as it would be stored: its inputs, its signature where there is a key, and its bytes."""
+    """A package as it would be stored: inputs, signature where there is a key, and bytes; None where they are stored already."""
 
     inputs: dict[str, Any]
     signature: dict[str, str] | None
-    content: bytes
+    content: bytes | None
 
 
 def prepare(
-    session: Session, actor: Actor, parameter_set_id: int, *, policy: Policy = POLICY, key: SigningKey | None = None
+    session: Session,
+    actor: Actor,
+    blobs: BlobStore,
+    parameter_set_id: int,
+    *,
+    policy: Policy = POLICY,
+    key: SigningKey | None = None,
 ) -> Prepared | None:
-    """Make the package of a set, signed where there is a key, or the one that exists again; None where `build` will refuse."""
+    """Make the package of a set, signed where there is a key, if it does not exist; None where `build` will refuse."""
     _require_exporter(actor)
     row = session.get_known(ParameterSet, parameter_set_id)
     if row.ground_state not in EXPORTED:
@@ -239,7 +245,10 @@ def prepare(
     inputs = _gather_inputs(session, row, rows.find_definition_in_force(session, row.sensor_id), policy)
     existing = _find_existing(session, row, inputs, signed=key is not None)
     if existing is not None:
-        return Prepared(existing.inputs, existing.signature, rebuild(existing.inputs, existing.signature))
+        lost = not _is_intact(blobs, existing)
+        return Prepared(
+            existing.inputs, existing.signature, rebuild(existing.inputs, existing.signature) if lost else None
+        )
     inputs["first_built"] = {"at_utc": utc_now(), "audit_head": audit.head(session)}
     signature = None if key is None else _sign(key.load(), make_files(inputs, signed=True)[SUMS])
     return Prepared(inputs, signature, rebuild(inputs, signature))
@@ -268,12 +277,13 @@ def build(
     definition = rows.find_definition_in_force(session, row.sensor_id)
     _refuse_other_versions(session, row, definition, flight_software_version, table_id)
     inputs = _gather_inputs(session, row, definition, policy)
-    if prepared is None or _lasting(prepared.inputs) != inputs:
-        raise StaleError(f"{row.name} or its sensor changed while the package was built: export it again.")
-    existing = _find_existing(session, row, inputs, signed=prepared.signature is not None)
-    if existing is not None:
-        return _keep(session, blobs, existing, prepared)
-    return _store(session, actor, blobs, row, definition, prepared)
+    if prepared is not None and _lasting(prepared.inputs) == inputs:
+        existing = _find_existing(session, row, inputs, signed=prepared.signature is not None)
+        if existing is not None:
+            return _keep(session, blobs, existing, prepared)
+        if prepared.content is not None:
+            return _store(session, actor, blobs, row, definition, prepared, prepared.content)
+    raise StaleError(f"{row.name} or its sensor changed while the package was built: export it again.")
 
 
 def _require_exporter(actor: Actor) -> None:
@@ -366,13 +376,20 @@ def _find_existing(session: Session, row: ParameterSet, inputs: Mapping[str, Any
 
 def _keep(session: Session, blobs: BlobStore, package: Package, prepared: Prepared) -> Package:
     """Return a package, storing its file again where that was lost or altered."""
+    if not _is_intact(blobs, package):
+        if prepared.content is None or blobs.put(prepared.content) != package.sha256:
+            blobs.path(package.sha256)  # raises what is wrong with it
+        register_blob(session, blobs, package.sha256, MEDIA_TYPE)
+    return package
+
+
+def _is_intact(blobs: BlobStore, package: Package) -> bool:
+    """Whether a package's file is stored with its bytes."""
     try:
         blobs.path(package.sha256)
     except (NotFoundError, CorruptFileError):
-        if blobs.put(prepared.content) != package.sha256:
-            raise
-        register_blob(session, blobs, package.sha256, MEDIA_TYPE)
-    return package
+        return False
+    return True
 
 
 def _store(
@@ -382,10 +399,11 @@ def _store(
     row: ParameterSet,
     definition: TableDefinition | None,
     prepared: Prepared,
+    content: bytes,
 ) -> Package:
     """Store a package with its inputs and its signature."""
     inputs, signature = prepared.inputs, prepared.signature
-    sha256 = register_blob(session, blobs, blobs.put(prepared.content), MEDIA_TYPE).sha256
+    sha256 = register_blob(session, blobs, blobs.put(content), MEDIA_TYPE).sha256
     package = Package(
         parameter_set_id=row.id,
         table_definition_id=None if definition is None else definition.id,

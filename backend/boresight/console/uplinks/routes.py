@@ -310,6 +310,7 @@ def prepared_package(
     parameter_set_id: Id,
     policy: ServerPolicy,
     engine: Database,
+    blobs: Blobs,
     key: OwnKey,
     idempotency: Annotated[Idempotency, Depends(get_idempotency)],
 ) -> packages.Prepared | None:
@@ -317,7 +318,7 @@ def prepared_package(
     if idempotency.is_answered(engine):
         return None
     with open_reading(engine) as session:
-        return packages.prepare(session, actor, parameter_set_id, policy=policy, key=key)
+        return packages.prepare(session, actor, blobs, parameter_set_id, policy=policy, key=key)
 
 
 @package_router.post(

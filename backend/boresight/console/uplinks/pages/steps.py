@@ -288,7 +288,7 @@ async def export(
 
     def make() -> packages.Prepared | None:
         with open_reading(request.app.state.engine) as session:
-            return packages.prepare(session, actor, set_id, policy=policy, key=key)
+            return packages.prepare(session, actor, blobs, set_id, policy=policy, key=key)
 
     async def prepare() -> tuple[packages.Prepared | None]:
         return (await run_in_threadpool(make),)
