@@ -392,6 +392,19 @@ def test_only_what_differs_is_shown_and_nested_members_by_their_path():
 
 
 @pytest.mark.parametrize(
+    ("after", "gist"),
+    [
+        ({"run_id": 41}, "Run 41"),  # a bare number names nothing
+        ({"run_id": 41, "state": "ASKED"}, "ASKED"),
+        ({"set": "PS-1", "sha256": "ab" * 32, "verdict": "FAIL"}, "PS-1 · FAIL"),
+    ],
+)
+def test_a_change_is_summarised_by_what_tells_most_and_a_bare_value_has_its_name(site, after, gist):
+    with open_writing(site.engine) as session:
+        assert make_audit_line(audit.append(session, site.actor("ada"), "did", "runs/1", None, after)).gist == gist
+
+
+@pytest.mark.parametrize(
     ("subject", "address"),
     [
         ("parameter-sets/3", "/parameter-sets/3"),

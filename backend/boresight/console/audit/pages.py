@@ -184,6 +184,10 @@ GIST_MEMBERS = (
     "label",
     "sensor",
     "set",
+    "parameter_set",
+    "file",
+    "verdict",
+    "kind",
     "state",
     "ground_state",
     "onboard_state",
@@ -218,9 +222,12 @@ class AuditLine:
 
     @property
     def gist(self) -> str:
-        """A summary of the change in one short line."""
-        members = [it for it in self.changes if it.name.rpartition(".")[2] in GIST_MEMBERS] or self.changes
-        return " · ".join(f"{it.before} → {it.after}" if it.before != "–" else it.after for it in members[:IN_GIST])
+        """A summary of the change in one short line; what is not said by its value alone comes with its name."""
+        telling = [it for it in self.changes if it.name.rpartition(".")[2] in GIST_MEMBERS]
+        return " · ".join(
+            ("" if telling else f"{it.title} ") + (f"{it.before} → {it.after}" if it.before != MISSING else it.after)
+            for it in (telling or self.changes)[:IN_GIST]
+        )
 
 
 def _sought(view: TableView) -> dict[str, Any]:
