@@ -17,6 +17,7 @@ pytestmark = pytest.mark.browser
 STARS = 3
 WHY, LABEL = "The pass ends soon.", "Typed before the server went"
 ONE_A_SECOND, TEN_A_SECOND = 1.0, 10.0
+ALWAYS_LATE = "AbortSignal.timeout = () => AbortSignal.abort(new DOMException('late', 'TimeoutError'))"
 
 
 @pytest.fixture(scope="module")
@@ -155,6 +156,18 @@ def test_a_page_says_that_its_server_is_gone_holds_what_would_write_and_recovers
         assert window.drawn("convergence")[1]["x"] == result["history"]["frame"]
         window.shoot("45-recovered")
         window.forgive("ERR_")
+
+
+def test_a_busy_server_is_silent_and_not_gone_until_a_minute_has_passed(people):
+    with people.seat("analyst", new=True) as window:
+        window.page.clock.install()
+        window.page.add_init_script(ALWAYS_LATE)
+        window.open("/help/glossary")
+        link = window.page.locator("#link-state")
+        expect(link).to_have_attribute("data-state", "live")
+        for seconds, state in ((10, "live"), (15, "stale"), (50, "disconnected")):
+            window.page.clock.run_for(1000 * seconds)
+            expect(link).to_have_attribute("data-state", state)
 
 
 @pytest.mark.full

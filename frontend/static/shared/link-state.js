@@ -7,7 +7,8 @@
  * break the browser asks for what it missed by its last event id. A hidden page closes its stream. When a stream opens, for
  * what happened since the page was written was not heard, or when the server keeps no more what was missed,
  * boresight:missed says that all should be read again.
- * LIVE: the server was heard from within 20 s. STALE n s: the stream is open but silent. DISCONNECTED: it is broken.
+ * LIVE: the server was heard from within 20 s. STALE n s: the stream is open but silent. DISCONNECTED: it is broken, or silent
+ * for a minute.
  * LOGGED OUT: the log-in has ended, here or elsewhere; a notice says why, and nothing more is asked of the server.
  * The body carries the same word in data-link, so that styles can grey what is no longer fresh, and a change of it is told as
  * boresight:link. Whoever finds that the server does not answer asks for the truth by boresight:doubt.
@@ -18,6 +19,7 @@ import { BACKGROUND, Problem, fetchJson } from "./requests.js";
 const KINDS = ["run", "log", "progress", "audit", "missed"];
 const PROBE_MS = 8000;
 const STALE_AFTER_MS = 20000;
+const BROKEN_AFTER_MS = 60000;
 
 const light = need("#link-state", HTMLElement);
 const said = need("#link-said", HTMLElement); // for screen readers: changes only, not every second
@@ -122,8 +124,10 @@ async function probe() {
       close();
       if (!ended) open();
     }
-  } catch {
-    broken = true;
+  } catch (error) {
+    // a busy server may answer late while its stream is open: that is silence, and only a long one is a break
+    const isLate = error instanceof DOMException && error.name === "TimeoutError" && source?.readyState === EventSource.OPEN;
+    broken = !isLate || Date.now() - heardAt > BROKEN_AFTER_MS;
   }
   show();
 }
