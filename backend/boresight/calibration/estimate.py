@@ -406,7 +406,7 @@ def _report_batch(steps: tuple[batch.Step, ...], listen: ReportEstimate) -> None
     step, iteration = steps[-1], len(steps) - 1
     unknown = np.full((len(step.sigma), len(step.sigma)), np.nan)
     estimate = Estimate(step.x, unknown, np.diag(step.sigma**2), step.chi2, "running", iteration, steps)
-    listen(estimate, 1 - 0.7**iteration, f"iteration {iteration}: chi-square {step.chi2:.6g}")
+    listen(estimate, 1 - 0.7**iteration, f"iteration {iteration}: chi-square {step.chi2:,.6g}")
 
 
 def claim(A: FloatArray, P: FloatArray, start: FloatArray) -> float:

@@ -240,7 +240,7 @@ def sentence(found: MeanRotation) -> str:
 def _fixed(value: float, sigma: float) -> str:
     """Write a value to the digits that its sigma supports."""
     digits = int(np.clip(1 - np.floor(np.log10(sigma)), 0, 6)) if sigma > 0 else 1
-    return f"{value:.{digits}f}"
+    return f"{value:,.{digits}f}"
 
 
 def _about(axis: FloatArray) -> str:

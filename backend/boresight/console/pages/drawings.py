@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from boresight.telemetry.quality.report import DetectorCoverage, Distribution
+from boresight.verdicts.numbers import grouped
 
 WIDTH, HEIGHT = 560.0, 200.0
 LEFT, RIGHT, TOP, BOTTOM = 52.0, 10.0, 22.0, 34.0
@@ -97,9 +98,11 @@ def histogram(
     bars, rows = [], []
     for left, right, count in zip(edges, edges[1:], counts, strict=False):
         height = plot_height * count / largest
-        label = f"{left:.4g} to {right:.4g}"
+        label = f"{grouped(f'{left:.4g}')} to {grouped(f'{right:.4g}')}"
         x, width = scale_x(left) + 0.5, max(scale_x(right) - scale_x(left) - 1.0, 0.5)
-        bars.append(ChartBar(x, TOP + plot_height - height, width, height, count, 1.0, f"{label}: {count}"))
+        bars.append(
+            ChartBar(x, TOP + plot_height - height, width, height, count, 1.0, f"{label}: {grouped(str(count))}")
+        )
         rows.append((label, count))
     return Drawing(
         name=name,
@@ -107,9 +110,9 @@ def histogram(
         x_title=x_title,
         y_title=y_title,
         bars=bars,
-        x_ticks=[AxisTick(scale_x(value), f"{value:g}") for value in round_steps(low, high, 8)],
+        x_ticks=[AxisTick(scale_x(value), grouped(f"{value:g}")) for value in round_steps(low, high, 8)],
         y_ticks=[
-            AxisTick(TOP + plot_height * (1.0 - value / largest), f"{value:,.0f}".replace(",", "\u202f"))
+            AxisTick(TOP + plot_height * (1.0 - value / largest), grouped(f"{value:.0f}"))
             for value in round_steps(0.0, largest, 3)
             if value == round(value)
         ],
@@ -123,6 +126,11 @@ def histogram(
     )
 
 
+def _range(edges_px: Sequence[float]) -> str:
+    """Write where a part of the detector begins and ends; its first row's edge is half a pixel before 0."""
+    return " to ".join(grouped(f"{max(edge, 0.0):.0f}") for edge in edges_px)
+
+
 def detector_map(coverage: DetectorCoverage) -> Drawing:
     """Lay out the map of the detector: a cell is the darker the fewer usable stars it has seen."""
     row_edges, col_edges, counts = coverage.row_edges_px, coverage.col_edges_px, coverage.counts
@@ -133,7 +141,7 @@ def detector_map(coverage: DetectorCoverage) -> Drawing:
     bars, rows = [], []
     for i, line in enumerate(counts):
         for j, count in enumerate(line):
-            label = f"rows {row_edges[i]:.0f} to {row_edges[i + 1]:.0f}, columns {col_edges[j]:.0f} to {col_edges[j + 1]:.0f}"
+            label = f"rows {_range(row_edges[i : i + 2])}, columns {_range(col_edges[j : j + 2])}"
             bars.append(
                 ChartBar(
                     x=LEFT + (col_edges[j] - col_edges[0]) * scale + 0.5,
@@ -142,7 +150,7 @@ def detector_map(coverage: DetectorCoverage) -> Drawing:
                     height=(row_edges[i + 1] - row_edges[i]) * scale - 1.0,
                     count=count,
                     opacity=LEAST_OPACITY + (1.0 - LEAST_OPACITY) * count / largest if count else 0.0,
-                    title=f"{label}: {count} stars",
+                    title=f"{label}: {grouped(str(count))} stars",
                 )
             )
             rows.append((label, count))
@@ -153,11 +161,11 @@ def detector_map(coverage: DetectorCoverage) -> Drawing:
         y_title="row (px)",
         bars=bars,
         x_ticks=[
-            AxisTick(LEFT + (v - col_edges[0]) * scale, f"{v:g}")
+            AxisTick(LEFT + (v - col_edges[0]) * scale, grouped(f"{v:g}"))
             for v in round_steps(max(col_edges[0], 0), col_edges[-1])
         ],
         y_ticks=[
-            AxisTick(TOP + (v - row_edges[0]) * scale, f"{v:g}")
+            AxisTick(TOP + (v - row_edges[0]) * scale, grouped(f"{v:g}"))
             for v in round_steps(max(row_edges[0], 0), row_edges[-1])
         ],
         width=WIDTH,
@@ -178,7 +186,7 @@ def number_bars(distribution: Distribution, **words: str) -> Drawing:
     drawing = histogram(edges, [seen.get(value, 0) for value in numbers], **words)  # type: ignore[arg-type]
     rows = [(str(value), seen.get(value, 0)) for value in numbers]
     bars = [
-        ChartBar(b.x, b.y, b.width, b.height, b.count, b.opacity, f"{label}: {b.count}")
+        ChartBar(b.x, b.y, b.width, b.height, b.count, b.opacity, f"{label}: {grouped(str(b.count))}")
         for b, (label, _) in zip(drawing.bars, rows, strict=True)
     ]
     return Drawing(**{**drawing.__dict__, "bars": bars, "rows": rows})

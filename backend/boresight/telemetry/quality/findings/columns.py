@@ -121,7 +121,7 @@ def gaps_finding(intervals: Intervals, rows: tuple[int, ...]) -> Finding | None:
     severity: Severity = "CAUTION" if longest_s > _MOST_OF_SPAN * interval_s.sum() else "NORMAL"
     what = counted(count, "interval between frames exceeds", "intervals between frames exceed")
     sentence = (
-        f"{what} {GAP_FACTOR:g} times the median of {median_s:g} s, the longest is {longest_s:g} s: check that "
+        f"{what} {GAP_FACTOR:g} times the median of {median_s:,g} s, the longest is {longest_s:,g} s: check that "
         "the downlink is complete where no eclipse or slew explains it."
     )
     return Finding("GAPS", severity, sentence, count, rows)
