@@ -172,7 +172,7 @@ def describe_minima(problem: Problem, searched: Searched, x: FloatArray, sigma: 
     """
     names, search = problem.camera.parameter_names, searched.search
     if search is None:
-        alone = Minima(starts=0, taken_from=searched.taken_from, sentence=" ".join(_of_what_was_taken(searched)))
+        alone = Minima(starts=0, taken_from=searched.taken_from, sentence=" ".join(_say_taken(searched)))
         return alone if searched.taken_from else None
     best = search.found[0]
     rise = find_rise(problem, search)
@@ -255,7 +255,7 @@ def _describe(names: Sequence[str], one: BatchFit, best: BatchFit) -> Minimum:
 
 def _sentence(described: Minima, searched: Searched, x: FloatArray, sigma: FloatArray) -> str:
     """Say what was found, and what to do about it."""
-    parts = [*_of_what_was_taken(searched), *_of_others(described, x, sigma), *_of_intervals(described)]
+    parts = [*_say_taken(searched), *_say_others(described, x, sigma), *_say_intervals(described)]
     if len(parts) == 0:
         return (
             f"From {described.starts} other starts no other minimum was found within {TOLD:.0f} of chi-square, and profile "
@@ -264,7 +264,7 @@ def _sentence(described: Minima, searched: Searched, x: FloatArray, sigma: Float
     return " ".join(parts)
 
 
-def _of_what_was_taken(searched: Searched) -> list[str]:
+def _say_taken(searched: Searched) -> list[str]:
     if not searched.taken_from:
         return []
     how_much = f", lower by {searched.fall:.3g} in chi-square" if np.isfinite(searched.fall) else ""
@@ -275,7 +275,7 @@ def _of_what_was_taken(searched: Searched) -> list[str]:
     return [sentence]
 
 
-def _of_others(described: Minima, x: FloatArray, sigma: FloatArray) -> list[str]:
+def _say_others(described: Minima, x: FloatArray, sigma: FloatArray) -> list[str]:
     others = described.found[1:]
     if not others:
         return []
@@ -297,7 +297,7 @@ def _farthest(one: Minimum, x: FloatArray, sigma: FloatArray) -> str:
     return f"{list(one.parameters)[place]} {shift[place]:+.0f} sigma away"
 
 
-def _of_intervals(described: Minima) -> list[str]:
+def _say_intervals(described: Minima) -> list[str]:
     if not described.intervals:
         return []
     names = ", ".join(one.name for one in described.intervals)

@@ -135,7 +135,7 @@ def find_quantities(
     corner = float(np.hypot(np.abs(ends[0]).max(), np.abs(ends[1]).max()))
     row_px, col_px = telemetry.row_px[rows], telemetry.col_px[rows]
     away = np.stack([row_px - row, col_px - col], axis=-1) / corner
-    magnitude, colour = _of_catalogue(telemetry, rows, catalogue)
+    magnitude, colour = _read_catalogue(telemetry, rows, catalogue)
     if telemetry.magnitude is not None:
         own = within(telemetry.magnitude[rows], MAGNITUDES)
         magnitude = np.where(np.isfinite(own), own, magnitude)
@@ -144,7 +144,7 @@ def find_quantities(
     return StarQuantities(magnitude, np.hypot(away[:, 0], away[:, 1]), away, speed, colour, *places)
 
 
-def _of_catalogue(telemetry: Telemetry, rows: IntArray, catalogue: Catalogue) -> tuple[FloatArray, FloatArray]:
+def _read_catalogue(telemetry: Telemetry, rows: IntArray, catalogue: Catalogue) -> tuple[FloatArray, FloatArray]:
     """Magnitude and B-V of rows (n,) from the catalogue, NaN where it has none."""
     unknown = np.full(len(rows), np.nan)
     if telemetry.star_id is None or not len(catalogue):

@@ -118,7 +118,7 @@ class ArcSet:
             raise ValueError(f"Expected {expected} catalogue arcs, received {self.n_arcs}: whiten the set first")
         return self.phi
 
-    def of_whitened_loop(self, x: FloatArray) -> tuple[Any, ...]:
+    def begin_whitened_loop(self, x: FloatArray) -> tuple[Any, ...]:
         """Return the arguments with which a loop over whitened residuals at state x begins."""
         return (
             self.camera.kind, x, self.pitch, self.star_start, self.row_px, self.col_px, self.known_phi, self.band,

@@ -441,7 +441,7 @@ class Test:
     p: float
 
 
-def test_of(spectrum: Spectrum, variance: float) -> Test:
+def judge_spectrum(spectrum: Spectrum, variance: float) -> Test:
     """Test whether there is anything left, with noise of so many times the stated variance."""
     w = point_optimal_weights(spectrum.mu)
     statistic = float(np.sum(w * spectrum.z**2)) / variance
@@ -500,7 +500,7 @@ def infer(data: Data, spectrum: Spectrum | None = None) -> Posterior:
     factor = np.concatenate([shown * np.sqrt(p @ gains), shown @ each.T], axis=1)
     return Posterior(
         Surface(data.row, data.col, coefficients), factor, float(np.sqrt(tau[np.argmax(p / np.sqrt(tau))])), effective, variance,
-        test_of(spectrum, variance),
+        judge_spectrum(spectrum, variance),
     )  # fmt: skip
 
 

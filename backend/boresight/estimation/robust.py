@@ -192,5 +192,5 @@ def measure_huber_effect(arcs: Arcs, x: NDArray[np.float64], n_free: int, thresh
 
 def _beyond_in_block(block: ArcSet, x: NDArray[np.float64], threshold: float) -> tuple[int, float]:
     """Count the arcs of one block beyond the threshold, and sum psi^2."""
-    beyond, squares = kernels.count_beyond(*block.of_whitened_loop(x), threshold)
+    beyond, squares = kernels.count_beyond(*block.begin_whitened_loop(x), threshold)
     return int(beyond), float(squares)

@@ -776,11 +776,11 @@ def align(  # noqa: PLR0913 - two sides, each with its own
         raise RefusedInputError("The sensor of B is missing: give `sensor_b` (--sensor-b).")
     chosen, limits = AlignmentOptions(**options), parse_alignment_profile(profile)
     with _prepared(progress, "reading the telemetry") as prepared:
-        from boresight.calibration.alignment.sides import camera_of, tracker_side
+        from boresight.calibration.alignment.sides import make_camera, tracker_side
 
         def tracker(telemetry: TelemetrySource, source: SensorSource, known: ParameterSource | None) -> Any:
             described = read_any_sensor(source)
-            camera = camera_of(described, None if known is None else read_camera_parameters(known, described))
+            camera = make_camera(described, None if known is None else read_camera_parameters(known, described))
             stars, _, catalogue = read_set(telemetry, described, prepared)
             prepared.report(f"matching the stars of {described.name}", None)
             settings = CalibrationSettings(match="rematch")

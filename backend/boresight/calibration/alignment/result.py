@@ -208,6 +208,6 @@ def compute_json_schema() -> dict[str, Any]:
     return make_schema(Alignment, SCHEMA)
 
 
-def quaternion_of(matrix: FloatArray) -> list[float]:
+def write_quaternion(matrix: FloatArray) -> list[float]:
     """Write a rotation (3, 3) as x, y, z, w."""
     return [float(one) for one in to_quaternion(matrix)]

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray
-from boresight.calibration.advice_kinds import Advice, of_kind
+from boresight.calibration.advice_kinds import Advice, make_advice
 from boresight.calibration.calibration import (
     Calibration,
     Evaluation,
@@ -151,17 +151,17 @@ def _sentence(information: list[ReferenceInformation], models: FloatArray) -> st
     of_models = ", ".join(f"{_percent(share[f'model_{model}'])} under Model {model}" for model in STAR_MODELS)
     return (
         f"Of the information in these centroids arcs keep {_percent(share['arcs'])}, all pairs {_percent(share['angular'])},"
-        f" and σ2 with σ3 {of_models}; {_of_the_first(share['model_4'], share['sigma_123'])}.{_of_the_measure(models)}"
+        f" and σ2 with σ3 {of_models}; {_say_first_value(share['model_4'], share['sigma_123'])}.{_say_measure(models)}"
     )
 
 
-def _of_the_first(without: float | None, with_it: float | None) -> str:
+def _say_first_value(without: float | None, with_it: float | None) -> str:
     if without is not None and with_it is not None and with_it - without < ADDS_NOTHING:
         return "σ1 adds nothing to them"
     return f"σ1 beside them makes it {_percent(with_it)} under Model 4"
 
 
-def _of_the_measure(models: FloatArray) -> str:
+def _say_measure(models: FloatArray) -> str:
     measured = models[:, np.isfinite(models).any(axis=0)]
     if not measured.size:
         return " No frame alone determines all free parameters."
@@ -254,7 +254,7 @@ def validate(
         )
     scores, shadow = _flown(validation, first, last, estimate.x, settings)
     judged = replace(calibration, validation=scores, shadow=replace(calibration.shadow, validation=shadow))
-    return with_advice(judged, *_of_validation(scores))
+    return with_advice(judged, *_advise_on_validation(scores))
 
 
 def _flown(
@@ -269,7 +269,7 @@ def _flown(
     return scores, shadow_view(telemetry, initial, final)
 
 
-def _of_validation(scores: Evaluation) -> list[Advice]:
+def _advise_on_validation(scores: Evaluation) -> list[Advice]:
     rms, availability = scores.rms_arc_rad, scores.availability
     sentences = []
     if rms.final is not None and rms.initial is not None and rms.final >= rms.initial:
@@ -286,4 +286,4 @@ def _of_validation(scores: Evaluation) -> list[Advice]:
             f"On the validation set fewer frames would give an attitude than before ({availability.final:.1%} against "
             f"{availability.initial:.1%}): check the frames that would be lost."
         )
-    return of_kind("validation_rms", sentences)
+    return make_advice("validation_rms", sentences)

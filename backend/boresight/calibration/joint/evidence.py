@@ -88,9 +88,9 @@ def fit_evidence(of: PassesProblem, own: IntArray) -> tuple[PassesFit, PassVaria
     passes = WalkedPasses(fitted.sums, of.departures(fitted), own, between, trend, stepped)
     walk = find_walk(passes)
     found = PassVariation(
-        vary=of.names_of(own),
+        vary=of.list_names(own),
         vary_as="evidence",
-        walk=write_walk(of.names_of(own), walk),
+        walk=write_walk(of.list_names(own), walk),
         chi2=fitted.chi2,
         steps=[
             describe_step(of, Step(int(own[j]), gap), *_dated(of, passes, fitted, sigma, gap, j), chances[gap, j])

@@ -224,7 +224,7 @@ class PassesProblem:
         """Names of the free parameters."""
         return [self.problem.camera.parameter_names[p] for p in self.parameters.free]
 
-    def names_of(self, own: IntArray) -> list[str]:
+    def list_names(self, own: IntArray) -> list[str]:
         """Names of some of the free parameters, by their places."""
         return [self.names[place] for place in own]
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from boresight.arrays import FloatArray, parse_times
-from boresight.calibration.advice_kinds import Advice, of_kind
+from boresight.calibration.advice_kinds import Advice, make_advice
 from boresight.calibration.calibration import Calibration, PriorAgreement, PriorUse, Values
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.joint.passes import JointTelemetry, NamedTelemetry, join_sets
@@ -174,7 +174,7 @@ def take_prior(
         age_days=age,
         drift_sigma=settings.prior_drift_sigma,
     )
-    return TakenPrior(Prior(x, aged), origin, tuple(of_kind("prior", _remarks(source))))
+    return TakenPrior(Prior(x, aged), origin, tuple(make_advice("prior", _remarks(source))))
 
 
 def _check_same_camera(source: PriorSource, sensor: Sensor) -> None:

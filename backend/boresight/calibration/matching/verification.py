@@ -203,7 +203,7 @@ def _doubtful(block: ArcSet, how: Verification) -> BoolArray:
     if how.everywhere:
         return doubtful
     if how.before_estimate:
-        loops.find_disagreeing(*block.of_whitened_loop(how.x), how.root, GATE, doubtful)
+        loops.find_disagreeing(*block.begin_whitened_loop(how.x), how.root, GATE, doubtful)
         return doubtful
     return ~(_chi2_in_block(block, how.x) <= how.limit * how.noise**2)
 
@@ -211,7 +211,7 @@ def _doubtful(block: ArcSet, how: Verification) -> BoolArray:
 def _chi2_in_block(block: ArcSet, x: FloatArray) -> FloatArray:
     """Chi-square of each exposure of one block, (n_exposures,)."""
     chi2 = np.empty(block.n_exposures)
-    loops.exposure_chi2(*block.of_whitened_loop(x), chi2)
+    loops.exposure_chi2(*block.begin_whitened_loop(x), chi2)
     return chi2
 
 

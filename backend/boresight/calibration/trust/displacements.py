@@ -306,7 +306,7 @@ def find_score(sums: ScoreSums, *names: str) -> Score:
     return _solve(sums, names[0], np.concatenate([every[sums.places[name]] for name in names]))
 
 
-def find_score_of(sums: ScoreSums, places: IntArray) -> Score:
+def score_fields(sums: ScoreSums, places: IntArray) -> Score:
     """Test some fields of a departure alone, by their places among all."""
     return _solve(sums, "", places)
 

@@ -23,7 +23,7 @@ from boresight.arrays import BoolArray, FloatArray, IntArray
 from boresight.calibration.calibration import StarTrust
 from boresight.calibration.trust.fitted_set import ARCSEC, UNLIKELY, FittedSet, Unavailable
 from boresight.calibration.trust.residuals import StarResiduals, compute_star_residuals
-from boresight.sky.guide_stars import flags_of, phrases
+from boresight.sky.guide_stars import flag_stars, phrases
 
 MOST_SHOWN = 200
 MOST_ROUNDS = 6
@@ -173,7 +173,7 @@ def _describe_catalogue(fitted: FittedSet, star_id: IntArray, pixel_rad: FloatAr
     place = fitted.catalogue.find_index(star_id)
     known = place >= 0
     flags = np.zeros(len(place), np.int8)
-    flags[known] = flags_of(fitted.catalogue, place[known], BLEND_PX * float(np.median(pixel_rad)))
+    flags[known] = flag_stars(fitted.catalogue, place[known], BLEND_PX * float(np.median(pixel_rad)))
     return [
         phrases(flag) if of else ["not in the catalogue"]
         for flag, of in zip(flags.tolist(), known.tolist(), strict=True)

@@ -286,7 +286,7 @@ def log_in_person(request: Request, response: Response, session: Session, proof:
     """Log a person in by one request, with the second factor that it carries where one is asked for."""
     actor = users.authenticate(session, proof, request.state.request_id)
     user_id, kind = require_person(actor, "log in"), None
-    if second_factors.is_asked_of(session, user_id, get_factor_rules(request)):
+    if second_factors.needs_second_factor(session, user_id, get_factor_rules(request)):
         kind = second_factors.use(session, actor, session.get_known(User, user_id), proof.given, "log-in")
     return actor, begin_session(request, response, session, actor, "password", kind)
 
@@ -294,7 +294,7 @@ def log_in_person(request: Request, response: Response, session: Session, proof:
 def log_in_or_wait(request: Request, response: Response, session: Session, actor: Actor, method: str) -> bool:
     """Log in a person whose password or provider was right; whether the log-in waits for a second factor instead."""
     user_id = require_person(actor, "log in")
-    if not second_factors.is_asked_of(session, user_id, get_factor_rules(request)):
+    if not second_factors.needs_second_factor(session, user_id, get_factor_rules(request)):
         begin_session(request, response, session, actor, method)
         return False
     waiting_cookie(request).write(response, [second_factors.begin_waiting(session, user_id, method)])

@@ -187,7 +187,7 @@ class PasswordWorker:
         given = GivenFactor(typed, site, rules)
         if owner_id is None or not typed or typed.startswith("{"):
             return replace(proof, given=given)
-        if not await self._read(partial(second_factors.is_asked_of, user_id=owner_id, rules=rules)):
+        if not await self._read(partial(second_factors.needs_second_factor, user_id=owner_id, rules=rules)):
             return replace(proof, given=given)
         tried = replace(tried, is_code=True)
         wait_s, failed = self._limiter.admit(tried), None

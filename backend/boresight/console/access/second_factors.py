@@ -96,7 +96,7 @@ class GivenFactor:
 NO_FACTOR = GivenFactor()
 
 
-def is_asked_of(session: Session, user_id: int, rules: FactorRules | None) -> bool:
+def needs_second_factor(session: Session, user_id: int, rules: FactorRules | None) -> bool:
     """Whether a person has a second factor and is asked for it."""
     return rules is not None and rules.are_on and bool(rows.list_factors(session, user_id))
 

@@ -59,7 +59,7 @@ from boresight.telemetry.working_table import WorkingTable
 from boresight.verdicts import gates
 from boresight.verdicts.gates import GATES
 from boresight.verdicts.gates.assessed_set import parse_assessed_set
-from boresight.verdicts.gates.assessment import compute_validation_scores, of_result, started_from
+from boresight.verdicts.gates.assessment import compute_validation_scores, started_from, take_scores
 
 
 @dataclass(frozen=True)
@@ -197,7 +197,7 @@ def _seen(
 ) -> tuple[gates.ValidationScores | None, str]:
     """Return the scores on validation frames, or None with the reason; a comparison that the run made already is reused."""
     if incumbent is not None and result is not None and started_from(result, incumbent):
-        own = of_result(result)
+        own = take_scores(result)
         if own is not None:
             return own, ""
     if stored.validation is None:

@@ -298,7 +298,7 @@ def get_approval(approval_id: Id, session: Reading) -> Approval:
 @router.get("/{approval_id}/signers", summary="List who may sign", response_model=Page[schemas.Signer])
 def list_signers(approval_id: Id, policy: ServerPolicy, session: Reading) -> Listing[Beside]:
     """List every approver with whether they may sign this request, and if not, which action on the set excludes them."""
-    found = approvals.list_signers_of(session, approval_id, policy=policy)
+    found = approvals.list_request_signers(session, approval_id, policy=policy)
     return Listing(
         [
             Beside(

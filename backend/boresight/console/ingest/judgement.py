@@ -97,28 +97,28 @@ def make_reference(trend: Trend) -> Reference | None:
     """Return a sensor's baseline as a reference; None where it has none."""
     if trend.baseline is None:
         return None
-    own = trend.of_run(trend.baseline.run_id)
+    own = trend.find_run(trend.baseline.run_id)
     names = tuple(trend.baseline.document["covariance"]["names"])
     measured = trend.baseline.run_id is not None
     epoch = make_baseline_epoch(trend.baseline, own, names)
     return Reference(trend.baseline.name, names, epoch, trend.baseline.id, trend.baseline.run_id, measured)
 
 
-def reference_of(point: TrendPoint) -> Reference:
+def promote_point(point: TrendPoint) -> Reference:
     """Return a calibration as a reference, as though it had been promoted."""
     return Reference(f"run {point.run_id}", point.names, make_epoch(point, point.names), None, point.run_id)
 
 
 def judge_newest(trend: Trend, run_id: int, rules: PolicyRules) -> PolicyFinding:
     """Judge the calibration of a run against what those before it forecast, and the baseline."""
-    point, reference = trend.of_run(run_id), make_reference(trend)
+    point, reference = trend.find_run(run_id), make_reference(trend)
     if reference is None:
         return _not_judged("NO BASELINE", "There is no baseline to compare with; register the sensor again.")
     if point is None:
         return _not_judged(
             "NO RESULT", f"Run {run_id} has no calibration of the baseline's camera model; choose another preset."
         )
-    own = trend.of_run(reference.run_id)
+    own = trend.find_run(reference.run_id)
     if own is not None and (point.overlaps(own) or point.at_utc <= own.at_utc):
         return _not_judged(
             "OLDER", f"The data are not newer than those of {reference.name}; nothing is to be decided on them."
@@ -134,7 +134,7 @@ def judge_newest(trend: Trend, run_id: int, rules: PolicyRules) -> PolicyFinding
 
 def agree(trend: Trend, run_id: int | None, other_id: int | None, rules: PolicyRules) -> bool:
     """Whether the calibrations of two runs are of the same camera, for a change that was answered before there is a forecast."""
-    one, other = trend.of_run(run_id), trend.of_run(other_id)
+    one, other = trend.find_run(run_id), trend.find_run(other_id)
     if one is None or other is None or set(one.names) != set(other.names):
         return False
     test = tests.baseline_test(make_epoch(one, one.names), make_epoch(other, one.names), rules.false_alarm_rate)
@@ -306,12 +306,12 @@ def walk_over(points: Sequence[TrendPoint], trend: Trend, rules: PolicyRules) ->
     for point in points:
         own = follower.follow(point)
         if reference is None or point.run_id == reference.run_id:
-            reference, since = reference or reference_of(point), []
+            reference, since = reference or promote_point(point), []
             continue
         found = judge(point, own, since, reference, rules)
         walked.append((point, found))
         if found.state == "ASKED" and (found.forecast is None or not found.forecast.rejects):
-            reference, since = reference_of(point), []
+            reference, since = promote_point(point), []
         elif own is not None:
             since.append(own)
     return walked
@@ -322,7 +322,7 @@ def _first_reference(points: Sequence[TrendPoint], trend: Trend) -> Reference | 
     baseline = make_reference(trend)
     if baseline is not None and not baseline.measured:
         return baseline
-    return reference_of(points[0]) if points else None
+    return promote_point(points[0]) if points else None
 
 
 def _busiest_day(points: Sequence[TrendPoint]) -> int:

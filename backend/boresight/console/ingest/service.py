@@ -253,7 +253,7 @@ def examine(session: Session, decision_id: int) -> Found:
     run = session.get_known(Run, row.run_id or 0)
     policy = session.get_known(IngestPolicy, row.policy_id)
     if run.state != "SUCCEEDED":
-        return Found(row.id, _of_failure(run))
+        return Found(row.id, _report_failure(run))
     summary = parse_run_summary(run.summary)
     if summary.status not in parameter_sets.USABLE_STATUSES:
         said = f"Run {run.id} ended {(summary.status or 'without a status').replace('_', ' ')}: {summary.advice or 'see its page.'}"
@@ -268,7 +268,7 @@ def examine(session: Session, decision_id: int) -> Found:
     return Found(row.id, found, _list_alternatives(found, run), advise(trend))
 
 
-def _of_failure(run: Run) -> PolicyFinding:
+def _report_failure(run: Run) -> PolicyFinding:
     return PolicyFinding(
         "NOT JUDGED", (Reason("RUN", f"Run {run.id} {run.state.lower()}: {run.reason or 'no cause was recorded'}"),)
     )

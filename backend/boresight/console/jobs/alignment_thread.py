@@ -14,7 +14,7 @@ import orjson
 
 from boresight.calibration.alignment.align import align_sides
 from boresight.calibration.alignment.result import Alignment as AlignmentResult
-from boresight.calibration.alignment.sides import Side, camera_of, tracker_side
+from boresight.calibration.alignment.sides import Side, make_camera, tracker_side
 from boresight.calibration.calibration import parse_calibration, to_plain
 from boresight.calibration.joint.passes import NamedTelemetry, join_sets
 from boresight.calibration.options import CalibrationSettings
@@ -69,7 +69,7 @@ def _solve(side: ClaimedSide, sources: ForecastSources) -> Side:
     run = side.run
     sensor = parse_sensor(run.sensor_document)
     result = parse_calibration(read_result(sources.blobs, side.result_sha256, run.run_id))
-    camera = camera_of(sensor, read_reliable_parameters(result, sensor, f"Run {run.run_id}"))
+    camera = make_camera(sensor, read_reliable_parameters(result, sensor, f"Run {run.run_id}"))
     if (catalogue := sources.catalogue()) is None:
         raise UnavailableError("This server has no star catalogue; check its data folder.")
     settings = CalibrationSettings(match="rematch")

@@ -133,7 +133,7 @@ def _draw_counts(figure: go.Figure, counts: StarCounts | None, style: theme.RunS
         fillcolor=theme.translucent(style.colour, 0.22),
         name=f"{style.label} stars",
         legendgroup=style.label,
-        meta=theme.of_run(style.label, "stars"),
+        meta=theme.tag_run(style.label, "stars"),
         showlegend=False,
         hovertemplate=f"%{{y}} stars<extra>{style.label}</extra>",
     )

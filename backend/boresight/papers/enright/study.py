@@ -67,7 +67,7 @@ def _kept(record: Record) -> Record:
 def _timing(pooled: Pooled) -> dict[str, Any]:
     """Milliseconds a frame of each estimator, matching included: the median over sets, by the clock of this run."""
     spent = {
-        key: [1e3 * record["timing_s"]["calibration"] / max(record["frames"], 1) for record in pooled.of(key)]
+        key: [1e3 * record["timing_s"]["calibration"] / max(record["frames"], 1) for record in pooled.list_records(key)]
         for key in ESTIMATORS
     }
     return {"ms_per_frame": {key: float(np.median(times)) for key, times in spent.items() if times}}

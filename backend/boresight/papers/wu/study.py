@@ -66,7 +66,7 @@ def _consistency(pooled: Pooled, estimator: str, weights: str) -> dict[str, Any]
     return {
         "estimator": estimator,
         "weights": weights,
-        "sets": len(pooled.of(estimator, weights)),
+        "sets": len(pooled.list_records(estimator, weights)),
         "nees": 6 * found.mean,
         "expected": 6,
         "lower": 6 * found.lower,

@@ -192,7 +192,7 @@ def request_page(
         remarks=approvals.list_remarks(session, approval_id),
         signatures=approval_queries.list_signatures(session, approval_id),
         pending=proposals.list_open_proposals(session, row.sensor_id) if approval.state in {"OPEN", "APPROVED"} else [],
-        signers=approvals.list_signers_of(session, approval_id, policy=policy) if approval.state == "OPEN" else [],
+        signers=approvals.list_request_signers(session, approval_id, policy=policy) if approval.state == "OPEN" else [],
         blocked=approvals.explain_why_not_sign(session, actor, approval_id, policy=policy),
         decisions=_decisions(approval, row),
         meanings=MEANINGS.values(),
