@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
-from typing import TYPE_CHECKING, Any, Literal, TypedDict
+from typing import TYPE_CHECKING, Any, Literal
 
 from boresight.errors import RefusedInputError
 from boresight.estimation import MINIMUM_STARS
@@ -613,45 +613,8 @@ class StatedSettings(CalibrationSettings):
         return cls(**as_written, stated=tuple(stated))
 
 
-class Choices(TypedDict, total=False):
-    """The choices as keywords, so that type checkers know their names; lists may be one text with commas."""
-
-    method: str
-    variant: str
-    free: str | Sequence[str] | None
-    match: str
-    match_parameters: str
-    match_rule: str
-    flight_tolerance_urad: float | None
-    leave_out_doubles: bool
-    leave_out_stars: str | Sequence[int]
-    blends: str
-    noise_model: str
-    minimum_stars: int
-    vary: str | Sequence[str] | None
-    vary_as: str
-    degree: str
-    events: str | Sequence[str] | None
-    walk_sigma: float | None
-    prior_covariance: str
-    prior_inflation: float
-    prior_drift_sigma: float
-    prior_age_days: float | None
-    max_iterations: int
-    error: str
-    robust: str
-    huber_threshold: float
-    linearisations: int
-    process_noise_sigma: float | None
-    process_noise_of: str | Sequence[str] | None
-    process_noise_per: str
-    smooth: bool
-    forgetting_factor: float
-    initial_sigma_scale: float
-    star_model: int
-    singular_values: str | Sequence[int]
-    gain_form: str
-    replay_frames_per_s: float
+#: A setting as a keyword has it; a list may be one text with commas. Its name and value are checked where it is read.
+SettingValue = str | float | Sequence[str] | Sequence[int] | None
 
 
 @dataclass(frozen=True)

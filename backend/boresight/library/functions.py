@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from boresight.arrays import FloatArray
     from boresight.calibration.exports import ExposureAttitude
-    from boresight.calibration.options import Choices
+    from boresight.calibration.options import SettingValue
     from boresight.calibration.telemetry_pieces import TelemetryFile
     from boresight.library.alignment import Alignment
     from boresight.library.choice import Choice
@@ -132,7 +132,7 @@ def calibrate(
     validate: TelemetrySource | None = None,
     prior: ParameterSource | None = None,
     progress: Wanted = None,
-    **settings: Unpack[Choices],
+    **settings: SettingValue,
 ) -> Calibration:
     """Estimate a sensor's camera parameters from the stars it saw.
 
@@ -203,7 +203,7 @@ def choose(
     *,
     validate: TelemetrySource | None = None,
     progress: Wanted = None,
-    **settings: Unpack[Choices],
+    **settings: SettingValue,
 ) -> Choice:
     """Choose the least camera model that suffices for telemetry: every model and its terms, tested on the same stars.
 
@@ -322,7 +322,7 @@ def evaluate(
     against: ParameterSource | None = None,
     shadow: bool = False,
     progress: Wanted = None,
-    **settings: Unpack[Choices],
+    **settings: SettingValue,
 ) -> Evaluation:
     """Compare two parameter sets on telemetry: availability, matched stars, RMS on common pairs.
 
