@@ -383,6 +383,12 @@ class Term:
         return f"{self.kind}-{self.power}" if self.power > 1 else self.kind
 
 
+#: Every term there may be, by its name in files.
+TERMS = {
+    one.name: one for one in (*(Term("temperature", power + 1) for power in range(HIGHEST_POWER)), Term("time", 1))
+}
+
+
 @dataclass(frozen=True)
 class Variation:
     """What the rotation may depend on: `temperature_c` (K,), NaN where unknown, `t_d` (K,), about `reference_c`, `middle_s`."""

@@ -56,7 +56,7 @@ def _measure_frames(found: Alignment) -> Measurement:
 
 def _measure_trend(kind: str, unknown: str) -> Callable[[Alignment], Measurement]:
     def measure(found: Alignment) -> Measurement:
-        beside = [one for one in found.tests if one.name.partition("-")[0] == kind]
+        beside = [one for one in found.tests if one.kind == kind]
         modelled = {one.name for one in found.terms}
         left = [one for one in beside if one.name not in modelled]
         if not left:

@@ -11,7 +11,7 @@ from urllib.parse import urlencode
 from fastapi import APIRouter, Depends, Request
 from fastapi.responses import JSONResponse, Response
 
-from boresight.calibration.choice.result import Candidate, Choice, State, Sufficiency, TermTest, shown_p
+from boresight.calibration.choice.result import Candidate, Choice, State, Sufficiency, TermTest, write_p
 from boresight.console.access.dependencies import Reading, Who, csrf, get_server
 from boresight.console.fleet.tables import Sensor
 from boresight.console.pages.rendering import make_change
@@ -210,7 +210,7 @@ def _list_tests(found: Choice) -> Iterator[TestRow]:
 
 def _p(test: TermTest) -> str:
     """Print a p-value, corrected for the number of tests."""
-    return shown_p(test.log10_p_corrected).removeprefix("= ")
+    return write_p(test.log10_p_corrected)
 
 
 def _with_interval(one: Candidate) -> str:
