@@ -293,7 +293,7 @@ class Settings:
         "", "URL", "Collector of traces by OTLP over HTTP, without /v1/traces; empty = no traces.", read=_site
     )
     telemetry_keep_days: float = _setting(
-        "0", "d", "Files of telemetry that nothing needs are removed after this time; 0 = they are kept for ever."
+        "0", "d", "Files of telemetry that nothing needs are removed after this time; 0 = they are kept forever."
     )
     backup_key: str = _setting(
         "",

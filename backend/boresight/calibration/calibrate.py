@@ -244,7 +244,7 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and eight choices of the c
     cancelled
         Asked often; True stops.
     cache_folder
-        Where lost-in-space identification keeps its tables; None makes them anew when they are needed.
+        Where lost-in-space identification keeps its tables; None makes them again when they are needed.
     scratch_folder
         Where the working copy of a large file is made, in a folder that is gone at the end; None is the temporary folder.
     executor

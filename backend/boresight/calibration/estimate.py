@@ -140,7 +140,7 @@ def _sentence(found: Robustness, share: float, shift: dict[str, float]) -> str:
     )
 
 
-#: Weights are taken anew at the solution so often; the second time changes sigmas by the square of the first change.
+#: Weights are taken again at the solution so often; the second time changes sigmas by the square of the first change.
 WHITENING_ROUNDS = 2
 
 

@@ -40,7 +40,7 @@ START_LINEARISATIONS = 50
 BENT = 2.0
 #: Where doubling ends: the extended filter inverts a matrix as large as the pool.
 MOST_START_ARCS_PER_PARAMETER = 160
-#: A filter reports, and takes its weights anew, at least so often over a set.
+#: A filter reports, and takes its weights again, at least so often over a set.
 CHUNKS = 40
 #: Most frames of a chunk, for what a filter computes of one is in memory.
 MOST_IN_CHUNK = 4096

@@ -147,7 +147,7 @@ class ArcSet:
         )
 
     def without(self, rows: IntArray, minimum_stars: int) -> tuple[ArcSet, int, int]:
-        """Return the set without the stars of some telemetry rows, unwhitened; exposures that lose one are ordered anew.
+        """Return the set without the stars of some telemetry rows, unwhitened; exposures that lose one are ordered again.
 
         Returns also how many exposures are lost with them: with fewer stars left than `minimum_stars`, and all on one line.
         """

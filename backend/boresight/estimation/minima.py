@@ -60,7 +60,7 @@ from boresight.estimation.prior import Prior
 SPREADS, STARTS_EACH = (1.0, 3.0, 10.0), 8
 #: Steps along the weakest directions, sigmas, and how many directions; steps are at most so many typical sigmas long.
 STEPS, DIRECTIONS, LONGEST = (2.0, 5.0, 15.0), 3, 50.0
-#: Times the search begins anew about a lower minimum.
+#: Times the search begins again about a lower minimum.
 ROUNDS = 2
 MOST_ITERATIONS = 60
 #: Distance in sigmas from which two minima are two, and cost by which one must be lower to be taken for it.

@@ -188,7 +188,7 @@ class Look:
         return self._dn.astype(np.float64)
 
     def sky(self) -> _Sky:
-        """The image less its background, made anew."""
+        """The image less its background, made again."""
         return _less_background(self.dn, self._background)
 
 

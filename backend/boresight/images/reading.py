@@ -56,7 +56,7 @@ _EARLIEST, _LATEST = np.datetime64("1900-01-01", "us"), np.datetime64("2100-01-0
 class Image:
     """One image as it was read.
 
-    `dn`: (rows, columns). `sha256`: of the file's bytes. `time_utc`: mid-exposure, NaT where unknown; `time_source` says whence.
+    `dn`: (rows, columns). `sha256`: of the file's bytes. `time_utc`: mid-exposure, NaT where unknown; `time_source` says from what.
     `white_dn`: the largest number that can be, where the file says so.
     """
 

@@ -184,7 +184,7 @@ def test_an_export_has_its_anchors_and_verifies_against_keys_that_were_kept(expo
 
 
 def _rehashed(folder: Path, changed: int, count: int) -> None:
-    """Rewrite the export as whoever owns the database could: one record changed, all chained anew, the last line right."""
+    """Rewrite the export as whoever owns the database could: one record changed, all chained again, the last line right."""
     lines = (folder / "audit.jsonl").read_bytes().splitlines()
     records, last = [json.loads(line) for line in lines[:count]], json.loads(lines[-1])
     previous = audit_verifier.FIRST_HASH

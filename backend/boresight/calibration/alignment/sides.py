@@ -2,7 +2,7 @@
 
 A tracker's stars are matched under its parameters, and each exposure is solved (`estimation.attitude`) with what the camera's
 covariance does to it (`evaluation.alignment.sensitivity_of_exposures`). A reference is a table of times and quaternions, ICRS to
-its frame, each with its error: of every attitude anew (`sigma_arcsec`, or a column of that name, or one an axis), and one that all
+its frame, each with its error: of every attitude again (`sigma_arcsec`, or a column of that name, or one an axis), and one that all
 of them share (`bias_arcsec`), as of a reference that is itself aligned only so well.
 """
 

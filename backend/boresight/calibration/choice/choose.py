@@ -100,7 +100,7 @@ def choose(  # noqa: PLR0913 - what is chosen from, and six choices of the calle
     cancelled
         Asked often; True stops.
     cache_folder
-        Where lost-in-space identification keeps its tables; None makes them anew.
+        Where lost-in-space identification keeps its tables; None makes them again.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """A telemetry set under given or renewed matches: the problem it makes at any state, and what was matched on the way.
 
 Given matches are proposals: `calibration.matching.verification` says which of them a state refuses, and the arcs of the
-exposures that lose a star are made anew.
+exposures that lose a star are made again.
 
 Matched again, the set is T(x) of E section II-B: what "a ground-based implementation of the sensor flight software"
 makes of it under x. With `match_rule` "flight" it is what the flight code itself would keep: arcs that disagree with

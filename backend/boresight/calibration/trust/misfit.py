@@ -26,7 +26,7 @@ wrong with the model shows in four ways, and what bends in a fifth, each of whic
    Two kinds of departure leave d small though the camera is wrong by more. One that changes it over the set (`drift`, `exposure`,
    `time`, `trend`, `temperature`): a fit ends between its states, and each of these is off by up to the change's amplitude a, along
    the parameters that change, or the focal length: a a^T. One that goes with the magnitude or the colour m of a star about the
-   mean: the star at which it is nought need not be the mean one. If that is the brightest or the faintest, all stars are displaced
+   mean: the star at which it is zero need not be the mean one. If that is the brightest or the faintest, all stars are displaced
    alike besides, by c times the reach of m, and the parameters by -A^-1 H^T G c of that: d d^T.
 
 4. Selection. A filter that matches by the tolerance of the flight code takes in, frame by frame, the arcs that agree with where it

@@ -10,7 +10,7 @@ the residuals' spread where that exceeds one, so that understated noise alone ma
 times the number of stars (Bonferroni) is below `UNLIKELY`, as any test of trust must be.
 
 A displaced star pulls the attitude and so makes its neighbours look displaced. So the worst are taken out, the residuals of the
-others are taken anew without them, and so on until nobody is suspect.
+others are taken again without them, and so on until nobody is suspect.
 """
 
 from __future__ import annotations

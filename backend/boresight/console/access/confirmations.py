@@ -3,7 +3,7 @@
 ====================================  =========================================================
 a password here                       the password again
 a password here and a second factor   the password again and the second factor
-single sign-on                        the provider, which asks the person anew, for one act
+single sign-on                        the provider, which asks the person again, for one act
 single sign-on and a second factor    the second factor
 ====================================  =========================================================
 
@@ -22,9 +22,7 @@ from boresight.errors import SingleSignOnError
 from boresight.platform.actors import Actor, require_person
 from boresight.platform.db.sessions import Session
 
-CONFIRM_FIRST = (
-    "Single sign-on must confirm you anew for this: choose Confirm, log in at the provider, and do it within 5 minutes."
-)
+CONFIRM_FIRST = "Single sign-on must confirm you again for this: choose Confirm, log in at the provider, and do it within 5 minutes."
 
 
 @dataclass(frozen=True)

@@ -137,7 +137,7 @@ async def csrf(request: Request) -> None:
     try:
         await get_actor(request)
     except UnauthenticatedError:
-        return  # neither is there with a log-in that has ended; it must not keep anybody from logging in anew
+        return  # neither is there with a log-in that has ended; it must not keep anybody from logging in again
     given = request.headers.get(CSRF_HEADER) or await _form_token(request)
     if not hmac.compare_digest(given.encode(), request.state.csrf_token.encode()):
         tell("malicious_csrf", "failure")

@@ -187,7 +187,7 @@ def _by_state(counts: Mapping[str, int]) -> Values:
 
 
 def _smallest_p(session: Session) -> Values:
-    """Return the smallest p of each sensor whose trend was judged; a scrape judges none anew.
+    """Return the smallest p of each sensor whose trend was judged; a scrape judges none again.
 
     A shift against a ground calibration is no drift, and has none.
     """

@@ -181,7 +181,7 @@ def get_alignment_data(alignment_id: Id, session: Reading, blobs: Blobs) -> Resp
 class Reasoned(Shape):
     """Why."""
 
-    reason: str = Field(examples=["The trackers were calibrated anew."])
+    reason: str = Field(examples=["The trackers were calibrated again."])
 
 
 class AlignmentSigning(PlainSigning):

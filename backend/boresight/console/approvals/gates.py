@@ -309,7 +309,7 @@ def _laid_over(
 
 
 def read_verdicts(session: Session, parameter_set_ids: Collection[int]) -> dict[int, gates.BoundGateReport]:
-    """Return the newest report of each of some sets that was ever assessed, with the waivers laid over it for ever."""
+    """Return the newest report of each of some sets that was ever assessed, with the waivers laid over it forever."""
     given = rows.list_waivers(session, parameter_set_ids)
     return {
         number: _laid_over(report, [waiver for waiver in given if waiver.parameter_set_id == number])

@@ -97,7 +97,7 @@ STEPS = {
     "rehearse": "Rehearsed on the past; nothing else happened.",
     "enable": "The policy is in force.",
     "pause": "Paused: files stay where they are.",
-    "resume": "Resumed: its limits count anew.",
+    "resume": "Resumed: its limits count again.",
     "switch-off": "Switched off.",
 }
 

@@ -144,7 +144,7 @@ def pause_by_person(
 
 
 def resume(session: Session, actor: Actor, policy_id: int, reason: str, seen_version: int | None) -> IngestPolicy:
-    """Let a paused policy go on; the counts that stopped it begin anew. Only a person may, because a machine stopped it."""
+    """Let a paused policy go on; the counts that stopped it begin again. Only a person may, because a machine stopped it."""
     require_person(actor, "resume an ingest policy")
     require_role(actor, *WRITERS)
     row = session.get_known(IngestPolicy, policy_id)

@@ -297,7 +297,7 @@ def pause_ingest_policy(
 def resume_ingest_policy(
     policy_id: Id, given: PolicyReason, actor: Who, seen: SeenVersion, session: Writing
 ) -> tables.IngestPolicy:
-    """Let a paused policy go on, as a person who is logged in; its limits count anew."""
+    """Let a paused policy go on, as a person who is logged in; its limits count again."""
     return policies.resume(session, actor, policy_id, given.reason, seen)
 
 

@@ -72,7 +72,7 @@ START_SIGMA = np.array([1e-2, 5e-4, 20.0, 20.0, 0.5, 0.5])
 FREE = np.arange(len(START_SIGMA))
 #: Magnitude to which an image holds about the 14.7 stars of the field experiment (W 4.2).
 FIELD_LIMIT = 5.25
-#: Frames before the full R is taken anew.
+#: Frames before the full R is taken again.
 FIRST_FRAMES = 20
 
 

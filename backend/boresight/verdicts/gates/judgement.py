@@ -16,7 +16,7 @@ anything, and of very many a value of 1.001 is significant and means nothing. So
 
 No value is NO-DATA. The verdict is the worst answer in the order PASS, MARGINAL, NO-DATA, FAIL, of all gates that are not only
 observed. A gate blocks when it FAILs, or must have data and has none, and nobody waived it. A waiver lets a set pass and stays:
-the verdict says for ever how many gates were waived.
+the verdict says forever how many gates were waived.
 
 A gate report as people read it, on pages and in terminals: one row of words a gate.
 """
