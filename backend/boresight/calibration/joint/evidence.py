@@ -10,8 +10,8 @@ A term is there as soon as there are so many passes that it leaves `walk.FEWEST_
 first: what is known of the last pass is to bear all that is not known of them, and one that was dropped for lack of evidence would
 be claimed to be known. It costs little, for a term that is not needed is found near zero. Steps are sought one after the other,
 each where one would take most from chi-square beside all that was found, and the drift estimated again with it, until none is
-beyond chance over all parameters and gaps (Bonferroni; `estimation.walk`). All of that is linear at one linearisation, and repeated at the
-next until drift and steps stay.
+beyond chance over all parameters and gaps (Bonferroni; `estimation.walk`). All of that is linear at one linearisation, and repeated
+at the next until drift and steps stay.
 """
 
 from __future__ import annotations

@@ -22,7 +22,9 @@ from boresight.errors import SingleSignOnError
 from boresight.platform.actors import Actor, require_person
 from boresight.platform.db.sessions import Session
 
-CONFIRM_FIRST = "Single sign-on must confirm you again for this: choose Confirm, log in at the provider, and do it within 5 minutes."
+CONFIRM_FIRST = (
+    "Single sign-on must confirm you for this: choose Confirm, log in at the provider, and do it within 5 minutes."
+)
 
 
 @dataclass(frozen=True)
