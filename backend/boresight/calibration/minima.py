@@ -22,7 +22,7 @@ from boresight.calibration.problem import Problem, whiten_at
 from boresight.estimation import batch, minima
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.batch import BatchFit, determined, sigma_in_scale
-from boresight.estimation.minima import LOWER, CostSurface, Piece, Profile, Search
+from boresight.estimation.minima import LOWER, CostSurface, Piece, ProfileLikelihood, Search
 from boresight.estimation.prior import Prior
 from boresight.estimation.robust import measure_huber_effect
 from boresight.estimation.statistics.consistency import chi_square
@@ -194,9 +194,9 @@ def describe_minima(problem: Problem, searched: Searched, x: FloatArray, sigma: 
     return replace(described, sentence=_sentence(described, searched, x, sigma))
 
 
-def _profile(names: Sequence[str], search: Search, rise: float, *, follow: bool) -> list[Profile]:
+def _profile(names: Sequence[str], search: Search, rise: float, *, follow: bool) -> list[ProfileLikelihood]:
     """Profile every free parameter; `follow` what leads lower."""
-    profiles = list[Profile]()
+    profiles = list[ProfileLikelihood]()
     for place, p in enumerate(search.surface.free):
         found = minima.profile(search, place, rise)
         if found.lower is not None and follow:
@@ -206,7 +206,7 @@ def _profile(names: Sequence[str], search: Search, rise: float, *, follow: bool)
     return profiles
 
 
-def _find_spread(names: Sequence[str], search: Search, profiles: Sequence[Profile]) -> Covariance:
+def _find_spread(names: Sequence[str], search: Search, profiles: Sequence[ProfileLikelihood]) -> Covariance:
     """How far the estimate may be off where the set bends."""
     surface = search.surface
     variance = _residual_variance(surface, search.found[0])

@@ -855,7 +855,7 @@ class Rules(NamedTuple):
     minimum_stars: int
 
 
-class Answer(NamedTuple):
+class AssociationArrays(NamedTuple):
     """What matching says, (n_rows,) and from `start` on (n_exposures,); see `sky.matching.Association`."""
 
     star_id: np.ndarray
@@ -908,7 +908,7 @@ def frame_space(frame_start: np.ndarray, row_start: np.ndarray, p: int, n_stars:
 
 @loop(
     "i1 i1", (Seen, "f2 f3 f1 f1 i1 f2 b1"), (Observer, "f1 f2 f2 f2"), (Guides, "i1 f2 f2 f1 f"), (Hints, "f3 f1 i1"),
-    (Rules, "b b f f i"), (Answer, "i1 f2 i1 f1 i1 b1 f3 f3"),
+    (Rules, "b b f f i"), (AssociationArrays, "i1 f2 i1 f1 i1 b1 f3 f3"),
     (Frame, "f4 f4 b2 b2 b1 f3 f2 f3 f2 f2 f1 f2 f1 f1 i1 i1 i1 b1 f2", (
         Scratch, "f1 f1 f1 f1 f1 f1 f1 f1 i1 b1 b1 b1 f3 f2 f2 f2 f1 f1 f2 f2 f2 i1 f2 i1 i1 i1 i1 b2",
     )),

@@ -57,7 +57,7 @@ from boresight.estimation.batch import determined, normal_equations
 from boresight.estimation.executor import refuse_cancelled
 from boresight.estimation.singular_values import CHOSEN, STAR_MODELS, VALUES, Selection
 from boresight.estimation.statistics.cramer_rao import centroid_rows
-from boresight.estimation.statistics.references import View, information_of_pairs, judged, relative, seen
+from boresight.estimation.statistics.references import EvaluationPoint, information_of_pairs, judged, relative, seen
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
@@ -83,7 +83,7 @@ ADDS_NOTHING = 0.005
 def frame_observability(problem: Problem, parameters: Parameters, estimate: Estimate) -> FrameObservability:
     """Judge single frames and references at the estimate."""
     arcs = whiten_at(chosen(problem.arcs.whole(), _taken(problem.arcs.whole())), problem.camera, estimate.x)
-    view = View(problem.camera, estimate.x, parameters.free, parameters.scale)
+    view = EvaluationPoint(problem.camera, estimate.x, parameters.free, parameters.scale)
     runs = seen(view, arcs)
     untold = [selection for selection in SELECTIONS if not any(selection in told for told in TOLD)]
     smallest, of_selection = judged(view, runs, SELECTIONS, untold)
@@ -122,7 +122,9 @@ def _known(smallest: list[FloatArray]) -> FloatArray:
     return np.where(curves > ROUNDING, curves, np.nan)
 
 
-def _information(view: View, arcs: ArcSet, held: dict[str, FloatArray], names: list[str]) -> list[ReferenceInformation]:
+def _information(
+    view: EvaluationPoint, arcs: ArcSet, held: dict[str, FloatArray], names: list[str]
+) -> list[ReferenceInformation]:
     """Every reference beside the bound; empty where these frames leave a parameter open whatever the reference."""
     try:
         bound = centroid_rows(view.camera, view.x, arcs, view.free, view.scale).information

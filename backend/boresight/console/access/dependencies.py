@@ -26,7 +26,7 @@ from boresight.console.access.passwords import NO_PROOF, PasswordProof
 from boresight.console.access.second_factors import WAITS_S, FactorRules, GivenFactor
 from boresight.console.access.sessions import ClientAddress
 from boresight.console.access.tables import User
-from boresight.console.access.webauthn_ceremonies import Site
+from boresight.console.access.webauthn_ceremonies import RelyingParty
 from boresight.console.schemas import Row
 from boresight.errors import (
     ForbiddenError,
@@ -260,9 +260,9 @@ def depend_on_server(name: str) -> Any:
     return Depends(part)
 
 
-def get_site(request: Request) -> Site:
+def get_site(request: Request) -> RelyingParty:
     """Return the site that a browser sees this server as: its public address, or the one that the request was sent to."""
-    return Site.of(get_server(request).settings.public_url or str(request.base_url))
+    return RelyingParty.of(get_server(request).settings.public_url or str(request.base_url))
 
 
 def get_factor_rules(request: Request) -> FactorRules:

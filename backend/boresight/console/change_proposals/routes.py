@@ -11,7 +11,7 @@ from boresight.console.access.dependencies import Reading, SeenVersion, Who, Wri
 from boresight.console.approvals.tables import GateProfile
 from boresight.console.change_proposals import service as proposals
 from boresight.console.change_proposals import tables
-from boresight.console.operation import Answer, Beside, operations
+from boresight.console.operation import Beside, OperationResponse, operations
 from boresight.console.schemas import Document, Row, Shape
 from boresight.console.uplinks.tables import TableDefinition
 from boresight.platform.db.sessions import Session
@@ -80,10 +80,10 @@ def _shown(session: Session, row: tables.ChangeProposal) -> Beside:
 
 def in_force_or_proposed(
     session: Session, row: GateProfile | TableDefinition | tables.ChangeProposal
-) -> GateProfile | TableDefinition | Answer:
+) -> GateProfile | TableDefinition | OperationResponse:
     """Answer a change that is in force with its version, and one that waits with its proposal."""
     if isinstance(row, tables.ChangeProposal):
-        return Answer(_shown(session, row), 202, ChangeProposal)
+        return OperationResponse(_shown(session, row), 202, ChangeProposal)
     return row
 
 

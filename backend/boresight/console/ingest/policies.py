@@ -15,7 +15,7 @@ from boresight.console.alarms.rules import update_alarms
 from boresight.console.fleet.tables import Sensor
 from boresight.console.fleet.trend import read_trend
 from boresight.console.ingest import queries as rows
-from boresight.console.ingest.judgement import rehearse
+from boresight.console.ingest.change_tests import rehearse
 from boresight.console.ingest.rules import PolicyRules, parse_rules
 from boresight.console.ingest.tables import IngestPolicy
 from boresight.console.runs.presets import get_offer

@@ -220,7 +220,7 @@ def answer_ingest_decision(
     policy: ServerPolicy,
 ) -> tables.IngestDecision:
     """Answer a decision that is ASKED, as a person who is logged in; an API key cannot."""
-    said = service.Answer(given.answer, given.reason, given.days)
+    said = service.DecisionAnswer(given.answer, given.reason, given.days)
     return service.answer(session, actor, blobs, decision_id, said, seen, policy=policy)
 
 

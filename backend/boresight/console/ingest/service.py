@@ -30,7 +30,7 @@ from boresight.console.fleet.trend import Trend, read_trend
 from boresight.console.fleet.trend_document import Advice, advise
 from boresight.console.ingest import policies
 from boresight.console.ingest import queries as rows
-from boresight.console.ingest.judgement import PolicyFinding, Reason, agree, judge_newest
+from boresight.console.ingest.change_tests import PolicyFinding, Reason, agree, judge_newest
 from boresight.console.ingest.rules import PolicyRules
 from boresight.console.ingest.tables import ANSWERS, IngestDecision, IngestPolicy
 from boresight.console.parameter_sets import queries as set_rows
@@ -451,7 +451,7 @@ def supersede_overtaken(session: Session, decision_id: int) -> None:
 
 
 @dataclass(frozen=True)
-class Answer:
+class DecisionAnswer:
     """What a person answers: one of `ANSWERS`, why, and for WAIT for how many days."""
 
     answer: str
@@ -474,7 +474,7 @@ def answer(
     actor: Actor,
     blobs: BlobStore,
     decision_id: int,
-    given: Answer,
+    given: DecisionAnswer,
     seen_version: int | None,
     *,
     policy: Policy = POLICY,

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from boresight.console.access.dependencies import Reading, SecretKeeper, Who, Writing
 from boresight.console.jobs.dependencies import ServerWebhookSender
-from boresight.console.operation import Answer, Beside, operations
+from boresight.console.operation import Beside, OperationResponse, operations
 from boresight.console.schemas import Row, Shape
 from boresight.console.webhooks import service as webhooks
 from boresight.console.webhooks import tables
@@ -96,9 +96,9 @@ def _shown(row: tables.Webhook, box: SecretBox, **more: str) -> Beside:
     return Beside(row, state=get_state(row, box), former_secret_until_utc=row.previous_until_utc, **more)
 
 
-def _with_secret(row: tables.Webhook, secret: str, box: SecretBox) -> Answer:
+def _with_secret(row: tables.Webhook, secret: str, box: SecretBox) -> OperationResponse:
     headers = {"Cache-Control": "no-store", "Location": f"/api/v1/webhooks/{row.id}"}
-    return Answer(_shown(row, box, secret=secret), headers=headers, shown_once=("secret",))
+    return OperationResponse(_shown(row, box, secret=secret), headers=headers, shown_once=("secret",))
 
 
 @router.get("", summary="List webhooks", response_model=Page[Webhook])
@@ -114,7 +114,7 @@ def list_webhooks(actor: Who, session: Reading, page: Paged, box: SecretKeeper) 
     response_model=NewWebhook,
     dependencies=[Depends(_judge)],
 )
-def create_webhook(wanted: WantedWebhook, actor: Who, box: SecretKeeper, session: Writing) -> Answer:
+def create_webhook(wanted: WantedWebhook, actor: Who, box: SecretKeeper, session: Writing) -> OperationResponse:
     """Send events to an address from now on. `secret` is in this answer and nowhere else.
 
     Every address that the host name resolves to is checked, now and before each message.
@@ -126,7 +126,7 @@ def create_webhook(wanted: WantedWebhook, actor: Who, box: SecretKeeper, session
 @router.post("/{webhook_id}:renew-secret", summary="Give it a new secret", response_model=NewWebhook)
 def renew_webhook_secret(
     webhook_id: Id, actor: Who, box: SecretKeeper, session: Writing, renewal: Renewal | None = None
-) -> Answer:
+) -> OperationResponse:
     """Give a webhook a new secret; the former one also signs for some hours, so that the receiver can change over."""
     hours = OVERLAP_HOURS if renewal is None else renewal.overlap_hours
     row, secret = webhooks.renew_secret(session, actor, box, webhook_id, overlap_hours=hours)

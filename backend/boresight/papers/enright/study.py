@@ -78,7 +78,7 @@ SETS_SHARE = 0.9
 
 
 @dataclass(frozen=True)
-class Plan:
+class StudySize:
     """How large a study is."""
 
     quick: bool = False
@@ -108,7 +108,7 @@ class Plan:
         return split(trial, FEW if self.quick else SETTINGS) if SENSOR in self.sensors else []
 
 
-def run(plan: Plan, catalogue_folder: Path | None, say: Report = keep_silent) -> dict[str, Any]:
+def run(plan: StudySize, catalogue_folder: Path | None, say: Report = keep_silent) -> dict[str, Any]:
     """Run the study; returns its document, schema `boresight.reproduction/1`."""
     plan.check()
     found = run_all(

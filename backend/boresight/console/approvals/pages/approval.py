@@ -77,7 +77,7 @@ MEANINGS = {
 
 
 @dataclass(frozen=True)
-class View:
+class SigningView:
     """A figure that is opened before signing: what the run answers in a sentence, and when this reader opened it."""
 
     point: Point
@@ -85,11 +85,11 @@ class View:
     answer: str
 
 
-def make_views(points: Sequence[Point], result: Calibration | None) -> list[View]:
+def make_views(points: Sequence[Point], result: Calibration | None) -> list[SigningView]:
     """Return the figures of a request, each with its answer."""
     said = {} if result is None else {view.figure: view.answer.sentence for view in make_four_views(result)}
     return [
-        View(point, FIGURES[point.name], said.get(point.name, "Open it to see the answer."))
+        SigningView(point, FIGURES[point.name], said.get(point.name, "Open it to see the answer."))
         for point in points
         if point.kind == review.EVIDENCE
     ]

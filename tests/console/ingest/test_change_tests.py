@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from boresight.console.fleet.trend import Trend, TrendPoint, make_epoch
-from boresight.console.ingest.judgement import Reference, judge, judge_newest, make_follower, promote_point, rehearse
+from boresight.console.ingest.change_tests import Reference, judge, judge_newest, make_follower, promote_point, rehearse
 from boresight.console.ingest.rules import RULES, PolicyRules, parse_rules
 from boresight.errors import RefusedInputError
 from boresight.platform.db.sessions import utc_text
