@@ -14,7 +14,7 @@ STALE.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -227,7 +227,7 @@ def record_report(session: Session, actor: Actor, assessment: GateAssessment) ->
 def _record(session: Session, actor: Actor, assessment: GateAssessment) -> GateReport:
     row = session.get_known(ParameterSet, assessment.parameter_set_id)
     profile = ensure_profile(session, actor, row.sensor_id)
-    moved = _list_moved(assessment.report.bound, compute_bound_hashes(session, row))
+    moved = assessment.report.bound.list_moved(compute_bound_hashes(session, row))
     if moved:
         since = describe_baseline(session, row.sensor_id)
         raise StaleError(
@@ -253,12 +253,6 @@ def _record(session: Session, actor: Actor, assessment: GateAssessment) -> GateR
     return report
 
 
-def _list_moved(bound: gates.BoundHashes, now: gates.BoundHashes) -> list[str]:
-    """List in words what has another hash now."""
-    names = [one.name for one in fields(bound) if getattr(bound, one.name) != getattr(now, one.name)]
-    return [name.removesuffix("_sha256").replace("_", " ") for name in names]
-
-
 def find_valid_report(session: Session, parameter_set_id: int) -> GateReport | None:
     """Return a set's newest report if its inputs are unchanged; None otherwise."""
     report = rows.find_newest_report(session, parameter_set_id)
@@ -281,7 +275,7 @@ def get_report(session: Session, parameter_set_id: int, sha256: str | None = Non
 def list_moved_since(session: Session, report: GateReport) -> list[str]:
     """List the inputs of a report that have changed; it is valid while there are none."""
     now = compute_bound_hashes(session, session.get_known(ParameterSet, report.parameter_set_id))
-    return _list_moved(gates.parse_bound_report(report.document).bound, now)
+    return gates.parse_bound_report(report.document).bound.list_moved(now)
 
 
 def choose_report_for_submission(

@@ -100,6 +100,20 @@ class BoundHashes:
     incumbent_sha256: str | None
     table_definition_sha256: str | None = None
 
+    def list_moved(self, now: BoundHashes) -> list[str]:
+        """Name what has another hash now."""
+        return [word for name, word in BOUND.items() if getattr(self, name) != getattr(now, name)]
+
+
+#: What each hash is of.
+BOUND = {
+    "set_sha256": "set",
+    "run_result_sha256": "run result",
+    "profile_sha256": "profile",
+    "incumbent_sha256": "incumbent",
+    "table_definition_sha256": "table definition",
+}
+
 
 @dataclass(frozen=True, kw_only=True)
 class BoundGateReport(GateReport):
