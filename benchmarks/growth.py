@@ -92,7 +92,7 @@ def measure(
                 report(done, f"calibrating {frames:,} frames, {method}")
                 found[method].append(_calibrated(path, method, frames))
         for frames in rematch_sizes:
-            report(0.9, f"calibrating {frames:,} frames, matched anew")
+            report(0.9, f"calibrating {frames:,} frames, matched again")
             catalogue = load_catalogue(read_settings().catalogue_folder)
             write_parquet(repeated_fields(frames, st16_sensor(1), catalogue, seed), path)
             matched.append(_calibrated(path, methods[0], frames, match="rematch"))

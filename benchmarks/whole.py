@@ -67,7 +67,7 @@ def measure(
             report(share + 0.1, f"calibrating {size:,} frames")
             found[name] = _given(path, sensor, catalogue) | {"frames": size}
         if rematch:
-            report(0.7, f"calibrating {frames:,} frames, matched anew")
+            report(0.7, f"calibrating {frames:,} frames, matched again")
             whole = CalibrationSettings(match="rematch")
             found["rematch"] = _whole(Path(folder) / "given.parquet", sensor, catalogue, whole, repeats=1)
             if "c_fit_s" in found["given"]:

@@ -159,11 +159,11 @@ class ArcSet:
         stars = np.flatnonzero(stays)
         counts = left[full]
         starts = np.append(0, np.cumsum(counts))
-        anew = np.flatnonzero(np.repeat(touched[full], counts))
+        reordered = np.flatnonzero(np.repeat(touched[full], counts))
         fat = np.ones(len(counts), np.bool_)
-        if len(anew):
-            places, fatness = order(np.append(0, np.cumsum(counts[touched[full]])), self.s_i[stars[anew]])
-            stars[anew] = stars[anew[places]]
+        if len(reordered):
+            places, fatness = order(np.append(0, np.cumsum(counts[touched[full]])), self.s_i[stars[reordered]])
+            stars[reordered] = stars[reordered[places]]
             fat[touched[full]] = fatness > COLLINEAR
         chosen = np.zeros(self.n_exposures, np.bool_)
         chosen[np.flatnonzero(full)[fat]] = True

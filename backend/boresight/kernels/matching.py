@@ -372,7 +372,7 @@ def _residual(s, T, C, c, r):
 def _refract(c, air):
     """Bend direction c (3,) towards the zenith air[:3] by A tan Z + B tan^3 Z, A and B the last of air (5,): as `erfa.atioq` does.
 
-    Z is observed and c is not, hence one Newton step; the sine and the cosine of the elevation are kept from nought.
+    Z is observed and c is not, hence one Newton step; the sine and the cosine of the elevation are kept from zero.
     """
     along = c[0] * air[0] + c[1] * air[1] + c[2] * air[2]
     across2 = 1.0 - along * along

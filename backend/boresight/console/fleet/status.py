@@ -54,9 +54,9 @@ def get_drift_verdicts(
         for sensor in sensors
     }
     unknown = [sensor.id for sensor in sensors if of_store.get(sensor.id, (None,))[0] != rests_on[sensor.id]]
-    anew = unknown if most is None else unknown[:most]
-    for start in range(0, len(anew), TOGETHER):
-        asked = queries.list_sensors(session, anew[start : start + TOGETHER])
+    judged = unknown if most is None else unknown[:most]
+    for start in range(0, len(judged), TOGETHER):
+        asked = queries.list_sensors(session, judged[start : start + TOGETHER])
         for sensor_id, trend in read_trends(session, asked).items():
             found = judge_drift(trend)
             said = DriftVerdict(found.verdict, found.sentence, to_plain(document(found)))
