@@ -13,7 +13,7 @@ one in ten leaves over and over and comes back with `Last-Event-ID`. What there 
 
 **Fleet.** Each fleet is a store of its own. Every sensor has a ground calibration, a set and runs that have ended. A person asks
 for each page in turn, and before each time something is committed, so that no answer is cached: what is timed is a page made
-anew. How long the very first page takes is told by itself: the server has just been started, and its watch judges the drift of
+again. How long the very first page takes is told by itself: the server has just been started, and its watch judges the drift of
 every sensor.
 """
 

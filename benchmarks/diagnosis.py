@@ -4,7 +4,7 @@ The sets are an ST-16's from orbit with real stars, false detections and no star
 under one that knows its principal point; and the five real images of a ground camera, where they are at hand. Each input spoils
 sensor file or telemetry. A diagnosis is right where the causes that it names together are the mistakes made; of a mirrored image
 also where the mistake is one of those that it says stars cannot tell from the cause named. It has mended wrongly where it proposes
-sensor file or mapping, and the whole set, matched anew with these, names more than one star in a hundred otherwise than the truth,
+sensor file or mapping, and the whole set, matched again with these, names more than one star in a hundred otherwise than the truth,
 has a focal length more than 1 % off, or anything is mended that was not spoiled. Beside it stands what a calibration says of the
 same input without it.
 """

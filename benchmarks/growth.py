@@ -11,7 +11,7 @@ against its limit three times:
     beyond starting              of t(n) - t(0), t(0) the fastest process that calibrates `EMPTY_FRAMES` frames, over the sizes
                                  that take twice as long as that or longer
 
-The sets have directions (`given`). The default of the command finds the stars anew (`rematch`): sets of catalogue stars with times
+The sets have directions (`given`). The default of the command finds the stars again (`rematch`): sets of catalogue stars with times
 and without directions are calibrated so as well, of fewer sizes.
 
 **Fresh** (part `fresh`). The same calibration is run twice in one new process. The first is counted from before the interpreter
@@ -75,7 +75,7 @@ def measure(
     rematch_sizes: Sequence[int] = REMATCH_SIZES,
     seed: int = 1,
 ) -> dict[str, Any]:
-    """Calibrate sets of ascending sizes, each in a fresh process; the first method takes those that are matched anew."""
+    """Calibrate sets of ascending sizes, each in a fresh process; the first method takes those that are matched again."""
     found: dict[str, list[dict[str, Any]]] = {method: [] for method in methods}
     matched = []
     with tempfile.TemporaryDirectory(prefix="boresight-growth-") as place:
@@ -92,7 +92,7 @@ def measure(
                 report(done, f"calibrating {frames:,} frames, {method}")
                 found[method].append(_calibrated(path, method, frames))
         for frames in rematch_sizes:
-            report(0.9, f"calibrating {frames:,} frames, matched anew")
+            report(0.9, f"calibrating {frames:,} frames, matched again")
             catalogue = load_catalogue(read_settings().catalogue_folder)
             write_parquet(repeated_fields(frames, st16_sensor(1), catalogue, seed), path)
             matched.append(_calibrated(path, methods[0], frames, match="rematch"))

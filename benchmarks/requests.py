@@ -22,8 +22,7 @@ import numpy as np
 from benchmarks import Report, held
 from benchmarks.mission import Mission, Seen, displaced, draw_mission, free_of, observe
 from boresight.console.fleet.trend import Trend, TrendPoint
-from boresight.console.ingest.judgement import PolicyFinding
-from boresight.console.ingest.rehearsal import walk_over
+from boresight.console.ingest.change_tests import PolicyFinding, walk_over
 from boresight.console.ingest.rules import PolicyRules
 from boresight.settings import read_settings
 from boresight.sky.catalogue import load_catalogue

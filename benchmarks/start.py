@@ -4,8 +4,8 @@ Every figure is of new processes, with those that they start, and of processor t
 machine stretches the latter. Their modules are compiled to byte code in a folder of their own, as an installation's are. `checkout`
 is another checkout of this repository to start beside this one: they take turns, so that both are measured in the same minutes.
 
-The set is of catalogue stars as in part `whole`, as CSV and matched anew, as the command does when nothing else is said. The folder
-of compiled loops is empty before the first calibration (`cold`); the later ones find what it left there.
+The set is of catalogue stars as in part `whole`, as CSV and matched again, as the command does when nothing else is said. The
+folder of compiled loops is empty before the first calibration (`cold`); the later ones find what it left there.
 """
 
 from __future__ import annotations

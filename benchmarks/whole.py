@@ -15,7 +15,7 @@ The peer is the same Levenberg-Marquardt run in C on one thread: as many evaluat
 `arclengths.c` (gcc -O3 -march=native), and nothing else: R, reading and all that follows are not counted for it, which is the
 stricter way. The calibration whitens twice and so fits twice; its evaluations are counted over both, which is what the fit costs,
 and over the first by itself, which is what one fit of given weights costs, `over_one_weighing` is the whole over that. With
-`rematch`, the default of the command, the stars are found anew at every cycle; that is told beside the same fit in C, which does
+`rematch`, the default of the command, the stars are found again at every cycle; that is told beside the same fit in C, which does
 not know of it, and held against nothing.
 """
 
@@ -67,7 +67,7 @@ def measure(
             report(share + 0.1, f"calibrating {size:,} frames")
             found[name] = _given(path, sensor, catalogue) | {"frames": size}
         if rematch:
-            report(0.7, f"calibrating {frames:,} frames, matched anew")
+            report(0.7, f"calibrating {frames:,} frames, matched again")
             whole = CalibrationSettings(match="rematch")
             found["rematch"] = _whole(Path(folder) / "given.parquet", sensor, catalogue, whole, repeats=1)
             if "c_fit_s" in found["given"]:

@@ -157,7 +157,7 @@ def test_every_kind_of_advice_is_used_and_has_its_place_in_the_guide(pages, buil
         node
         for path in (ROOT / "backend" / "boresight").rglob("*.py")
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.Call) and ast.unparse(node.func) in {"Advice", "Advice.begin", "of_kind"}
+        if isinstance(node, ast.Call) and ast.unparse(node.func) in {"Advice", "Advice.begin", "make_advice"}
     ]
     used = {one.value for call in calls for one in call.args if isinstance(one, ast.Constant)}
     of_marks = {mark.name for mark in (*make_verdict_marks(EXAMPLE), *trust_marks(EXAMPLE))} - {"fit"}

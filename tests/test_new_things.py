@@ -151,7 +151,7 @@ LINES = {
 
 
 def copied(place: Path) -> Path:
-    """Lay the package and the templates out anew as links; what reads its own place, and what gets a line, is a file."""
+    """Lay the package and the templates out again as links; what reads its own place, and what gets a line, is a file."""
     for top in (PACKAGE, "frontend/templates"):
         for path in (ROOT / top).rglob("*"):
             if path.is_file() and "__pycache__" not in path.parts:

@@ -77,7 +77,7 @@ def _mail_server(text: str) -> str:
     return text
 
 
-def _one_of(*words: str) -> Callable[[str], str]:
+def _make_word_reader(*words: str) -> Callable[[str], str]:
     """Return what reads one of these words."""
 
     def read(text: str) -> str:
@@ -173,7 +173,7 @@ class Settings:
         "optional",
         "",
         "off, optional, or required-to-sign: approvers and administrators must enrol one before anything else.",
-        read=_one_of("off", "optional", "required-to-sign"),
+        read=_make_word_reader("off", "optional", "required-to-sign"),
     )
     security_log: str = _setting(
         "",
@@ -287,13 +287,13 @@ class Settings:
         "text",
         "text or json",
         "json = one JSON object a line, with request, person, run and trace.",
-        read=_one_of(*FORMATS),
+        read=_make_word_reader(*FORMATS),
     )
     otlp_endpoint: str = _setting(
         "", "URL", "Collector of traces by OTLP over HTTP, without /v1/traces; empty = no traces.", read=_site
     )
     telemetry_keep_days: float = _setting(
-        "0", "d", "Files of telemetry that nothing needs are removed after this time; 0 = they are kept for ever."
+        "0", "d", "Files of telemetry that nothing needs are removed after this time; 0 = they are kept forever."
     )
     backup_key: str = _setting(
         "",

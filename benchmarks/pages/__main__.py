@@ -1,10 +1,10 @@
 """Measure, and write `docs/benchmarks.md` and `docs/capacity.md` with the chart they show: `make bench`.
 
     python -m benchmarks.pages                  every part at full size (an hour of an idle machine), then the pages
-    python -m benchmarks.pages --part queue     one part anew, the others as they are stored
+    python -m benchmarks.pages --part queue     one part again, the others as they are stored
     python -m benchmarks.pages --take A B       take the parts that `python -m benchmarks --json A` measured, then those of B
     python -m benchmarks.pages --write          only the pages, from what is stored, and no chart
-    python -m benchmarks.pages --figures        `docs/figures.md` and its images; with --renew after making the examplen anew
+    python -m benchmarks.pages --figures        `docs/figures.md` and its images; with --renew after making the examplen again
 
 What was measured is stored in `docs/benchmarks.json`, each part with the machine that measured it, rounded to five digits.
 """
@@ -71,7 +71,7 @@ def pages() -> dict[str, str]:
 @click.option("--take", "taking", is_flag=True, help="Take measured FILES instead of measuring.")
 @click.option("--write", is_flag=True, help="Write the pages from what is stored.")
 @click.option("--figures", is_flag=True, help="Write the page of figures and its images.")
-@click.option("--renew", is_flag=True, help="Make the example calibration anew that the figures show.")
+@click.option("--renew", is_flag=True, help="Make the example calibration again that the figures show.")
 @click.argument("files", nargs=-1, type=click.Path(exists=True, path_type=Path))
 def main(
     *, parts: tuple[str, ...], taking: bool, write: bool, figures: bool, renew: bool, files: tuple[Path, ...]

@@ -24,7 +24,7 @@ peer in the same run do not, so quote those. What they mean for a constellation 
 ```sh
 make test                                     # installs everything, peers included (the extra `bench`)
 python -m benchmarks --part all --json F      # measure; --part NAME for one, --size PART.SIZE=VALUE for another size
-make bench                                    # measure everything and write this page anew
+make bench                                    # measure everything and write this page again
 python -m benchmarks.pages --part accuracy    # one part
 ```
 
@@ -288,7 +288,7 @@ def _growth(found: Found) -> str:
         + "\n"
         + table(("method", "exponent over all sizes", "between neighbours", "beyond starting"), slopes)
         + "\nBeyond starting: of the seconds less those of a process with next to nothing to compute, "
-        f"{number(found['empty_s'])} s. These sets have given directions. With stars found anew (`rematch`, the command's "
+        f"{number(found['empty_s'])} s. These sets have given directions. With stars found again (`rematch`, the command's "
         "default), sets of catalogue stars with times:\n\n"
         + table(("frames", "wall, s", "µs a frame", "peak, MB"), matched)
     )
@@ -297,7 +297,7 @@ def _growth(found: Found) -> str:
 WHOLES = {
     "given": "directions of the file; the limit holds for this one",
     "small": "the same, small",
-    "rematch": "stars found anew: the command's default, told without a limit",
+    "rematch": "stars found again: the command's default, told without a limit",
 }
 
 
@@ -383,7 +383,7 @@ def _clients(found: Found) -> str:
     )  # fmt: skip
     return (
         f"{found['clients']} clients before {found['runs']:,} runs of one sensor. The limits hold for crowds that "
-        "ask while nothing is committed. After a commit every person's page is made anew, and 200 people who all ask again at "
+        "ask while nothing is committed. After a commit every person's page is made again, and 200 people who all ask again at "
         "once wait for one another; a launch, half a second after the one before was answered, waits among them.\n\n"
         + table(heads, rows)
         + f"\n{all_figures(found, tuple(CROWDS))}"
@@ -399,7 +399,7 @@ def _fleet(found: Found) -> str:
     ]
     first = ", ".join(f"{number(fleet['first_page_s'])} s of {size}" for size, fleet in fleets.items())
     return (
-        f"Median of {found['looks']} looks by one person, something being committed before each, so that every page is made anew; "
+        f"Median of {found['looks']} looks by one person, something being committed before each, so that every page is made again; "
         f"bytes before compression. Every sensor has {found['runs_each']} runs.\n\n"
         + table(("page", *(f"{size}: {unit}" for size in fleets for unit in ("ms", "kB"))), rows)
         + f"\nThe first page after a start, while the server judges the drift of every sensor for the first time, took {first}.\n"

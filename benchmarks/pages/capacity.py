@@ -62,7 +62,7 @@ AFTER = """## What this does not say
 - Sizes hold for sets with given matches and about eleven stars an exposure; bytes grow with stars. Trust pictures make up
   most of a result's constant.
 - Nothing is deleted here. An archive rule (drop results of filters after a month, keep batches) divides the files of results.
-- Reads were measured on a store of one sensor, every page made anew after a commit. What pages of ten thousand sensors take is
+- Reads were measured on a store of one sensor, every page made again after a commit. What pages of ten thousand sensors take is
   the part `fleet`: lists come page by page, and the overview draws the 120 sensors that stand worst. It, the top bar, the uplink
   page and the sensors of one status look at how every sensor stands, and an open console reads its page again after each event.
 - The audit log's chain is verified from its first record: with the rows above, verify from a stored head, not from the beginning.

@@ -156,7 +156,7 @@ def _entry(figure: Figure) -> str:
 
 
 def make_example_calibration(catalogue: Catalogue) -> bytes:
-    """Calibrate a simulated sensor anew and return the text of `example_calibration.json`."""
+    """Calibrate a simulated sensor again and return the text of `example_calibration.json`."""
     scenario = dataclasses.replace(calibration_scenario(1), frames=FRAMES)
     validation_set = dataclasses.replace(validation_scenario(1), frames=VALIDATION_FRAMES)
     sets = [

@@ -1,6 +1,6 @@
 """Log-ins are rows of the store, so that each can be seen and ended.
 
-A cookie of before is no log-in any more: people log in anew.
+A cookie of before is no log-in any more: people log in again.
 """
 
 from __future__ import annotations
@@ -37,5 +37,5 @@ def upgrade() -> None:
 
 
 def downgrade() -> None:
-    """Take it away again; everybody logs in anew."""
+    """Take it away again; everybody logs in again."""
     op.drop_table("login_sessions")

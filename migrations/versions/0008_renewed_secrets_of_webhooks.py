@@ -2,7 +2,7 @@
 
 Secrets that are stored plain are encrypted by the server, by `boresight migrate` and before a backup, for the key is in a
 file and not in the database. On the way down they stay encrypted: an older version signs with a text that no receiver
-knows, so that each webhook has to be made anew, and tells nobody a secret.
+knows, so that each webhook has to be made again, and tells nobody a secret.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ def upgrade() -> None:
 
 
 def downgrade() -> None:
-    """Take them away again, and make the table anew."""
+    """Take them away again, and make the table again."""
     for column in KEYS:
         op.drop_index(f"uq_users_{column}", "users")
         op.drop_column("users", column)

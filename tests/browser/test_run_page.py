@@ -328,7 +328,7 @@ def test_no_text_of_a_figure_lies_over_another_or_is_cut_on_a_phone_or_a_desk(pe
             window.open(f"/runs/{sequential_run}?part={part}")
             window.unfold()
             assert window.overlaps() == [], f"at {size['width']} px"
-        window.page.set_viewport_size(PHONE)  # where a window becomes narrow its figures are laid out anew
+        window.page.set_viewport_size(PHONE)  # where a window becomes narrow its figures are laid out again
         window.page.wait_for_function(f"() => !({OVERLAPS})().length")
 
 

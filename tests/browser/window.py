@@ -299,7 +299,7 @@ class Window:
         return found
 
     def wear(self, name: str) -> None:
-        """Show every page from now on in the look that is this name's own: one that is drawn anew costs as much again."""
+        """Show every page from now on in the look that is this name's own: one that is drawn again costs as much again."""
         theme, size, _ = _read_look(name)
         self._themed = True
         self.page.route("**/nothing", lambda route: route.fulfill(content_type="text/html", body=NOTHING))

@@ -173,7 +173,7 @@ def test_a_cancel_stops_every_method(method, sensor, catalogue, make_telemetry):
         ).to_dict()
 
 
-@pytest.mark.parametrize("part", ["minima.look_for_minima", "trust.fit_best", "trust._of_stars", "trust._tested"])
+@pytest.mark.parametrize("part", ["minima.look_for_minima", "trust.fit_best", "trust._judge_stars", "trust._tested"])
 def test_a_cancel_stops_a_filter_that_is_searched_and_judged(part, sensor, catalogue, make_telemetry, monkeypatch):
     begun, name = [], f"boresight.calibration.{part}"
     computed = resolve_name(name)

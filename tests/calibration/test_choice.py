@@ -114,7 +114,7 @@ def test_the_chosen_candidate_suffices_against_every_larger_one_and_needs_its_te
         )
         chosen = least.chosen.fitted
         assert all(test.rejects for test in least.chosen.needed)
-        for one in fits.of_camera(chosen.camera):
+        for one in fits.list_fitted(chosen.camera):
             if one.usable and one is not chosen and one.subset.contains(chosen.subset):
                 looked_at = count_tests(chosen.subset, terms=len(one.subset.terms) - len(chosen.subset.terms))
                 assert not nested_test(chosen, one, least.noise, looked_at * len(CAMERA_MODELS)).rejects

@@ -41,7 +41,7 @@ from boresight.telemetry.working_table import write_working_table
 from tests.calibration.sets import case, field, simulated
 from tests.estimation.fields import GROUND, NOISE_PX, PITCH, TRUTH
 
-GIVEN, ANEW = CalibrationSettings(match="given"), CalibrationSettings(match="rematch")
+GIVEN, REMATCH = CalibrationSettings(match="given"), CalibrationSettings(match="rematch")
 KEYS = {
     "schema", "frames", "availability", "matched_star_ratio", "rms_arc_rad", "common_pairs", "matched_stars",
     "flight_tolerance_rad", "intervals", "reasons",
@@ -137,12 +137,12 @@ def test_half_the_stars_come_back_by_matching_anew_and_sensor_three_becomes_avai
     P = np.diag((0.05 * sensor.typical_sigma) ** 2)
     states = (telemetry, sensor, catalogue, sensor.initial, truth)
     given = to_plain(evaluate_parameters(*states, GIVEN, None, P))
-    anew = to_plain(evaluate_parameters(*states, ANEW, None, P, rng=np.random.default_rng(0)))
-    assert anew["availability"]["initial"] < 0.6
-    assert anew["availability"]["final"] > 0.95
-    assert anew["matched_stars"]["final"] > 1.8 * given["matched_stars"]["final"]
-    low, high = anew["intervals"]["availability"]["initial"]
-    assert low <= anew["availability"]["initial"] <= high
+    rematched = to_plain(evaluate_parameters(*states, REMATCH, None, P, rng=np.random.default_rng(0)))
+    assert rematched["availability"]["initial"] < 0.6
+    assert rematched["availability"]["final"] > 0.95
+    assert rematched["matched_stars"]["final"] > 1.8 * given["matched_stars"]["final"]
+    low, high = rematched["intervals"]["availability"]["initial"]
+    assert low <= rematched["availability"]["initial"] <= high
 
 
 @pytest.fixture
@@ -156,13 +156,13 @@ def seen(make_telemetry, sensor, catalogue):
 
 def test_every_star_is_in_one_of_the_sets_in_the_same_order_and_scores_are_those_of_arcs_ordered_anew(seen, sensor):
     telemetry, ordered, (initial, final) = seen
-    anew = common_arcs(telemetry, sensor, final, 4)
+    rematched = common_arcs(telemetry, sensor, final, 4)
     kept = common_arcs(telemetry, sensor, final, 4, ordered)
     assert len(kept) == 2
-    assert sum(arcs.n_exposures for arcs in kept) == anew[0].n_exposures
+    assert sum(arcs.n_exposures for arcs in kept) == rematched[0].n_exposures
     runs, expected = (
         sorted(rows.tolist() for arcs in sets for rows in np.split(arcs.source_row, arcs.star_start[1:-1]))
-        for sets in (kept, anew[:1])
+        for sets in (kept, rematched[:1])
     )
     assert runs == expected
     found, known = (

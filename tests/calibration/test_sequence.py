@@ -211,7 +211,7 @@ def test_it_holds_what_the_filter_gave_with_the_running_rms_and_histories_of_som
     np.testing.assert_array_equal(kept.column("aggregate_rms"), running)
     assert kept.nis_sum == pytest.approx(whole.nis.sum(), rel=1e-14)
     whole = history(40)
-    part = recorded(whole).of_frames(np.array([30, 70, 390]))
+    part = recorded(whole).select_frames(np.array([30, 70, 390]))
     assert len(part) == 3
     np.testing.assert_array_equal(part.nis, whole.nis[[3, 7, 39]])
 

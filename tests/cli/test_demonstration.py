@@ -229,7 +229,7 @@ def test_one_set_waits_for_a_signature_that_the_approver_may_give(told):
         (request,) = lists.list_newest(session, Approval, state="OPEN")
         row = session.get_known(ParameterSet, request.parameter_set_id)
         assert (row.name, row.ground_state) == ("PS-ST16-2-1", "SUBMITTED")
-        (signer,) = approvals.list_signers_of(session, request.id)
+        (signer,) = approvals.list_request_signers(session, request.id)
     assert (signer.user.name, signer.refusal) == ("approver", None)
 
 

@@ -68,7 +68,7 @@ def test_errors_are_spread_as_the_covariance_says_and_residuals_as_R_says():
         total_nees += nees((fitted.x - TRUTH) / SCALE, np.linalg.inv(fitted.A))
         total_chi2 += fitted.chi2
         dof += whitened(field, first.x).n_arcs - 8
-    # 95 % bounds; the seeds are fixed, so this passes or fails for ever
+    # 95 % bounds; the seeds are fixed, so this passes or fails forever
     assert chi_square(total_nees, 8 * seeds).consistent
     assert chi_square(total_chi2, dof).consistent
 

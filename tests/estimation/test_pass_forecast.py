@@ -19,7 +19,7 @@ def draw(rng, passes, mean=lambda _t, _T: np.zeros(2)):
 def condition(model, kept, at):
     """Mean and covariance of the parameters at `at` given all that were kept, by one dense solution, in sigmas of a pass."""
     every = [*kept, at]
-    V, t = np.array([model.columns.of(one) for one in every]), np.array([one.t_d for one in every])
+    V, t = np.array([model.columns.make_row(one) for one in every]), np.array([one.t_d for one in every])
     K, m = len(every), V.shape[1]
     A = np.hstack([np.ones((K, 1)), V])
     walked = np.minimum.outer(t, t) - t[0]

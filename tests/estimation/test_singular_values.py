@@ -22,7 +22,7 @@ from boresight.estimation.statistics import references
 from boresight.estimation.statistics.consistency import chi_square, nees
 from boresight.estimation.statistics.cramer_rao import centroid_rows
 from boresight.estimation.statistics.references import (
-    View,
+    EvaluationPoint,
     judged,
     observability_of_models,
     observability_of_values,
@@ -341,7 +341,7 @@ def test_the_gain_of_turned_rows_is_that_of_all_pairs_and_runs_on_hundreds_of_st
     np.testing.assert_allclose(gain.sigmas, information.sigmas, rtol=1e-8)
 
 
-VIEW = View(INVERTED_WANG, TRUTH, FREE, SCALE)
+VIEW = EvaluationPoint(INVERTED_WANG, TRUTH, FREE, SCALE)
 
 
 @dataclass(frozen=True)

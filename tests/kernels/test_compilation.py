@@ -70,7 +70,9 @@ def test_a_second_camera_compiles_only_what_touches_its_state(tmp_path):
     assert not {name for name in second if name.endswith("order_stars")}
 
 
-@pytest.mark.parametrize("name", [name for name, loop in LOOPS.items() if not loop.of_camera], ids=lambda name: name[1])
+@pytest.mark.parametrize(
+    "name", [name for name, loop in LOOPS.items() if not loop.takes_camera], ids=lambda name: name[1]
+)
 def test_a_loop_without_a_camera_has_one_form(name):
     loop = LOOPS[name]
     assert len({loop.signature(state_type(camera.state)) for camera in CAMERA_MODELS.values()}) == 1

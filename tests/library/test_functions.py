@@ -4,7 +4,6 @@ import copy
 import dataclasses
 import json
 import sys
-from collections.abc import Sequence
 from typing import get_type_hints
 
 import numpy as np
@@ -12,7 +11,7 @@ import plotly.graph_objects as go
 import pytest
 
 import boresight as bs
-from boresight.calibration.options import OPTIONS, Choices
+from boresight.calibration.options import OPTIONS, CalibrationSettings
 from boresight.figures import FIGURES
 from boresight.sky import catalogue
 from boresight.waiting import tell
@@ -137,10 +136,10 @@ def test_a_setting_that_does_not_exist_is_refused_in_one_sentence(settings, simu
 
 
 def test_every_setting_is_typed_by_its_kind():
-    typed = get_type_hints(Choices)
+    typed = get_type_hints(CalibrationSettings)
     kinds = {
-        "word": str, "whole": int, "number": float, "yes or no": bool, "names": str | Sequence[str],
-        "numbers": str | Sequence[str], "times": str | Sequence[str], "wholes": str | Sequence[int], "stars": str | Sequence[int],
+        "word": str, "whole": int, "number": float, "yes or no": bool, "names": tuple[str, ...],
+        "numbers": tuple[str, ...], "times": tuple[str, ...], "wholes": tuple[int, ...], "stars": tuple[int, ...],
     }  # fmt: skip
     assert typed == {
         name: kinds[one.kind] | None if one.default is None else kinds[one.kind] for name, one in OPTIONS.items()

@@ -161,7 +161,7 @@ def test_thinning_keeps_each_nth_frame_whole():
 
 @pytest.fixture(scope="module")
 def study():
-    plan = enright.Plan(quick=True, sensors=(3, 4), frames=30, validation_frames=15, sets=1, processes=1)
+    plan = enright.StudySize(quick=True, sensors=(3, 4), frames=30, validation_frames=15, sets=1, processes=1)
     return enright.run(plan, None)
 
 
@@ -321,4 +321,4 @@ def test_the_nearest_tolerance_has_the_smallest_factor_and_ours_is_five_arc_sigm
 
 def test_a_sensor_that_the_paper_does_not_have_is_refused():
     with pytest.raises(RefusedInputError, match="no sensor 7"):
-        enright.run(enright.Plan(sensors=(7,)), None)
+        enright.run(enright.StudySize(sensors=(7,)), None)

@@ -125,7 +125,9 @@ def study():
         patch.setattr(report, "run_on_one_thread", lambda run, folder: run(folder))
         for name, number in (("DRAWN", 300), ("FRAMES", 20), ("SLOW_FRAMES", 4), ("ROUNDS", 3)):
             patch.setattr(timing, name, number)
-        return wu.run(wu.Plan(quick=True, frames=effort(60, 120), judges=effort(15, 30), sets=2, processes=1), None)
+        return wu.run(
+            wu.StudySize(quick=True, frames=effort(60, 120), judges=effort(15, 30), sets=2, processes=1), None
+        )
 
 
 @pytest.mark.full
@@ -383,7 +385,7 @@ def test_a_set_is_the_same_whenever_it_is_run_and_too_few_images_are_refused():
     once, again = (run_trial(Trial(7, 40, 10), None) for _ in range(2))
     assert once == again
     with pytest.raises(RefusedInputError, match="more than 20"):
-        wu.run(wu.Plan(frames=20, sets=1, processes=1), None)
+        wu.run(wu.StudySize(frames=20, sets=1, processes=1), None)
 
 
 @pytest.mark.full

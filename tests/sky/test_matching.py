@@ -31,7 +31,7 @@ from boresight.sky.guide_stars import (
     ObserverMotion,
     close_pairs,
     compute_pulls,
-    flags_of,
+    flag_stars,
     guide_stars,
     observer_motion,
     phrases,
@@ -487,7 +487,7 @@ def test_the_flags_are_those_of_a_search_through_all_pairs(seed, n, blend_arcsec
     np.testing.assert_array_equal((flags & DOUBLE) > 0, expected)
     np.testing.assert_array_equal((flags & UNRELIABLE) > 0, stars.solution_type != SINGLE_STAR)
     some = rng.permutation(n)[: n // 2]
-    np.testing.assert_array_equal(flags_of(stars, some, blend_arcsec * ARCSEC), flags[some])
+    np.testing.assert_array_equal(flag_stars(stars, some, blend_arcsec * ARCSEC), flags[some])
 
 
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 30), psf_arcsec=st.floats(1.0, 300.0))

@@ -89,7 +89,7 @@ add("mixed line ends.csv", lambda: column_csv("note", "a").replace(b"7\n", b"7\r
 add("carriage returns only.csv", lambda: column_csv("note", "a").replace(b"\n", b"\r"))
 add("blank lines at the end.csv", lambda: HEAD.encode() + b"\n0,0,1,2" + b"\n" * 20_000_000)
 add("blank lines between.csv", lambda: HEAD.encode() + b"\n" * 7_000_000 + b"0,0,1,2\n")
-add("blank lines for ever.csv", lambda: HEAD.encode() + b"\n" * 20_000_000 + b"0,0,1,2\n")
+add("blank lines forever.csv", lambda: HEAD.encode() + b"\n" * 20_000_000 + b"0,0,1,2\n")
 add("spaces.csv", lambda: b" " * 20_000_000)
 add("spaces after a header.csv", lambda: HEAD.encode() + b"\n" + b" " * 20_000_000)
 add("UTF-16.csv", lambda: column_csv("note", "a").decode().encode("utf-16"))

@@ -26,7 +26,7 @@ QUICK = (
     "header of 100,000 columns.csv",
     "996 columns of nothing.csv",
     "every quote unclosed.csv",
-    "blank lines for ever.csv",
+    "blank lines forever.csv",
     "exposures of 10,000 stars in a line.csv",
     "arrays nested over lines.jsonl",
     "a thousand keys, then empty lines.jsonl",

@@ -76,7 +76,7 @@ def _changed(name: str) -> Callable[[Files], bytes]:
     return lambda files: _packed({**files, name: files[name][:-1] + bytes([files[name][-1] ^ 1])})
 
 
-def _summed_anew(files: Files) -> bytes:
+def _summed_again(files: Files) -> bytes:
     """Change a file and correct the sums, as an attacker without the key would."""
     files = {**files, "parameters.csv": b"f_m,0.02\n"}
     rest = {name: content for name, content in files.items() if not name.startswith("SHA256SUMS")}
@@ -94,7 +94,7 @@ TAMPERED = {
     "a file twice": lambda files: _packed(files, ("parameters.csv", b"f_m,0.02\n")),
     "no signature": lambda files: _packed({name: files[name] for name in files if name != "SHA256SUMS.sig"}),
     "no sums": lambda files: _packed({name: files[name] for name in files if name != "SHA256SUMS"}),
-    "sums written anew": _summed_anew,
+    "sums written again": _summed_again,
     "no ZIP": lambda _: b"PK",
 }
 

@@ -29,8 +29,8 @@ from boresight.verdicts.gates.assessment import (
     assess,
     change_of_share,
     compute_validation_scores,
-    of_result,
     started_from,
+    take_scores,
 )
 from boresight.verdicts.gates.measurements import Measurement, Score, ValidationScores
 from boresight.verdicts.numbers import (
@@ -466,19 +466,19 @@ def test_a_runs_own_validation_gives_the_scores_that_seeing_the_frames_again_giv
     telemetry = simulate(scenario, np.random.default_rng(11), catalogue)
     validation = make_frames(12, 20, catalogue)
     result = calibrate(telemetry, SENSOR, catalogue, GIVEN, validation=validation)
-    own, written, known = of_result(result), result.to_dict(), assess_calibration(result, SENSOR)
+    own, written, known = take_scores(result), result.to_dict(), assess_calibration(result, SENSOR)
     assert own == compute_validation_scores(validation, SENSOR, catalogue, ground_set(SENSOR), known, GIVEN)
     incumbent = ground_set(SENSOR)
     by_result, by_frames = (
         assess(result, SENSOR, incumbent, parse_profile({}), frames) for frames in (None, (validation, catalogue))
     )
     assert by_result == by_frames
-    assert of_result(dataclasses.replace(result, validation=None)) is None
+    assert take_scores(dataclasses.replace(result, validation=None)) is None
     kept = dataclasses.replace(result.shadow.validation, frames=result.shadow.validation.frames[1:])
-    assert of_result(dataclasses.replace(result, shadow=Shadow(validation=kept))) is None
-    assert of_result(changed(result, validation={"intervals": {"rms_ratio": []}})) is None
+    assert take_scores(dataclasses.replace(result, shadow=Shadow(validation=kept))) is None
+    assert take_scores(changed(result, validation={"intervals": {"rms_ratio": []}})) is None
     del written["validation"]["intervals"]["rms_ratio"]
-    assert of_result(parse_calibration(written)) is None
+    assert take_scores(parse_calibration(written)) is None
 
 
 def test_calibrations_of_good_telemetry_pass_and_are_not_blocked_however_few_their_frames(catalogue):

@@ -74,7 +74,7 @@ def test_nothing_new_and_no_history_are_told_as_nothing() -> None:
     assert reports.news(HELD, report([]))["history"] is None
     assert reports.news(HELD, report([1, 2]))["history"]["frame"] == [1, 2]
     assert reports.news(HELD, report([1, 2]))["history"] is None
-    assert reports.news(HELD, report([1]))["history"]["after"] is None  # it began anew
+    assert reports.news(HELD, report([1]))["history"]["after"] is None  # it began again
 
 
 def test_a_report_is_read_from_its_bytes_once(monkeypatch: pytest.MonkeyPatch) -> None:

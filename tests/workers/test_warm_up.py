@@ -44,7 +44,7 @@ undeclared = [
     (name, str(signature))
     for name, loop in LOOPS.items()
     for signature in loop.dispatcher.signatures
-    if tuple(signature) != loop.signature(loop.camera_of(signature))
+    if tuple(signature) != loop.signature(loop.find_camera(signature))
 ]
 print(sorted(name for _, name, _ in made), undeclared, max(len(loop.dispatcher.signatures) for loop in LOOPS.values()))
 """

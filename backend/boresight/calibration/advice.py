@@ -50,14 +50,14 @@ def advice(
 ) -> list[Advice]:
     """Collect every sentence that applies; `rise` is what `chi2_rise` found of a batch."""
     return [
-        *_of_status(estimate, observed, settings),
-        *_of_shift(problem, parameters, estimate, fit),
-        *_of_curvature(observed, estimate, rise),
-        *_of_weak_directions(observed, estimate),
-        *_of_consistency(fit, nis, parameters, settings, estimate),
+        *_advise_on_status(estimate, observed, settings),
+        *_advise_on_shift(problem, parameters, estimate, fit),
+        *_advise_on_curvature(observed, estimate, rise),
+        *_advise_on_weak_directions(observed, estimate),
+        *_advise_on_consistency(fit, nis, parameters, settings, estimate),
         *estimate.remarks,
-        *_of_data(problem),
-        *_of_gain_form(problem, settings),
+        *_advise_on_data(problem),
+        *_advise_on_gain_form(problem, settings),
     ]
 
 
@@ -71,7 +71,7 @@ def too_few(problem: Problem, minimum_stars: int) -> list[Advice]:
     return [Advice.begin("too_few_stars", found, f"; match more stars or use other frames ({missing}).")]
 
 
-def _of_status(estimate: Estimate, observed: Observability, settings: CalibrationSettings) -> Iterator[Advice]:
+def _advise_on_status(estimate: Estimate, observed: Observability, settings: CalibrationSettings) -> Iterator[Advice]:
     if estimate.status == "diverged":
         named = (
             "match the stars again, because wrong identities are the likeliest cause; or "
@@ -90,7 +90,7 @@ def _of_status(estimate: Estimate, observed: Observability, settings: Calibratio
         yield Advice.begin("rank_deficient", f"These data do not determine {', '.join(names)}", rest)
 
 
-def _of_weak_directions(observed: Observability, estimate: Estimate) -> Iterator[Advice]:
+def _advise_on_weak_directions(observed: Observability, estimate: Estimate) -> Iterator[Advice]:
     if estimate.status == "diverged":
         return
     for i in observed.weak():
@@ -103,7 +103,7 @@ def _of_weak_directions(observed: Observability, estimate: Estimate) -> Iterator
             yield Advice.begin("weakest_direction", "Weakly determined", rest)
 
 
-def _of_curvature(observed: Observability, estimate: Estimate, rise: float | None) -> Iterator[Advice]:
+def _advise_on_curvature(observed: Observability, estimate: Estimate, rise: float | None) -> Iterator[Advice]:
     """Say that a covariance does not hold, and which parameters leave the rest known best when they are held."""
     if rise is None or not is_curved(rise):
         return
@@ -132,7 +132,7 @@ def is_overconfident(innovations: float, most: float, chi2_per_dof: float) -> bo
     return innovations > max(most, chi2_per_dof * 1.05)
 
 
-def _of_consistency(
+def _advise_on_consistency(
     fit: ChiSquare, nis: ChiSquare, parameters: Parameters, settings: CalibrationSettings, estimate: Estimate
 ) -> Iterator[Advice]:
     """Say where a filter claims too much; what the size of the residuals says is one of the tests of trust."""
@@ -162,7 +162,7 @@ def _of_consistency(
         )
 
 
-def _of_shift(problem: Problem, parameters: Parameters, estimate: Estimate, fit: ChiSquare) -> Iterator[Advice]:
+def _advise_on_shift(problem: Problem, parameters: Parameters, estimate: Estimate, fit: ChiSquare) -> Iterator[Advice]:
     if estimate.status == "diverged":
         return
     shift = (estimate.x - problem.sensor.initial)[parameters.free] / parameters.scale
@@ -178,13 +178,13 @@ def _of_shift(problem: Problem, parameters: Parameters, estimate: Estimate, fit:
         yield Advice.begin("large_change", finding, "; check the sensor file's start and typical_sigma.")
 
 
-def _of_data(problem: Problem) -> Iterator[Advice]:
+def _advise_on_data(problem: Problem) -> Iterator[Advice]:
     if problem.arcs.n_frames < 20:
         finding = f"Only {problem.arcs.n_frames} frames were used"
         yield Advice.begin("few_frames", finding, ": the result depends strongly on these few fields.")
 
 
-def _of_gain_form(problem: Problem, settings: CalibrationSettings) -> Iterator[Advice]:
+def _advise_on_gain_form(problem: Problem, settings: CalibrationSettings) -> Iterator[Advice]:
     """Say where the printed inverse of all pairs gave way to a smaller one."""
     if settings.method != "angular" or settings.gain_form != "gain":
         return
@@ -224,7 +224,11 @@ def remedies(
         return []
     held = to_hold(A)
     forgets = settings.sequential and (settings.process_noise > 0 or settings.forgetting_factor < 1)
-    return [*_of_holding(held, A, observed), *_of_coverage(problem), *([] if forgets else _of_frames(observed, frames))]
+    return [
+        *_say_holding(held, A, observed),
+        *_say_coverage(problem),
+        *([] if forgets else _say_frames(observed, frames)),
+    ]
 
 
 def to_hold(A: FloatArray, enough: float = WEAK) -> list[int]:
@@ -248,7 +252,7 @@ def _worst(A: FloatArray, places: list[int]) -> float:
     return float(1 / np.sqrt(values[0])) if known.all() else np.inf
 
 
-def _of_holding(held: list[int], A: FloatArray, observed: Observability) -> list[str]:
+def _say_holding(held: list[int], A: FloatArray, observed: Observability) -> list[str]:
     left = [p for p in range(len(A)) if p not in held]
     worst = _worst(A, left)
     if not held or worst > WEAK:
@@ -262,7 +266,7 @@ def _of_holding(held: list[int], A: FloatArray, observed: Observability) -> list
     return [sentence]
 
 
-def _of_coverage(problem: Problem) -> list[str]:
+def _say_coverage(problem: Problem) -> list[str]:
     sensor, arcs = problem.sensor, problem.arcs.whole()
     row, col = arcs.row_px - (sensor.rows - 1) / 2, arcs.col_px - (sensor.columns - 1) / 2
     reach = float(np.hypot(row, col).max() / (np.hypot(sensor.rows, sensor.columns) / 2))
@@ -279,7 +283,7 @@ def _of_coverage(problem: Problem) -> list[str]:
     return [sentence]
 
 
-def _of_frames(observed: Observability, frames: int) -> list[str]:
+def _say_frames(observed: Observability, frames: int) -> list[str]:
     times = float((observed.sigma_of_direction.max() / WEAK) ** 2)
     if not np.isfinite(times):
         return ["More frames like these would not determine this direction either."]

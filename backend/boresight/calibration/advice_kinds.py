@@ -97,7 +97,7 @@ class Advice(str):
         return cls(f"{finding}{rest}", code, finding)
 
 
-def of_kind(code: str, sentences: Iterable[str]) -> list[Advice]:
+def make_advice(code: str, sentences: Iterable[str]) -> list[Advice]:
     """Give sentences their kind."""
     return [Advice(one, code) for one in sentences]
 

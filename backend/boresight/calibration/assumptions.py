@@ -23,7 +23,7 @@ from boresight.arrays import FloatArray
 from boresight.calibration.calibration import Assumption, UnseenDeparture
 from boresight.calibration.corrections import lacks_refraction
 from boresight.calibration.readout import ReadoutCorrection, find_rates
-from boresight.calibration.trust.trust_tests import MATTERS, TANGENTIAL, title_of
+from boresight.calibration.trust.trust_tests import MATTERS, TANGENTIAL, get_test_title
 from boresight.cameras import CAMERA_MODELS, name_camera_with
 from boresight.cameras.model import Role
 from boresight.site import Site
@@ -249,7 +249,7 @@ def _centroids(sensor: Sensor, unseen: Sequence[UnseenDeparture]) -> Assumption:
     else:
         most = moves[max(moves)]
         how = (
-            f"Of the kind “{title_of(most.name).lower()}”, {most.size_px:.2g} px at most go unnoticed once in ten such "
+            f"Of the kind “{get_test_title(most.name).lower()}”, {most.size_px:.2g} px at most go unnoticed once in ten such "
             f"sets and move {most.parameter} by {most.sigmas:.2g} claimed sigmas"
         )
         if max(moves) <= MATTERS:

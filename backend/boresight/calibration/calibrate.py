@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from boresight.calibration import result
-from boresight.calibration.advice_kinds import Advice, of_kind
+from boresight.calibration.advice_kinds import Advice, make_advice
 from boresight.calibration.assumptions import list_assumptions
 from boresight.calibration.calibration import (
     Assumption,
@@ -244,7 +244,7 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and eight choices of the c
     cancelled
         Asked often; True stops.
     cache_folder
-        Where lost-in-space identification keeps its tables; None makes them anew when they are needed.
+        Where lost-in-space identification keeps its tables; None makes them again when they are needed.
     scratch_folder
         Where the working copy of a large file is made, in a folder that is gone at the end; None is the temporary folder.
     executor
@@ -288,14 +288,14 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and eight choices of the c
         found = replace(found, advice=_explained(telemetry, sensor, catalogue, settings, context, found.advice))
         clock.lap("diagnose")
     found = with_advice(
-        replace(found, stars_off_detector=_describe_off(off)), *of_kind("off_detector", off.sentences())
+        replace(found, stars_off_detector=_describe_off(off)), *make_advice("off_detector", off.sentences())
     )
     if validation is not None and ended is not None and ended.estimate.status != "diverged":
         judged, off = open_validation_set(validation, sensor, JUDGED_STARS)
         judged = used.apply(judged)
         chosen = choose_match_mode(judged, settings)
         found = validate(found, judged, sensor, catalogue, ended.estimate, parameters, chosen, cache_folder)
-        found = with_advice(found, *of_kind("off_detector", off.sentences(" in the validation set")))
+        found = with_advice(found, *make_advice("off_detector", off.sentences(" in the validation set")))
         if is_large(validation):
             frames = len(np.unique(judged.frame))
             said = f"The validation set is large: {frames:,} of its frames, evenly spread, were used."
@@ -358,7 +358,7 @@ def _begin(
     there = replace(sensor, initial=taken.prior.x)
     parameters = replace(parameters, prior=taken.prior)
     drifting = _with_drift(new, there, catalogue, parameters, settings, context)
-    return _Begun(new, there, drifting, new, taken, advice=of_kind("prior", left_out))
+    return _Begun(new, there, drifting, new, taken, advice=make_advice("prior", left_out))
 
 
 def _with_drift(

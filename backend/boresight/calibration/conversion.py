@@ -18,7 +18,7 @@ target may turn there, and the turn is told: C_SD has to turn back.
 
 The covariance follows by the derivative of the fit, with J the derivatives of all directions: dx' = (J'^T J')^-1 J'^T J dx. What
 the target cannot express, (J - J' dx'/dx) dx, is lost; its largest size over the detector comes with the answer. A value or a
-sigma that moves no star by a millionth of a pixel is rounding, and is given as nought, such as the decentring of a straight lens.
+sigma that moves no star by a millionth of a pixel is rounding, and is given as zero, such as the decentring of a straight lens.
 """
 
 from __future__ import annotations

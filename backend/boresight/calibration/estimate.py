@@ -140,7 +140,7 @@ def _sentence(found: Robustness, share: float, shift: dict[str, float]) -> str:
     )
 
 
-#: Weights are taken anew at the solution so often; the second time changes sigmas by the square of the first change.
+#: Weights are taken again at the solution so often; the second time changes sigmas by the square of the first change.
 WHITENING_ROUNDS = 2
 
 
@@ -272,7 +272,7 @@ def run_batch(
     )
     if settings.robust != "none":
         return replace(estimate, robust=_robustness(problem, parameters, settings, fitted))
-    return _of_cosine(problem, parameters, estimate) if settings.error == "cosine" else estimate
+    return _finish_cosine_fit(problem, parameters, estimate) if settings.error == "cosine" else estimate
 
 
 def _rewhitened(fit: Callable[[FloatArray], batch.BatchFit], x: FloatArray) -> batch.BatchFit:
@@ -353,10 +353,10 @@ def _run_by_star(
             break
         step = (found.x - x)[parameters.free] / parameters.scale
         rested, x = float(step @ parameters.with_prior(found.A) @ step) < REST_OF_ROUNDS**2, found.x
-    return _of_stars(problem, parameters, replace(how, x=x), found, plain, steps, rested=rested)
+    return _finish_star_fit(problem, parameters, replace(how, x=x), found, plain, steps, rested=rested)
 
 
-def _of_stars(
+def _finish_star_fit(
     problem: Problem,
     parameters: Parameters,
     how: StarWeights,
@@ -391,7 +391,7 @@ def never() -> bool:
     return False
 
 
-def _of_cosine(problem: Problem, parameters: Parameters, estimate: Estimate) -> Estimate:
+def _finish_cosine_fit(problem: Problem, parameters: Parameters, estimate: Estimate) -> Estimate:
     """Give a cosine fit the information that the arcs' true covariance leaves it."""
     judged = compared(problem.whitened(estimate.x), estimate.x, parameters.free, parameters.scale)
     if judged is None:

@@ -120,7 +120,7 @@ class RecordedHistory:
             begins += len(records)
         return np.concatenate(found)
 
-    def of_frames(self, frame: IntArray) -> RecordedHistory:
+    def select_frames(self, frame: IntArray) -> RecordedHistory:
         """The updates of some frames as a history of its own, which ends where this one does."""
         part = RecordedHistory(self.last)
         for records in self._chunks():

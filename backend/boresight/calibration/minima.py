@@ -22,7 +22,7 @@ from boresight.calibration.problem import Problem, whiten_at
 from boresight.estimation import batch, minima
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.batch import BatchFit, determined, sigma_in_scale
-from boresight.estimation.minima import LOWER, CostSurface, Piece, Profile, Search
+from boresight.estimation.minima import LOWER, CostSurface, Piece, ProfileLikelihood, Search
 from boresight.estimation.prior import Prior
 from boresight.estimation.robust import measure_huber_effect
 from boresight.estimation.statistics.consistency import chi_square
@@ -172,7 +172,7 @@ def describe_minima(problem: Problem, searched: Searched, x: FloatArray, sigma: 
     """
     names, search = problem.camera.parameter_names, searched.search
     if search is None:
-        alone = Minima(starts=0, taken_from=searched.taken_from, sentence=" ".join(_of_what_was_taken(searched)))
+        alone = Minima(starts=0, taken_from=searched.taken_from, sentence=" ".join(_say_taken(searched)))
         return alone if searched.taken_from else None
     best = search.found[0]
     rise = find_rise(problem, search)
@@ -194,9 +194,9 @@ def describe_minima(problem: Problem, searched: Searched, x: FloatArray, sigma: 
     return replace(described, sentence=_sentence(described, searched, x, sigma))
 
 
-def _profile(names: Sequence[str], search: Search, rise: float, *, follow: bool) -> list[Profile]:
+def _profile(names: Sequence[str], search: Search, rise: float, *, follow: bool) -> list[ProfileLikelihood]:
     """Profile every free parameter; `follow` what leads lower."""
-    profiles = list[Profile]()
+    profiles = list[ProfileLikelihood]()
     for place, p in enumerate(search.surface.free):
         found = minima.profile(search, place, rise)
         if found.lower is not None and follow:
@@ -206,7 +206,7 @@ def _profile(names: Sequence[str], search: Search, rise: float, *, follow: bool)
     return profiles
 
 
-def _find_spread(names: Sequence[str], search: Search, profiles: Sequence[Profile]) -> Covariance:
+def _find_spread(names: Sequence[str], search: Search, profiles: Sequence[ProfileLikelihood]) -> Covariance:
     """How far the estimate may be off where the set bends."""
     surface = search.surface
     variance = _residual_variance(surface, search.found[0])
@@ -255,7 +255,7 @@ def _describe(names: Sequence[str], one: BatchFit, best: BatchFit) -> Minimum:
 
 def _sentence(described: Minima, searched: Searched, x: FloatArray, sigma: FloatArray) -> str:
     """Say what was found, and what to do about it."""
-    parts = [*_of_what_was_taken(searched), *_of_others(described, x, sigma), *_of_intervals(described)]
+    parts = [*_say_taken(searched), *_say_others(described, x, sigma), *_say_intervals(described)]
     if len(parts) == 0:
         return (
             f"From {described.starts} other starts no other minimum was found within {TOLD:.0f} of chi-square, and profile "
@@ -264,7 +264,7 @@ def _sentence(described: Minima, searched: Searched, x: FloatArray, sigma: Float
     return " ".join(parts)
 
 
-def _of_what_was_taken(searched: Searched) -> list[str]:
+def _say_taken(searched: Searched) -> list[str]:
     if not searched.taken_from:
         return []
     how_much = f", lower by {searched.fall:.3g} in chi-square" if np.isfinite(searched.fall) else ""
@@ -275,7 +275,7 @@ def _of_what_was_taken(searched: Searched) -> list[str]:
     return [sentence]
 
 
-def _of_others(described: Minima, x: FloatArray, sigma: FloatArray) -> list[str]:
+def _say_others(described: Minima, x: FloatArray, sigma: FloatArray) -> list[str]:
     others = described.found[1:]
     if not others:
         return []
@@ -297,7 +297,7 @@ def _farthest(one: Minimum, x: FloatArray, sigma: FloatArray) -> str:
     return f"{list(one.parameters)[place]} {shift[place]:+.0f} sigma away"
 
 
-def _of_intervals(described: Minima) -> list[str]:
+def _say_intervals(described: Minima) -> list[str]:
     if not described.intervals:
         return []
     names = ", ".join(one.name for one in described.intervals)

@@ -90,6 +90,8 @@ TITLES = {
     "phase_col": "Bias against pixel phase, columns",
     "colour": "Lateral colour",
 }
+#: Terms of the pixel phase, with the axis of the centroid that they move.
+PHASE_AXES = {"phase_row": 0, "phase_col": 1}
 NO_MAGNITUDE = "Neither telemetry nor catalogue gives these stars a magnitude."
 NO_RATE = "The rate is not known: give time_utc and quaternions, or exposures less than a minute apart."
 NO_COLOUR = "The catalogue gives no B-V of these stars: match with star numbers of Hipparcos."
@@ -135,7 +137,7 @@ def find_quantities(
     corner = float(np.hypot(np.abs(ends[0]).max(), np.abs(ends[1]).max()))
     row_px, col_px = telemetry.row_px[rows], telemetry.col_px[rows]
     away = np.stack([row_px - row, col_px - col], axis=-1) / corner
-    magnitude, colour = _of_catalogue(telemetry, rows, catalogue)
+    magnitude, colour = _read_catalogue(telemetry, rows, catalogue)
     if telemetry.magnitude is not None:
         own = within(telemetry.magnitude[rows], MAGNITUDES)
         magnitude = np.where(np.isfinite(own), own, magnitude)
@@ -144,7 +146,7 @@ def find_quantities(
     return StarQuantities(magnitude, np.hypot(away[:, 0], away[:, 1]), away, speed, colour, *places)
 
 
-def _of_catalogue(telemetry: Telemetry, rows: IntArray, catalogue: Catalogue) -> tuple[FloatArray, FloatArray]:
+def _read_catalogue(telemetry: Telemetry, rows: IntArray, catalogue: Catalogue) -> tuple[FloatArray, FloatArray]:
     """Magnitude and B-V of rows (n,) from the catalogue, NaN where it has none."""
     unknown = np.full(len(rows), np.nan)
     if telemetry.star_id is None or not len(catalogue):
@@ -192,7 +194,8 @@ def make_regressors(quantities: StarQuantities, kept: BoolArray) -> Regressors:
                 bias[name] = (centred[:, None] * quantities.away)[:, :, None]
             else:
                 noise[name] = LN10 * centred
-    for axis, (name, place) in enumerate((("phase_row", quantities.row_px), ("phase_col", quantities.col_px))):
+    for name, axis in PHASE_AXES.items():
+        place = (quantities.row_px, quantities.col_px)[axis]
         if place is None:
             unavailable[name] = MOVED_BEFORE
             continue
@@ -402,7 +405,7 @@ def _term(
         factor = float(np.exp(value[0]))
         coefficients, sigmas = {"factor": factor}, {"factor": factor * float(sigma[0])}
     else:
-        names = PHASE_NAMES if name.startswith("phase") else ("slope",)
+        names = PHASE_NAMES if name in PHASE_AXES else ("slope",)
         coefficients = dict(zip(names, value.tolist(), strict=True))
         sigmas = dict(zip(names, sigma.tolist(), strict=True))
     known: dict[str, float | None] = dict(sigmas)
@@ -425,7 +428,7 @@ def _sentence(
 ) -> str:
     """Say the size of a term, and what was or is to be done about it."""
     main = "factor" if name == "level" else "slope"
-    if name.startswith("phase"):
+    if name in PHASE_AXES:
         size = f"the bias varies by ± {phase_amplitude(value):.2g} px within a pixel"
     elif name == "level":
         size = f"the noise is {value[main]:.3f} ± {sigma[main]:.3f} times the stated noise"
@@ -472,10 +475,10 @@ def apply_noise(
     shift, dex = np.zeros((len(telemetry), 2)), np.zeros(len(telemetry))
     for term in (term for term in terms if term.applied):
         value = term.coefficients
-        if term.name.startswith("phase"):
-            place = quantities.row_px if term.name == "phase_row" else quantities.col_px
+        if term.name in PHASE_AXES:
+            axis = PHASE_AXES[term.name]
+            place = (quantities.row_px, quantities.col_px)[axis]
             if place is not None:
-                axis = 0 if term.name == "phase_row" else 1
                 shift[:, axis] += phase_waves(place) @ np.array([value[name] for name in PHASE_NAMES])
         elif term.name == "level":
             dex += np.log10(value["factor"])

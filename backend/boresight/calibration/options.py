@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
-from typing import TYPE_CHECKING, Any, Literal, TypedDict
+from typing import TYPE_CHECKING, Any, Literal
 
 from boresight.errors import RefusedInputError
 from boresight.estimation import MINIMUM_STARS
@@ -73,19 +73,19 @@ METHODS = {
 ALL, BATCH = tuple(METHODS), ("batch",)
 FILTERS = tuple(method.name for method in METHODS.values() if method.sequential)
 EITHER_FORM = ("svd", "angular")
+#: Headings of choices that the form of one run has by themselves; the runs of a campaign take one set each, without a prior.
+OF_ONE_RUN = OF_A_JOINT_CALIBRATION, OF_A_PRIOR = ("Of a joint calibration", "Of a prior")
 #: Headings of the choices, with the methods that have those of each.
 GROUPS = {
     "Method": ALL,
     "Matching": ALL,
-    "Of a joint calibration": ALL,
-    "Of a prior": ALL,
+    OF_A_JOINT_CALIBRATION: ALL,
+    OF_A_PRIOR: ALL,
     "Of the batch": BATCH,
     "Of the filters": FILTERS,
     "Of process noise": FILTERS,
     "Of svd and angular": EITHER_FORM,
 }
-#: Headings of choices that the form of one run has by themselves; the runs of a campaign take one set each, without a prior.
-OF_ONE_RUN = ("Of a joint calibration", "Of a prior")
 #: Headings of a form's sets of fields, by the methods that have them and whether they are usual.
 LEGENDS = {
     (FILTERS, True): "Filter",
@@ -341,12 +341,12 @@ class CalibrationSettings:
         cell=(2, 1), default=MINIMUM_STARS, lowest=MINIMUM_STARS, highest=1000, flag="--minimum-stars",
     )  # fmt: skip
     vary: tuple[str, ...] | None = option(
-        "Of a joint calibration", "Parameters of a pass", "Parameters that each telemetry set has by itself, as f_m,m0_px.",
+        OF_A_JOINT_CALIBRATION, "Parameters of a pass", "Parameters that each telemetry set has by itself, as f_m,m0_px.",
         cell=(0, 0), default=None, kind="names", flag="--vary",
         hint="Empty: the same in every set. Names with commas between them, such as f_m.",
     )  # fmt: skip
     vary_as: str = option(
-        "Of a joint calibration", "How they vary", "How parameters of a pass hang together.", cell=(1, 0), default="pass",
+        OF_A_JOINT_CALIBRATION, "How they vary", "How parameters of a pass hang together.", cell=(1, 0), default="pass",
         flag="--vary-as",
         words={
             "pass": "Each pass by itself",
@@ -359,22 +359,22 @@ class CalibrationSettings:
         },
     )  # fmt: skip
     degree: str = option(
-        "Of a joint calibration", "Degree", "Of temperature and drift: the polynomial's degree; auto is by evidence.", cell=(2, 0),
+        OF_A_JOINT_CALIBRATION, "Degree", "Of temperature and drift: the polynomial's degree; auto is by evidence.", cell=(2, 0),
         default="1", flag="--degree",
         words={"1": "Linear", "2": "Quadratic", "3": "Cubic", "auto": "Up to 3, by the evidence of each parameter; 0 is no change"},
     )  # fmt: skip
     events: tuple[str, ...] | None = option(
-        "Of a joint calibration", "Events", "Of step: when something happened, as 2026-03-02T10:00:00Z; sought if left out.",
+        OF_A_JOINT_CALIBRATION, "Events", "Of step: when something happened, as 2026-03-02T10:00:00Z; sought if left out.",
         cell=(2, 1), default=None, kind="times", flag="--events",
     )  # fmt: skip
     walk_sigma: float | None = option(
-        "Of a joint calibration", "Step of the walk",
+        OF_A_JOINT_CALIBRATION, "Step of the walk",
         "Of walks: drift, in typical sigmas a square root of a day; estimated from the passes if left out.",
         cell=(1, 1), default=None, kind="number", lowest=1e-4, highest=100.0, unit="typical σ/√d", flag="--walk-sigma",
         hint="Empty: the most likely drift of each parameter.",
     )  # fmt: skip
     prior_covariance: str = option(
-        "Of a prior", "Covariance of the prior", "Covariance that a prior enters with.", cell=(0, 0), default="with-misfit",
+        OF_A_PRIOR, "Covariance of the prior", "Covariance that a prior enters with.", cell=(0, 0), default="with-misfit",
         flag="--prior-covariance",
         words={
             "with-misfit": "With misfit, by which decisions go",
@@ -382,15 +382,15 @@ class CalibrationSettings:
         },
     )  # fmt: skip
     prior_inflation: float = option(
-        "Of a prior", "Inflation of the prior", "Factor on the sigmas of a prior.", cell=(1, 0), default=1.0, lowest=1.0,
+        OF_A_PRIOR, "Inflation of the prior", "Factor on the sigmas of a prior.", cell=(1, 0), default=1.0, lowest=1.0,
         highest=1e3, flag="--prior-inflation",
     )  # fmt: skip
     prior_drift_sigma: float = option(
-        "Of a prior", "Drift since the prior", "Drift since a prior, in typical sigmas a square root of a day.",
+        OF_A_PRIOR, "Drift since the prior", "Drift since a prior, in typical sigmas a square root of a day.",
         cell=(1, 1), default=0.0, lowest=0.0, highest=10.0, unit="typical σ/√d", flag="--prior-drift-sigma",
     )  # fmt: skip
     prior_age_days: float | None = option(
-        "Of a prior", "Age of the prior", "Days from a prior's last star to the first of the run; by their times if left out.",
+        OF_A_PRIOR, "Age of the prior", "Days from a prior's last star to the first of the run; by their times if left out.",
         cell=(1, 2), default=None, kind="number", lowest=0.0, highest=36_525.0, unit="d", flag="--prior-age-days",
     )  # fmt: skip
     max_iterations: int = option(
@@ -613,45 +613,8 @@ class StatedSettings(CalibrationSettings):
         return cls(**as_written, stated=tuple(stated))
 
 
-class Choices(TypedDict, total=False):
-    """The choices as keywords, so that type checkers know their names; lists may be one text with commas."""
-
-    method: str
-    variant: str
-    free: str | Sequence[str] | None
-    match: str
-    match_parameters: str
-    match_rule: str
-    flight_tolerance_urad: float | None
-    leave_out_doubles: bool
-    leave_out_stars: str | Sequence[int]
-    blends: str
-    noise_model: str
-    minimum_stars: int
-    vary: str | Sequence[str] | None
-    vary_as: str
-    degree: str
-    events: str | Sequence[str] | None
-    walk_sigma: float | None
-    prior_covariance: str
-    prior_inflation: float
-    prior_drift_sigma: float
-    prior_age_days: float | None
-    max_iterations: int
-    error: str
-    robust: str
-    huber_threshold: float
-    linearisations: int
-    process_noise_sigma: float | None
-    process_noise_of: str | Sequence[str] | None
-    process_noise_per: str
-    smooth: bool
-    forgetting_factor: float
-    initial_sigma_scale: float
-    star_model: int
-    singular_values: str | Sequence[int]
-    gain_form: str
-    replay_frames_per_s: float
+#: A setting as a keyword has it; a list may be one text with commas. Its name and value are checked where it is read.
+SettingValue = str | float | Sequence[str] | Sequence[int] | None
 
 
 @dataclass(frozen=True)

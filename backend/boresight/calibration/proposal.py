@@ -87,7 +87,7 @@ SEEN_SHARE = 0.98
 BEYOND_MAG = 0.3
 #: Of the detections so many may lie off the detector that was given.
 FEW_OFF = 0.02
-#: An exposure with so many detections ought to be recognised.
+#: An exposure with so many detections should be recognised.
 ENOUGH_STARS = 7
 #: Centroid errors that a sensor file may state, pixels.
 SIGMAS_PX = (0.005, 5.0)
@@ -149,7 +149,7 @@ def propose(
     of_images
         Whether the centroids were extracted from images, which is said.
     cache_folder
-        Where the tables of star patterns are kept; None makes them anew.
+        Where the tables of star patterns are kept; None makes them again.
     report
         Told what is being tried.
     budget_s

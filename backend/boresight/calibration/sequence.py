@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from boresight.arrays import IntArray
-from boresight.calibration.advice_kinds import of_kind
+from boresight.calibration.advice_kinds import make_advice
 from boresight.calibration.estimate import Asked, Estimate, Parameters, ReportEstimate, claim
 from boresight.calibration.history_recorder import RecordedHistory
 from boresight.calibration.options import CalibrationSettings
@@ -40,7 +40,7 @@ START_LINEARISATIONS = 50
 BENT = 2.0
 #: Where doubling ends: the extended filter inverts a matrix as large as the pool.
 MOST_START_ARCS_PER_PARAMETER = 160
-#: A filter reports, and takes its weights anew, at least so often over a set.
+#: A filter reports, and takes its weights again, at least so often over a set.
 CHUNKS = 40
 #: Most frames of a chunk, for what a filter computes of one is in memory.
 MOST_IN_CHUNK = 4096
@@ -136,15 +136,15 @@ def finished(problem: Problem, parameters: Parameters, history: RecordedHistory)
     else:
         status = "converged"
     remarks = (
-        *of_kind("filter_states", _of_blindness(problem, parameters, history)),
-        *of_kind("one_update", _of_one_update(problem, history)),
+        *make_advice("filter_states", _say_blindness(problem, parameters, history)),
+        *make_advice("one_update", _say_one_update(problem, history)),
     )
     return Estimate(
         x, ended.A, history.last.P, ended.chi2, status, history.linearisations_sum, history=history, remarks=remarks
     )  # fmt: skip
 
 
-def _of_one_update(problem: Problem, history: RecordedHistory) -> Iterator[str]:
+def _say_one_update(problem: Problem, history: RecordedHistory) -> Iterator[str]:
     """Say that a set was too small to be taken in frame by frame."""
     n_frames = problem.arcs.n_frames
     if history.finite and len(history) == 1 and n_frames > 1:
@@ -154,7 +154,7 @@ def _of_one_update(problem: Problem, history: RecordedHistory) -> Iterator[str]:
         )
 
 
-def _of_blindness(problem: Problem, parameters: Parameters, history: RecordedHistory) -> Iterator[str]:
+def _say_blindness(problem: Problem, parameters: Parameters, history: RecordedHistory) -> Iterator[str]:
     """Say whose spread took a filter beyond the range of the lens, and what can be done."""
     names = [problem.camera.parameter_names[parameters.free[place]] for place in history.blind]
     if names:

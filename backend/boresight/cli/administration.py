@@ -237,7 +237,7 @@ def retention(days: float | None, *, is_applied: bool) -> None:
     settings = read_settings()
     keep_days = days or settings.telemetry_keep_days
     if not keep_days:
-        raise RefusedInputError("Telemetry is kept for ever here: give --days N, or set BORESIGHT_TELEMETRY_KEEP_DAYS.")
+        raise RefusedInputError("Telemetry is kept forever here: give --days N, or set BORESIGHT_TELEMETRY_KEEP_DAYS.")
     with open_store(settings.database_url) as engine:
         with open_reading(engine) as session:
             found = service.preview(session, keep_days)

@@ -36,7 +36,7 @@ def verify(context: click.Context, head: str | None, public_keys: Path | None, *
     """
     import boresight.console  # noqa: F401 - the tables of all nouns, whose rows the log seals
     from boresight.platform.audit import log as chain
-    from boresight.platform.audit.anchors import Trust
+    from boresight.platform.audit.anchors import TrustedKeys
     from boresight.platform.audit.external_head import read_head
     from boresight.platform.audit.signing import read_public_keys
     from boresight.platform.blobs.opening import open_blobs
@@ -48,7 +48,7 @@ def verify(context: click.Context, head: str | None, public_keys: Path | None, *
         keys, source = settings.own_key.list_public_keys(), settings.own_key.name
     else:
         keys, source = read_public_keys(public_keys.read_text(), public_keys), str(public_keys)
-    trust = Trust(keys, source, () if service is None else service.authorities)
+    trust = TrustedKeys(keys, source, () if service is None else service.authorities)
     engine = open_engine(settings.database_url)
     try:
         _require_schema(engine)  # without migrating, which could fail on the very defects to be reported

@@ -104,13 +104,13 @@ def _terms(found: Choice) -> Iterator[tuple[str, ...]]:
 
 
 def _tested(one: TermTest) -> tuple[str, ...]:
-    from boresight.calibration.choice.result import shown_p
+    from boresight.calibration.choice.result import write_p
 
     return (
         " + ".join(one.terms),
         f"{one.chi2_difference:.1f}",
         str(one.df),
-        shown_p(one.log10_p_corrected).removeprefix("= "),
+        write_p(one.log10_p_corrected),
         "-" if one.held_out_ratio is None else f"{100 * (one.held_out_ratio - 1):+.2f} %",
         written(one.change_px, ".3f"),
         written(one.change_3_sigma_px, ".3f"),

@@ -101,7 +101,7 @@ def create_demonstration(
     for number in SENSOR_NUMBERS:
         fleet.add_sets(number)
         is_new = fleet.launch(number, "Batch", BATCH, validation="validation")
-        report(f"{st16_sensor(number).name} has its telemetry, and {_of_runs('its batch run', 'is', is_new)}.")
+        report(f"{st16_sensor(number).name} has its telemetry, and {_say_runs('its batch run', 'is', is_new)}.")
     label = "Square-root filter, fed as frames come down"
     new = [
         fleet.launch(number, label, WATCHED_FILTER, validation="validation", unless=LIVE)
@@ -114,7 +114,7 @@ def create_demonstration(
     fleet.add_set(_make_pass(0, validation_scenario(DRIFTING_NUMBER)), validation, "validation")
     fleet.launch(DRIFTING_NUMBER, f"Pass 1 of {PASSES}", BATCH, first, validation)
     new += [fleet.launch(number, "Square-root filter", FILTER, validation="validation") for number in SENSOR_NUMBERS]
-    of_filters = _of_runs("The filters", "are", any(new))
+    of_filters = _say_runs("The filters", "are", any(new))
     report(f"{of_filters}; the demonstration is ready after {time.perf_counter() - started_s:.1f} s.")
     return list(LOG_INS)
 
@@ -144,7 +144,7 @@ def continue_demonstration(
         yield
 
 
-def _of_runs(what: str, verb: str, is_new: bool) -> str:
+def _say_runs(what: str, verb: str, is_new: bool) -> str:
     """Return a sentence on whether runs were queued or existed already."""
     return f"{what} {verb} queued" if is_new else f"{what} {verb} there already"
 

@@ -92,8 +92,8 @@ def _enright(
     """Run the study of Enright 2018 and write it down."""
     from boresight.papers import enright
 
-    numbers = _numbers(sensors) if sensors is not None else enright.Plan.sensors
-    document = enright.run(enright.Plan(sensors=numbers, validation_frames=validation, **sizes), catalogue, report)
+    numbers = _numbers(sensors) if sensors is not None else enright.StudySize.sensors
+    document = enright.run(enright.StudySize(sensors=numbers, validation_frames=validation, **sizes), catalogue, report)
     return document, enright.write(document, out)
 
 
@@ -105,7 +105,7 @@ def _wu(
 
     if sensors is not None:
         raise RefusedInputError("Wu 2019 has one sensor: leave out --sensors.")
-    document = wu.run(wu.Plan(judges=judges, **sizes), catalogue, report)
+    document = wu.run(wu.StudySize(judges=judges, **sizes), catalogue, report)
     return document, wu.write(document, out)
 
 

@@ -75,12 +75,12 @@ def _holds(*columns: Any) -> Condition:
     return lambda text: sa.or_(*(column.icontains(text, autoescape=True) for column in columns))
 
 
-def _of_sensor_named(column: Any) -> Condition:
+def _filter_sensor_name(column: Any) -> Condition:
     holds = _holds(Sensor.name)
     return lambda text: column.in_(sa.select(Sensor.id).where(holds(text)))
 
 
-def _of_either_sensor(value: Any) -> Any:
+def _filter_either_sensor(value: Any) -> Any:
     """Hold where an alignment leads from a sensor or to it."""
     return sa.or_(equals(Alignment.sensor_a_id)(value), equals(Alignment.sensor_b_id)(value))
 
@@ -97,7 +97,7 @@ def _baseline(column: Any) -> Any:
     return sa.select(column).where(of_sensor).correlate(Sensor).scalar_subquery()
 
 
-def _of_set_of(column: Any) -> Condition:
+def _filter_set_sensor(column: Any) -> Condition:
     """Filter rows by the sensor of their set."""
     of_sensor = equals(ParameterSet.sensor_id)
     return lambda sensor_id: column.in_(sa.select(ParameterSet.id).where(of_sensor(sensor_id)))
@@ -172,7 +172,7 @@ LISTS = {
         },
         {
             "sensor": equals(Run.sensor_id),
-            "sensor_name": _of_sensor_named(Run.sensor_id),
+            "sensor_name": _filter_sensor_name(Run.sensor_id),
             "state": equals(Run.state),
             "method": equals(Run.method),
             "data": _takes_set,
@@ -196,7 +196,7 @@ LISTS = {
         },
         {
             "sensor": equals(TelemetrySet.sensor_id),
-            "sensor_name": _of_sensor_named(TelemetrySet.sensor_id),
+            "sensor_name": _filter_sensor_name(TelemetrySet.sensor_id),
             "purpose": equals(TelemetrySet.purpose),
             "in_use": lambda _: TelemetrySet.archived_utc.is_(None),
             "q": _holds(TelemetrySet.name),
@@ -215,7 +215,7 @@ LISTS = {
         },
         {
             "sensor": equals(ParameterSet.sensor_id),
-            "sensor_name": _of_sensor_named(ParameterSet.sensor_id),
+            "sensor_name": _filter_sensor_name(ParameterSet.sensor_id),
             "state": equals(ParameterSet.ground_state),
             "board": equals(ParameterSet.onboard_state),
             "of_a_run": lambda _: ParameterSet.run_id.is_not(None),
@@ -253,7 +253,7 @@ LISTS = {
         {
             "state": in_state,
             "sensor": equals(Alarm.sensor_id),
-            "sensor_name": _of_sensor_named(Alarm.sensor_id),
+            "sensor_name": _filter_sensor_name(Alarm.sensor_id),
             "kind": equals(Alarm.kind),
         },
     ),
@@ -302,7 +302,7 @@ LISTS = {
             "b": _name_expression(Sensor, Alignment.sensor_b_id),
             "by": _name_expression(User, Alignment.created_by),
         },
-        {"sensor": _of_either_sensor, "state": equals(Alignment.state)},
+        {"sensor": _filter_either_sensor, "state": equals(Alignment.state)},
     ),
     "alignment-requests": List(
         AlignmentRequest,
@@ -324,7 +324,7 @@ LISTS = {
         },
         {
             "sensor": equals(IngestDecision.sensor_id),
-            "sensor_name": _of_sensor_named(IngestDecision.sensor_id),
+            "sensor_name": _filter_sensor_name(IngestDecision.sensor_id),
             "state": equals(IngestDecision.state),
             "q": _holds(IngestDecision.file_name),
         },
@@ -335,12 +335,12 @@ LISTS = {
     "packages": List(
         Package,
         {},
-        {"set": equals(Package.parameter_set_id), "sensor": _of_set_of(Package.parameter_set_id)},
+        {"set": equals(Package.parameter_set_id), "sensor": _filter_set_sensor(Package.parameter_set_id)},
     ),
     "uplinks": List(
         Uplink,
         {},
-        {"set": equals(Uplink.parameter_set_id), "sensor": _of_set_of(Uplink.parameter_set_id)},
+        {"set": equals(Uplink.parameter_set_id), "sensor": _filter_set_sensor(Uplink.parameter_set_id)},
     ),
     "deliveries": List(WebhookDelivery, {}, {"webhook": equals(WebhookDelivery.webhook_id)}),
     "messages": List(Message, {}, {"address": equals(Message.address_id)}),

@@ -53,7 +53,7 @@ CREDENTIALS = (
 
 
 @dataclass(frozen=True)
-class Answer:
+class OperationResponse:
     """An answer that needs more than a row."""
 
     body: Any
@@ -231,7 +231,7 @@ class _Writer:
 
     def write(self, made: Any) -> Written:
         """Write an answer, with the headers that its shape declares."""
-        answer = made if isinstance(made, Answer) else Answer(made)
+        answer = made if isinstance(made, OperationResponse) else OperationResponse(made)
         shape, status = answer.shape or self._shape, answer.status or self._status
         if shape is None:
             return Written({}, status, dict(answer.headers))

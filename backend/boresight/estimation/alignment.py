@@ -255,12 +255,12 @@ def inverse_left_jacobian(v: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) - K / 2 + second * K @ K)
 
 
-def log_of(C: FloatArray) -> FloatArray:
+def log_rotation(C: FloatArray) -> FloatArray:
     """Rotation vectors (..., 3) of matrices (..., 3, 3)."""
     return rotation_vector(to_quaternion(C))
 
 
-def exp_of(v: FloatArray) -> FloatArray:
+def exp_rotation(v: FloatArray) -> FloatArray:
     """Matrices (..., 3, 3) of rotation vectors (..., 3)."""
     return to_matrix(vector_to_quaternion(v))
 
@@ -271,11 +271,11 @@ def carry(series: AttitudeSeries, time_s: FloatArray, rule: PairingRule) -> Carr
     known = first >= 0
     a, b = np.maximum(first, 0), np.maximum(second, 0)
     C_1, C_2 = series.C[a], series.C[b]
-    psi = log_of(C_2 @ np.swapaxes(C_1, 1, 2))
+    psi = log_rotation(C_2 @ np.swapaxes(C_1, 1, 2))
     part = share[:, None] * psi
     W_2 = share[:, None, None] * left_jacobian(part) @ inverse_left_jacobian(psi)
-    turned = exp_of(part)
-    W = np.stack([turned - W_2 @ exp_of(psi), W_2], axis=1)
+    turned = exp_rotation(part)
+    W = np.stack([turned - W_2 @ exp_rotation(psi), W_2], axis=1)
     W[single] = np.array([np.eye(3), np.zeros((3, 3))])
     G = np.einsum("mhij,mhjp->mip", W, np.stack([series.shared[a], series.shared[b]], axis=1))
     lone = np.where(single, time_s - series.time_s[a], 0.0)
@@ -383,6 +383,12 @@ class Term:
         return f"{self.kind}-{self.power}" if self.power > 1 else self.kind
 
 
+#: Every term there may be, by its name in files.
+TERMS = {
+    one.name: one for one in (*(Term("temperature", power + 1) for power in range(HIGHEST_POWER)), Term("time", 1))
+}
+
+
 @dataclass(frozen=True)
 class Variation:
     """What the rotation may depend on: `temperature_c` (K,), NaN where unknown, `t_d` (K,), about `reference_c`, `middle_s`."""
@@ -394,9 +400,9 @@ class Variation:
 
     def basis(self, terms: Sequence[Term]) -> FloatArray:
         """Return (K, 1 + n_terms): the constant's one, and each term's value."""
-        return np.column_stack([np.ones(len(self.t_d)), *(self.of(term) for term in terms)])
+        return np.column_stack([np.ones(len(self.t_d)), *(self.evaluate(term) for term in terms)])
 
-    def of(self, term: Term) -> FloatArray:
+    def evaluate(self, term: Term) -> FloatArray:
         """Return a term's value at each pair (K,)."""
         variable = self.temperature_c - self.reference_c if term.kind == "temperature" else self.t_d
         return np.asarray(variable**term.power)
@@ -475,7 +481,7 @@ class Fit:
 def residuals(pairs: Pairs, basis: FloatArray, M_0: FloatArray, beta: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Residuals r_k (K, 3) of angles beta (1 + n_terms, 3), and E (K, 3, 3 + 3 n_terms), minus their derivative."""
     phi = basis @ beta
-    r = log_of(pairs.M @ np.swapaxes(exp_of(phi) @ M_0, 1, 2))
+    r = log_rotation(pairs.M @ np.swapaxes(exp_rotation(phi) @ M_0, 1, 2))
     slope = inverse_left_jacobian(-r) @ left_jacobian(phi)
     return r, np.einsum("kij,kt->kitj", slope, basis).reshape(len(r), 3, -1)
 
@@ -496,7 +502,7 @@ def fit(pairs: Pairs, keep: BoolArray, variation: Variation, terms: tuple[Term, 
         step, u = np.split(np.linalg.solve(A, np.einsum("kia,ki->a", X, weighted[:, :, -1])), [n])
         C = np.linalg.inv(A)
         beta = beta + step.reshape(beta.shape)
-        M_0, beta[0] = exp_of(beta[0]) @ M_0, 0.0
+        M_0, beta[0] = exp_rotation(beta[0]) @ M_0, 0.0
         if np.abs(step).max() <= _AT_REST * np.sqrt(np.diag(C)[:n].min()):
             break
     r, E = residuals(pairs, scaled, M_0, beta)
@@ -568,7 +574,7 @@ def find_start(pairs: Pairs) -> FloatArray:
     weight = np.linalg.inv(R + R.mean(axis=0))
     medians = []
     for one in M:
-        away = log_of(M @ one.T)
+        away = log_rotation(M @ one.T)
         medians.append(np.median(np.einsum("ki,kij,kj->k", away, weight, away)))
     return np.asarray(M[int(np.argmin(medians))])
 
@@ -624,7 +630,7 @@ def _near(pairs: Pairs, variation: Variation, terms: tuple[Term, ...], start: Fl
     """The pairs to begin with: the half that lies nearest to the start; all of few, and all where terms move them apart."""
     if len(pairs) < 8 or terms:
         return _near_terms(pairs, variation, terms, start)
-    away = log_of(pairs.M @ start.T)
+    away = log_rotation(pairs.M @ start.T)
     squares = np.einsum("ki,kij,kj->k", away, np.linalg.inv(pairs.R + pairs.R.mean(axis=0)), away)
     return np.asarray(squares <= np.median(squares))
 
@@ -635,7 +641,7 @@ def _near_terms(pairs: Pairs, variation: Variation, terms: tuple[Term, ...], sta
         return np.ones(len(pairs), np.bool_)
     basis = variation.basis(terms)
     basis = basis / np.maximum(np.abs(basis).max(axis=0), 1e-300)
-    away = log_of(pairs.M @ start.T)
+    away = log_rotation(pairs.M @ start.T)
     precision = np.linalg.inv(pairs.R)
     weight = np.ones(len(pairs))
     for _ in range(_ITERATIONS):

@@ -118,7 +118,7 @@ class ArcSet:
             raise ValueError(f"Expected {expected} catalogue arcs, received {self.n_arcs}: whiten the set first")
         return self.phi
 
-    def of_whitened_loop(self, x: FloatArray) -> tuple[Any, ...]:
+    def begin_whitened_loop(self, x: FloatArray) -> tuple[Any, ...]:
         """Return the arguments with which a loop over whitened residuals at state x begins."""
         return (
             self.camera.kind, x, self.pitch, self.star_start, self.row_px, self.col_px, self.known_phi, self.band,
@@ -147,7 +147,7 @@ class ArcSet:
         )
 
     def without(self, rows: IntArray, minimum_stars: int) -> tuple[ArcSet, int, int]:
-        """Return the set without the stars of some telemetry rows, unwhitened; exposures that lose one are ordered anew.
+        """Return the set without the stars of some telemetry rows, unwhitened; exposures that lose one are ordered again.
 
         Returns also how many exposures are lost with them: with fewer stars left than `minimum_stars`, and all on one line.
         """
@@ -159,11 +159,11 @@ class ArcSet:
         stars = np.flatnonzero(stays)
         counts = left[full]
         starts = np.append(0, np.cumsum(counts))
-        anew = np.flatnonzero(np.repeat(touched[full], counts))
+        reordered = np.flatnonzero(np.repeat(touched[full], counts))
         fat = np.ones(len(counts), np.bool_)
-        if len(anew):
-            places, fatness = order(np.append(0, np.cumsum(counts[touched[full]])), self.s_i[stars[anew]])
-            stars[anew] = stars[anew[places]]
+        if len(reordered):
+            places, fatness = order(np.append(0, np.cumsum(counts[touched[full]])), self.s_i[stars[reordered]])
+            stars[reordered] = stars[reordered[places]]
             fat[touched[full]] = fatness > COLLINEAR
         chosen = np.zeros(self.n_exposures, np.bool_)
         chosen[np.flatnonzero(full)[fat]] = True

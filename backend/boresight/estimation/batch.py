@@ -82,7 +82,7 @@ class Step:
     @property
     def sigma(self) -> FloatArray:
         """(n_free,) one-sigma of the free parameters, in typical sigmas; infinite where not determined."""
-        return _sigma_of(*self.spectrum)
+        return _compute_sigma(*self.spectrum)
 
 
 Status = Literal["converged", "max_iterations", "rank_deficient", "diverged"]
@@ -148,7 +148,7 @@ class NormalEquations:
         """What `determined` says of A, once."""
         return determined(self.A)
 
-    def of(self, places: NDArray[np.int64]) -> NormalEquations:
+    def select(self, places: NDArray[np.int64]) -> NormalEquations:
         """Those of some of the free parameters, the others held."""
         return NormalEquations(self.A[np.ix_(places, places)], self.b[places], self.chi2, self.sum_of_squares)
 
@@ -191,7 +191,7 @@ def equations_of_block(
 ) -> NormalEquations:
     """Evaluate A and b of one block."""
     A, b = np.empty((len(free), len(free))), np.empty(len(free))
-    chi2, total = kernels.normal_equations(*block.of_whitened_loop(x), free, scale, threshold, A, b)
+    chi2, total = kernels.normal_equations(*block.begin_whitened_loop(x), free, scale, threshold, A, b)
     return NormalEquations(A, b, float(chi2), float(total))
 
 
@@ -202,7 +202,7 @@ def compute_chi2(arcs: Arcs, x: FloatArray) -> float:
 
 def _squares_of_block(block: ArcSet, x: FloatArray) -> float:
     """Whitened sum of squares of one block."""
-    return float(kernels.count_beyond(*block.of_whitened_loop(x), np.inf)[1])
+    return float(kernels.count_beyond(*block.begin_whitened_loop(x), np.inf)[1])
 
 
 def determined(A: FloatArray) -> Spectrum:
@@ -221,10 +221,10 @@ def covariance(A: FloatArray) -> FloatArray:
 
 def sigma_in_scale(A: FloatArray) -> FloatArray:
     """One-sigma of each free parameter in typical sigmas; infinite where an undetermined direction touches it."""
-    return _sigma_of(*determined(A))
+    return _compute_sigma(*determined(A))
 
 
-def _sigma_of(values: FloatArray, vectors: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
+def _compute_sigma(values: FloatArray, vectors: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
     """Return the same from eigenvalues and eigenvectors."""
     variance = (vectors[:, known] ** 2 / values[known]).sum(axis=1)
     touched = (np.abs(vectors[:, ~known]) > 1e-4).any(axis=1)

@@ -30,7 +30,7 @@ Regression. z_k = B_k (z, s) with B_k = [I, E_k], E_k the v_k of each parameter 
 as the parameters are few.
 
 Each is the stacked least-squares problem itself, and no average of results: a pass that leaves a direction open says what it knows
-of the others. The steps are damped as in `batch`, with every pass linearised anew at its own state.
+of the others. The steps are damped as in `batch`, with every pass linearised again at its own state.
 """
 
 from __future__ import annotations

@@ -60,7 +60,7 @@ from boresight.estimation.prior import Prior
 SPREADS, STARTS_EACH = (1.0, 3.0, 10.0), 8
 #: Steps along the weakest directions, sigmas, and how many directions; steps are at most so many typical sigmas long.
 STEPS, DIRECTIONS, LONGEST = (2.0, 5.0, 15.0), 3, 50.0
-#: Times the search begins anew about a lower minimum.
+#: Times the search begins again about a lower minimum.
 ROUNDS = 2
 MOST_ITERATIONS = 60
 #: Distance in sigmas from which two minima are two, and cost by which one must be lower to be taken for it.
@@ -239,7 +239,7 @@ Piece = tuple[float | None, float | None]
 
 
 @dataclass(frozen=True)
-class Profile:
+class ProfileLikelihood:
     """Where a parameter may lie.
 
     `pieces`: in ascending order. `path`: the fits on the way. `lower`: a minimum below the lowest, where the way led to one.
@@ -250,7 +250,7 @@ class Profile:
     lower: BatchFit | None = None
 
 
-def profile(searched: Search, place: int, rise: float) -> Profile:
+def profile(searched: Search, place: int, rise: float) -> ProfileLikelihood:
     """Find where a parameter may lie.
 
     Parameters
@@ -276,7 +276,7 @@ def profile(searched: Search, place: int, rise: float) -> Profile:
         pieces.append((ends[0].value, ends[1].value))
     low, high = minima[0].x[p] - REACH * surface.scale[place], minima[0].x[p] + REACH * surface.scale[place]
     ends_of = tuple((a if a > low else None, b if b < high else None) for a, b in _joined(pieces))
-    return Profile(ends_of, tuple(path), lower)
+    return ProfileLikelihood(ends_of, tuple(path), lower)
 
 
 @dataclass(frozen=True)

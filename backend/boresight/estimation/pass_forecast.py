@@ -50,7 +50,7 @@ class _Columns:
     middle: FloatArray
     half: FloatArray
 
-    def of(self, epoch: Epoch) -> FloatArray:
+    def make_row(self, epoch: Epoch) -> FloatArray:
         """The columns of one pass, (n_columns,)."""
         T0, t0 = self.middle
         raw = [epoch.t_d - t0 if power == 0 else (epoch.temperature_c - T0) ** power for power in self.powers]
@@ -111,7 +111,7 @@ class _Model:
         return replace(state, s=state.s + K @ ((epoch.value - self.origin) / self.scale - H @ state.s), C=(C + C.T) / 2)
 
     def _design(self, epoch: Epoch) -> FloatArray:
-        return np.kron(np.concatenate([[1.0], self.columns.of(epoch)]), np.eye(len(self.q)))
+        return np.kron(np.concatenate([[1.0], self.columns.make_row(epoch)]), np.eye(len(self.q)))
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ every z_i = u_i / sqrt(mu_i) is normal with variance 1 + tau mu_i, and evidence 
     log p(g | tau) = 1/2 sum z_i^2 tau mu_i / (1 + tau mu_i) - 1/2 sum log(1 + tau mu_i),
 
 the restricted likelihood, for dx and w are integrated out of it. It goes to a constant as tau to 0, so one best strength would
-often be nought with a sigma of nought. Instead strengths are averaged by their evidence, under a prior that is flat in the
+often be zero with a sigma of zero. Instead strengths are averaged by their evidence, under a prior that is flat in the
 displacement sqrt(tau) (Gelman 2006), and what they differ by is in the covariance:
 
     mean = sum_j p_j m_j                            m_j = tau u / (1 + tau mu)
@@ -441,7 +441,7 @@ class Test:
     p: float
 
 
-def test_of(spectrum: Spectrum, variance: float) -> Test:
+def judge_spectrum(spectrum: Spectrum, variance: float) -> Test:
     """Test whether there is anything left, with noise of so many times the stated variance."""
     w = point_optimal_weights(spectrum.mu)
     statistic = float(np.sum(w * spectrum.z**2)) / variance
@@ -500,7 +500,7 @@ def infer(data: Data, spectrum: Spectrum | None = None) -> Posterior:
     factor = np.concatenate([shown * np.sqrt(p @ gains), shown @ each.T], axis=1)
     return Posterior(
         Surface(data.row, data.col, coefficients), factor, float(np.sqrt(tau[np.argmax(p / np.sqrt(tau))])), effective, variance,
-        test_of(spectrum, variance),
+        judge_spectrum(spectrum, variance),
     )  # fmt: skip
 
 

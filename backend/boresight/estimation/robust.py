@@ -19,7 +19,7 @@ are taken in turn until they reproduce themselves (`kernels.verification.weigh_s
 stars.
 
 Minimising sum w_i |r_i|^2 / sigma_i^2 over the attitude is what whitened arcs do with the variances sigma_i^2 / w_i. So a round
-is to weigh at x, leave out stars without weight, whiten anew, and fit; the fixed point is where x moves by less than
+is to weigh at x, leave out stars without weight, whiten again, and fit; the fixed point is where x moves by less than
 `REST_OF_ROUNDS` of its sigmas and s rests.
 
 The score of a star is psi = w r. With q_i^2 = r_i^T M_i^-1 r_i / sigma_i^2, residual and covariance sigma_i^2 M_i by least squares,
@@ -192,5 +192,5 @@ def measure_huber_effect(arcs: Arcs, x: NDArray[np.float64], n_free: int, thresh
 
 def _beyond_in_block(block: ArcSet, x: NDArray[np.float64], threshold: float) -> tuple[int, float]:
     """Count the arcs of one block beyond the threshold, and sum psi^2."""
-    beyond, squares = kernels.count_beyond(*block.of_whitened_loop(x), threshold)
+    beyond, squares = kernels.count_beyond(*block.begin_whitened_loop(x), threshold)
     return int(beyond), float(squares)

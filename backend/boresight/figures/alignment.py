@@ -82,7 +82,7 @@ def _answer(found: Alignment) -> str:
 
 
 def _tested(found: Alignment) -> list[str]:
-    return list(dict.fromkeys(one.name.partition("-")[0] for one in found.tests))
+    return list(dict.fromkeys(one.kind or one.name for one in found.tests))
 
 
 def _panel(

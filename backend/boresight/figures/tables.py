@@ -23,7 +23,7 @@ from boresight.calibration.calibration import (
     TrustTest,
 )
 from boresight.calibration.parameter_set import ParameterSetDocument
-from boresight.calibration.trust.trust_tests import KIND_OF_TEST, title_of
+from boresight.calibration.trust.trust_tests import KIND_OF_TEST, get_test_title
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import FAR_TYPICAL_SIGMAS
 from boresight.figures.chart import Table
@@ -626,7 +626,7 @@ def unseen_rows(result: Calibration) -> list[UnseenRow]:
     found.sort(key=lambda one: (one.sigmas is not None, -(one.sigmas or 0.0)))
     return [
         UnseenRow(
-            title_of(one.name),
+            get_test_title(one.name),
             one.parameter,
             (number(one.size_px, 2), number(one.sigmas, 2)),
             (one.size_px, one.sigmas),
@@ -636,4 +636,4 @@ def unseen_rows(result: Calibration) -> list[UnseenRow]:
 
 
 def _titles(names: list[str]) -> list[str]:
-    return [title_of(name) for name in names]
+    return [get_test_title(name) for name in names]

@@ -37,10 +37,10 @@ from boresight.images.psf import (
     HALF_FLUX,
     Window,
     centroid_covariance,
+    compute_reach,
     cut_patches,
     find_slopes,
     make_window,
-    reach_of,
 )
 from boresight.sky.guide_stars import LARGEST_PULL
 
@@ -188,7 +188,7 @@ class Look:
         return self._dn.astype(np.float64)
 
     def sky(self) -> _Sky:
-        """The image less its background, made anew."""
+        """The image less its background, made again."""
         return _less_background(self.dn, self._background)
 
 
@@ -339,10 +339,10 @@ class _LitPixels:
     @classmethod
     def of(cls, sky: _Sky, sample: _Sample, width: float) -> _LitPixels:
         """Look at them."""
-        return cls(_slopes_of(sky, sample, width), *_noise_beside_light(sky, sample, width))
+        return cls(_measure_slopes(sky, sample, width), *_noise_beside_light(sky, sample, width))
 
 
-def _slopes_of(sky: _Sky, sample: _Sample, width: float) -> FloatArray:
+def _measure_slopes(sky: _Sky, sample: _Sample, width: float) -> FloatArray:
     import sep  # noqa: PLC0415 - as above
 
     x, y, _ = sep.winpos(sky.pixels, sample.x, sample.y, np.full(len(sample.x), width))
@@ -382,7 +382,7 @@ def _find_gain(lit: Sequence[_LitPixels]) -> float | None:
 def _noise_beside_light(sky: _Sky, sample: _Sample, width: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Light, square of the finest structure, and variance of the sky (n,) at the pixels of stars."""
     row, column = _on(sample.y, sky.pixels.shape[0]), _on(sample.x, sky.pixels.shape[1])
-    patches = cut_patches(sky.pixels, row, column, reach_of(width) + len(FINEST) // 2)
+    patches = cut_patches(sky.pixels, row, column, compute_reach(width) + len(FINEST) // 2)
     fine, light = patches, patches
     for axis in (1, 2):
         fine = convolve1d(fine, FINEST / np.sqrt((FINEST**2).sum()), axis=axis)

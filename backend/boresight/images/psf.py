@@ -46,10 +46,10 @@ class Window:
     @property
     def reach(self) -> int:
         """Pixels on either side that count."""
-        return reach_of(self.sigma_px)
+        return compute_reach(self.sigma_px)
 
 
-def reach_of(sigma_px: float) -> int:
+def compute_reach(sigma_px: float) -> int:
     """Pixels on either side that count in a window of this sigma."""
     return int(np.ceil(WINDOW_REACH * sigma_px))
 

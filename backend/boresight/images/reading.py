@@ -56,7 +56,7 @@ _EARLIEST, _LATEST = np.datetime64("1900-01-01", "us"), np.datetime64("2100-01-0
 class Image:
     """One image as it was read.
 
-    `dn`: (rows, columns). `sha256`: of the file's bytes. `time_utc`: mid-exposure, NaT where unknown; `time_source` says whence.
+    `dn`: (rows, columns). `sha256`: of the file's bytes. `time_utc`: mid-exposure, NaT where unknown; `time_source` says from what.
     `white_dn`: the largest number that can be, where the file says so.
     """
 
@@ -304,7 +304,7 @@ def _header_time(header: Mapping[str, Any], exposure: float | None, name: str) -
 def _utc(text: str, scale: str, name: str, key: str) -> np.datetime64:
     """Read a time of a scale as UTC."""
     try:
-        time = _of_scale(text, scale)
+        time = _convert_to_utc(text, scale)
         if not _EARLIEST <= time < _LATEST:
             raise ValueError(text)  # noqa: TRY301 - it is told as the others are
     except Exception as error:
@@ -314,7 +314,7 @@ def _utc(text: str, scale: str, name: str, key: str) -> np.datetime64:
     return time
 
 
-def _of_scale(text: str, scale: str) -> np.datetime64:
+def _convert_to_utc(text: str, scale: str) -> np.datetime64:
     if scale in {"UTC", "UT", "UT1", "GMT"}:
         return np.datetime64(text, "us")
     from astropy.time import Time  # noqa: PLC0415 - 0.3 s, of headers in another scale alone

@@ -63,13 +63,13 @@ class Loop:
         return isinstance(kept, _Kept) and kept.has(signature)
 
     @property
-    def of_camera(self) -> bool:
+    def takes_camera(self) -> bool:
         """Whether it is compiled for each camera."""
         return "camera" in self.arguments[0].split()
 
-    def camera_of(self, signature: Sequence[Any]) -> Any:
+    def find_camera(self, signature: Sequence[Any]) -> Any:
         """Return the camera's state type in a signature; None where it has none."""
-        return signature[self.arguments[0].split().index("camera")] if self.of_camera else None
+        return signature[self.arguments[0].split().index("camera")] if self.takes_camera else None
 
     def signature(self, camera: Any) -> tuple[Any, ...]:
         """Return the Numba types of its arguments for a camera's state type."""

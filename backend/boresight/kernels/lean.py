@@ -6,7 +6,7 @@ all its parts, each once; the loop alone is optimised and turned into machine co
 to other loops (`linkonce_odr`), and a process would run whichever copy it had loaded first, rounded a little differently. A long
 part is not copied into every place that calls it, unless it says so (`forceinline`).
 
-Numba compiles a function anew for every set of options that callers have; parts state their own. It compares options by all their
+Numba compiles a function again for every set of options that callers have; parts state their own. It compares options by all their
 values tens of thousands of times, and works out which variables live where after every pass, to be asked once.
 
 What a loop computes is held against NumPy by its tests, whoever compiled it.

@@ -372,7 +372,7 @@ def _residual(s, T, C, c, r):
 def _refract(c, air):
     """Bend direction c (3,) towards the zenith air[:3] by A tan Z + B tan^3 Z, A and B the last of air (5,): as `erfa.atioq` does.
 
-    Z is observed and c is not, hence one Newton step; the sine and the cosine of the elevation are kept from nought.
+    Z is observed and c is not, hence one Newton step; the sine and the cosine of the elevation are kept from zero.
     """
     along = c[0] * air[0] + c[1] * air[1] + c[2] * air[2]
     across2 = 1.0 - along * along
@@ -855,7 +855,7 @@ class Rules(NamedTuple):
     minimum_stars: int
 
 
-class Answer(NamedTuple):
+class AssociationArrays(NamedTuple):
     """What matching says, (n_rows,) and from `start` on (n_exposures,); see `sky.matching.Association`."""
 
     star_id: np.ndarray
@@ -908,7 +908,7 @@ def frame_space(frame_start: np.ndarray, row_start: np.ndarray, p: int, n_stars:
 
 @loop(
     "i1 i1", (Seen, "f2 f3 f1 f1 i1 f2 b1"), (Observer, "f1 f2 f2 f2"), (Guides, "i1 f2 f2 f1 f"), (Hints, "f3 f1 i1"),
-    (Rules, "b b f f i"), (Answer, "i1 f2 i1 f1 i1 b1 f3 f3"),
+    (Rules, "b b f f i"), (AssociationArrays, "i1 f2 i1 f1 i1 b1 f3 f3"),
     (Frame, "f4 f4 b2 b2 b1 f3 f2 f3 f2 f2 f1 f2 f1 f1 i1 i1 i1 b1 f2", (
         Scratch, "f1 f1 f1 f1 f1 f1 f1 f1 i1 b1 b1 b1 f3 f2 f2 f2 f1 f1 f2 f2 f2 i1 f2 i1 i1 i1 i1 b2",
     )),

@@ -203,7 +203,7 @@ def _triangle(H, m, w):
             continue
         diagonal = -math.copysign(math.sqrt(size), H[k, k])
         head = H[k, k] - diagonal
-        beta = 1.0 / (diagonal * head)  # less than nought
+        beta = 1.0 / (diagonal * head)  # less than zero
         H[k, k] = head
         for q in range(k + 1, n):
             w[q] = 0.0

@@ -39,14 +39,14 @@ def make(name: tuple[str, str], types: Sequence[Any]) -> None:
     """Compile one loop, and with it those that are needed where it is."""
     _declare_all()
     wanted = LOOPS[name]
-    camera = wanted.camera_of(types)
+    camera = wanted.find_camera(types)
     mates = (
         (module, other, loop.signature(camera))
         for (module, other), loop in LOOPS.items()
         if (module, other) != name
         and loop.first == wanted.first
-        and (not loop.of_camera or (wanted.first and camera is not None))
-        and (wanted.first or not wanted.of_camera)
+        and (not loop.takes_camera or (wanted.first and camera is not None))
+        and (wanted.first or not wanted.takes_camera)
     )
     compile_all([(*name, tuple(types)), *mates])
 
@@ -58,7 +58,7 @@ def make_all(states: Iterable[type[Any]]) -> None:
         [
             (module, name, loop.signature(camera))
             for (module, name), loop in LOOPS.items()
-            for camera in (map(state_type, states) if loop.of_camera else (None,))
+            for camera in (map(state_type, states) if loop.takes_camera else (None,))
         ]
     )
 

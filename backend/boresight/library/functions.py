@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from boresight.arrays import FloatArray
     from boresight.calibration.exports import ExposureAttitude
-    from boresight.calibration.options import Choices
+    from boresight.calibration.options import SettingValue
     from boresight.calibration.telemetry_pieces import TelemetryFile
     from boresight.library.alignment import Alignment
     from boresight.library.choice import Choice
@@ -132,7 +132,7 @@ def calibrate(
     validate: TelemetrySource | None = None,
     prior: ParameterSource | None = None,
     progress: Wanted = None,
-    **settings: Unpack[Choices],
+    **settings: SettingValue,
 ) -> Calibration:
     """Estimate a sensor's camera parameters from the stars it saw.
 
@@ -203,7 +203,7 @@ def choose(
     *,
     validate: TelemetrySource | None = None,
     progress: Wanted = None,
-    **settings: Unpack[Choices],
+    **settings: SettingValue,
 ) -> Choice:
     """Choose the least camera model that suffices for telemetry: every model and its terms, tested on the same stars.
 
@@ -322,7 +322,7 @@ def evaluate(
     against: ParameterSource | None = None,
     shadow: bool = False,
     progress: Wanted = None,
-    **settings: Unpack[Choices],
+    **settings: SettingValue,
 ) -> Evaluation:
     """Compare two parameter sets on telemetry: availability, matched stars, RMS on common pairs.
 
@@ -776,11 +776,11 @@ def align(  # noqa: PLR0913 - two sides, each with its own
         raise RefusedInputError("The sensor of B is missing: give `sensor_b` (--sensor-b).")
     chosen, limits = AlignmentOptions(**options), parse_alignment_profile(profile)
     with _prepared(progress, "reading the telemetry") as prepared:
-        from boresight.calibration.alignment.sides import camera_of, tracker_side
+        from boresight.calibration.alignment.sides import make_camera, tracker_side
 
         def tracker(telemetry: TelemetrySource, source: SensorSource, known: ParameterSource | None) -> Any:
             described = read_any_sensor(source)
-            camera = camera_of(described, None if known is None else read_camera_parameters(known, described))
+            camera = make_camera(described, None if known is None else read_camera_parameters(known, described))
             stars, _, catalogue = read_set(telemetry, described, prepared)
             prepared.report(f"matching the stars of {described.name}", None)
             settings = CalibrationSettings(match="rematch")

@@ -259,7 +259,8 @@ def summarise_new_sensor(found: NewSensor) -> Summary:
     for name, value in document["initial"].items():
         sigma = document["typical_sigma"][name]
         rows.append((name, f"{value:.6g}", f"{sigma:.3g}", found.reasons[f"typical_sigma.{name}"]))
-    said = [f"{name}: {why}" for name, why in found.reasons.items() if not name.startswith("typical_sigma")]
+    shown = {f"typical_sigma.{name}" for name in document["initial"]}
+    said = [f"{name}: {why}" for name, why in found.reasons.items() if name not in shown]
     size = document["detector"]
     return Summary(
         f"{document['name']}: {document['camera_model']}, {size['rows']} x {size['columns']} px",

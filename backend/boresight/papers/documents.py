@@ -400,7 +400,7 @@ def number(value: float | None, digits: int = 4) -> str:
 
 
 def printed_digits(value: float | None, resolution: float) -> str:
-    """Write a number with as many decimals as the paper prints; nought has no sign."""
+    """Write a number with as many decimals as the paper prints; zero has no sign."""
     return "–" if value is None else f"{value:z.{max(0, round(-log10(resolution)))}f}".replace("-", "−")
 
 

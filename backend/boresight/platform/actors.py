@@ -33,6 +33,8 @@ class Policy:
 
 
 POLICY = Policy()
+#: A credential that is an API key is recorded as this and the key's prefix.
+KEY = "key:"
 
 
 @dataclass(frozen=True)
@@ -57,9 +59,14 @@ class Actor:
         )  # fmt: skip
 
     @property
+    def key_prefix(self) -> str:
+        """What names the API key that acts; empty where none does."""
+        return self.credential.removeprefix(KEY) if self.credential.startswith(KEY) else ""
+
+    @property
     def is_key(self) -> bool:
         """Whether the actor is an API key."""
-        return self.credential.startswith("key:")
+        return self.credential.startswith(KEY)
 
 
 SYSTEM = Actor(None, "system", "Boresight", frozenset({"analyst", "operator", "administrator"}), "system")

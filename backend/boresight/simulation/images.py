@@ -7,9 +7,9 @@ A star of magnitude m at (r, c) puts into the pixel (i, j) the electrons
 
 with s = sqrt(2) sigma: a Gaussian integrated over pixels. In focus there is one term; a defocused spot is a disc, filled by
 `DISC_POINTS` Gaussians on a sunflower spiral. T is the transmission of clouds, a smooth random field of which a share of the image
-lies under cloud; clouds scatter as much light from below as they take from above, so the sky brightens under them. Upon
-the stars come the sky, a satellite's trail (a straight line with the profile of a star), and pixels that are hot or dead in every
-image of the set. Then
+lies under cloud; clouds scatter as much light from below as they take from above, so the sky brightens under them. To
+the stars are added the sky, a satellite's trail (a straight line with the profile of a star), and pixels that are hot or dead in
+every image of the set. Then
 
     DN = round(bias + (Poisson(electrons) + read noise) / gain),   held within 0 and the white level.
 

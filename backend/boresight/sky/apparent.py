@@ -204,13 +204,13 @@ def apparent_from_j2000(
     rows = np.flatnonzero(np.isfinite(ra_rad) & ~np.isnat(time_utc))
     star, known = np.maximum(index[rows], 0), index[rows] >= 0
 
-    def of_star(values: FloatArray) -> FloatArray:
+    def take(values: FloatArray) -> FloatArray:
         return np.where(known, values[star], 0.0) if len(values) else np.zeros(len(rows))
 
     velocity = None if velocity_m_s is None else velocity_m_s[rows]
-    motion = (of_star(catalogue.pm_ra_cosdec_rad_yr), of_star(catalogue.pm_dec_rad_yr))
+    motion = (take(catalogue.pm_ra_cosdec_rad_yr), take(catalogue.pm_dec_rad_yr))
     directions[rows] = _moved_and_aberrated(
-        ra_rad[rows], dec_rad[rows], motion, of_star(catalogue.parallax_rad), 0.0, time_utc[rows], velocity
+        ra_rad[rows], dec_rad[rows], motion, take(catalogue.parallax_rad), 0.0, time_utc[rows], velocity
     )
     return directions
 

@@ -136,7 +136,7 @@ class GroundView:
         """Return the directions (n, 3), ICRS axes, of azimuths from north by east and elevations (n,), without air."""
         return _to_icrs(azimuth_rad, np.pi / 2 - elevation_rad, self.astrom)
 
-    def of(self, place: IntArray) -> GroundView:
+    def select(self, place: IntArray) -> GroundView:
         """Return the views of some moments, each as often as it is named."""
         return GroundView(self.astrom[place], self.zenith[place], self.velocity_m_s[place], self.A, self.B)
 
@@ -203,7 +203,7 @@ def refracted(s: FloatArray, view: GroundView) -> FloatArray:
     answer = np.full(s.shape, np.nan)
     known = np.flatnonzero(np.isfinite(s).all(axis=1))
     if len(known):
-        here = view.of(known)
+        here = view.select(known)
         airy = here.astrom.copy()
         airy["refa"], airy["refb"] = view.A, view.B
         ra, dec = erfa.c2s(erfa.rxp(here.astrom["bpn"], s[known]))
@@ -244,7 +244,7 @@ def refracted_at(s: FloatArray, site: Site, time_utc: TimeArray) -> FloatArray:
     view = view_from(site, moments)
 
     def bend(first: int, last: int) -> None:
-        answer[rows[first:last]] = refracted(s[rows[first:last]], view.of(place[first:last]))
+        answer[rows[first:last]] = refracted(s[rows[first:last]], view.select(place[first:last]))
 
     in_blocks(bend, len(rows), ROWS)
     return answer

@@ -209,7 +209,7 @@ def star_flags(catalogue: Catalogue, blend_rad: float) -> NDArray[np.int8]:
     return flags
 
 
-def flags_of(catalogue: Catalogue, star: IntArray, blend_rad: float) -> NDArray[np.int8]:
+def flag_stars(catalogue: Catalogue, star: IntArray, blend_rad: float) -> NDArray[np.int8]:
     """Flags of some stars (n,), places in the catalogue, as `star_flags` gives them, without a look at the whole sky."""
     order, dec = catalogue.by_declination
     first, last = (np.searchsorted(dec, catalogue.dec_rad[star] + edge * blend_rad) for edge in (-1.01, 1.01))

@@ -317,7 +317,7 @@ class _Matcher:
                 guides,
                 loops.Hints(hints[x], radius[x], kind[x]),
                 rules,
-                loops.Answer(
+                loops.AssociationArrays(
                     star_id[r], direction[r], reason[r], tolerance[r], start[x], valid[x], C[x], covariance[x]
                 ),
                 loops.frame_space(frame_start, row_start, seen.G.shape[2], len(stars.hip)),

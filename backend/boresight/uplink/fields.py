@@ -65,6 +65,11 @@ class Field:
         return self.kind in FORMATS
 
     @property
+    def unsigned(self) -> bool:
+        """Whether its raw value is a count without a sign."""
+        return self.kind.startswith("u")
+
+    @property
     def plain(self) -> bool:
         """Whether the raw value is the number itself."""
         return (self.scale, self.offset) == (1.0, 0.0)
@@ -78,8 +83,7 @@ class Field:
         if self.kind == "float64":
             largest = math.nextafter(math.inf, 0.0)
             return -largest, largest
-        signed = not self.kind.startswith("u")
-        return (-(1 << self.bits - 1), (1 << self.bits - 1) - 1) if signed else (0, (1 << self.bits) - 1)
+        return (0, (1 << self.bits) - 1) if self.unsigned else (-(1 << self.bits - 1), (1 << self.bits - 1) - 1)
 
     def pack(self, number: float) -> int:
         """Turn a number into the field's bits, highest first."""
@@ -106,7 +110,7 @@ class Field:
         if self.floating:
             raw = struct.unpack(f">{FORMATS[self.kind][1]}", bits.to_bytes(self.bits // 8, "big"))[0]
         else:
-            negative = not self.kind.startswith("u") and bits >> (self.bits - 1)
+            negative = not self.unsigned and bits >> (self.bits - 1)
             raw = bits - (1 << self.bits) if negative else bits
         return raw, float(raw) if self.plain else self.scale * raw + self.offset
 

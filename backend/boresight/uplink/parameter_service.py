@@ -53,7 +53,7 @@ def type_code(field: Field) -> tuple[int, int] | None:
     if field.kind in FORMATS:
         return 5, 1 if field.kind == "float32" else 2
     code = field.bits - 4 if 4 <= field.bits <= 16 else FORMAT_CODES.get(field.bits)
-    return None if code is None else (3 if field.kind.startswith("u") else 4, code)
+    return None if code is None else (3 if field.unsigned else 4, code)
 
 
 def parse_pus(document: Any, fields: tuple[Field, ...], faults: Faults) -> ParameterService | None:

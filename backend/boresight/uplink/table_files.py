@@ -149,7 +149,7 @@ def _line(one: DecodedField) -> str:
     if field.floating:
         kind, low, high = "FLOAT", f"MIN_FLOAT{field.bits}", f"MAX_FLOAT{field.bits}"
     else:
-        kind = "UINT" if field.kind.startswith("u") else "INT"
+        kind = "UINT" if field.unsigned else "INT"
         low, high = (str(limit) for limit in field.limits)
     order = "LITTLE_ENDIAN" if field.little else "BIG_ENDIAN"
     described = f'"{_quoted(_description(field))}"'

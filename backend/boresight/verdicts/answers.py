@@ -26,7 +26,7 @@ from boresight.verdicts.verdict import (
 
 
 @dataclass(frozen=True)
-class Answer:
+class ViewAnswer:
     """What a view says: how it stands, and one sentence."""
 
     level: str
@@ -34,13 +34,13 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class View:
+class RunView:
     """One of the four views: the figure it draws, the part of the run's page that has the large one, and its answer."""
 
     figure: str
     part: str
     title: str
-    answer: Answer
+    answer: ViewAnswer
 
 
 @dataclass(frozen=True)
@@ -73,10 +73,10 @@ def make_headline(result: Calibration) -> Headline:
     return Headline(judged.level, judged.word, "; ".join(told), tuple(dict.fromkeys([*reasons, *result.advice])))
 
 
-def make_four_views(result: Calibration | None) -> list[View]:
+def make_four_views(result: Calibration | None) -> list[RunView]:
     """Answer the four questions that decide about a result; what it does not have says so."""
     found = result or Calibration(status="running")
-    return [View(figure, part, title, answer(found)) for figure, part, title, answer in _VIEWS]
+    return [RunView(figure, part, title, answer(found)) for figure, part, title, answer in _VIEWS]
 
 
 def describe_weak(seen: Observability) -> str:
@@ -87,13 +87,13 @@ def describe_weak(seen: Observability) -> str:
     return f"{count(weak)} of {count(whole)} directions {'is' if weak == 1 else 'are'} weak"
 
 
-def answer_observability(result: Calibration) -> Answer:
+def answer_observability(result: Calibration) -> ViewAnswer:
     """Say how many directions the data see, and how well the weakest is known."""
     seen = result.observability
     if seen is None or not seen.singular_values:
         return _nothing(result, "Observability was not computed.")
     level = "caution" if count_weak(seen) else "normal"
-    return Answer(level, f"{describe_weak(seen)}; {_weakest(seen, result)}.")
+    return ViewAnswer(level, f"{describe_weak(seen)}; {_weakest(seen, result)}.")
 
 
 def _weakest(seen: Observability, result: Calibration) -> str:
@@ -105,24 +105,24 @@ def _weakest(seen: Observability, result: Calibration) -> str:
     return f"the weakest{', ' + ' + '.join(named) + ',' if named else ''} {known}"
 
 
-def answer_convergence(result: Calibration) -> Answer:
+def answer_convergence(result: Calibration) -> ViewAnswer:
     """Say where the estimate settled, and whether it ended inside the bands that it drew on its way."""
     history = read_history(result)
     if history is None:
         return _nothing(result, "No history was stored.", "Drawn as the run goes on.")
     if result.status == "running":
-        return Answer("standby", f"Running: {history.axis} {count(history.x[-1])}.")
+        return ViewAnswer("standby", f"Running: {history.axis} {count(history.x[-1])}.")
     first, free = settled_step(result), len(history.free)
     if first is None:
-        return Answer("caution", f"Not settled by the end, {history.axis} {count(history.x[-1])}.")
+        return ViewAnswer("caution", f"Not settled by the end, {history.axis} {count(history.x[-1])}.")
     whole = "The parameter" if free == 1 else f"All {count(free)} parameters"
     settled = f"{whole} settled by {history.axis} {count(history.x[first])}"
     if history.axis == "iteration":
-        return Answer("normal", f"{settled} of {count(history.x[-1])}.")
+        return ViewAnswer("normal", f"{settled} of {count(history.x[-1])}.")
     left = count_left_bands(history)
     if not left:
-        return Answer("normal", f"{settled}; {'it' if free == 1 else 'each'} ended inside its earlier ±3σ.")
-    return Answer("caution", f"{settled}; {count(left)} of {count(free)} ended outside a ±3σ of its second half.")
+        return ViewAnswer("normal", f"{settled}; {'it' if free == 1 else 'each'} ended inside its earlier ±3σ.")
+    return ViewAnswer("caution", f"{settled}; {count(left)} of {count(free)} ended outside a ±3σ of its second half.")
 
 
 def count_left_bands(history: History) -> int:
@@ -133,23 +133,23 @@ def count_left_bands(history: History) -> int:
     return int(away.any(axis=0).sum())
 
 
-def answer_rms(result: Calibration) -> Answer:
+def answer_rms(result: Calibration) -> ViewAnswer:
     """Say whether tail and aggregate meet, and how far the error fell."""
     rms, tail = result.rms_arc_rad, summarise_tail(result)
     if tail is not None and tail.tail_rad is not None and tail.aggregate_rad is not None:
         both = f"aggregate {urad(tail.aggregate_rad, 3)}, tail {urad(tail.tail_rad, 3)} µrad"
         old = "" if rms.initial is None else f"; old parameters {urad(rms.initial, 3)}"
         if result.status == "running":
-            return Answer("standby", f"So far {both}{old}.")
+            return ViewAnswer("standby", f"So far {both}{old}.")
         meet = abs(tail.tail_rad - tail.aggregate_rad) <= 3 * (tail.sigma_rad or 0.0)
         words = "Tail and aggregate agree" if meet else "Tail and aggregate differ"
-        return Answer("normal" if meet else "caution", f"{words}: {both}{old}.")
+        return ViewAnswer("normal" if meet else "caution", f"{words}: {both}{old}.")
     if rms.initial is None or rms.final is None:
         return _nothing(result, "No RMS arc error was computed.", "Drawn as the run goes on.")
     sigma = sigma_of_rms(rms.final, result.pairs)
     reach = "" if sigma is None else f" ± {urad(3 * sigma, 2)}"
     level = "standby" if result.status == "running" else "normal" if rms.final < rms.initial else "caution"
-    return Answer(level, f"From {urad(rms.initial, 3)} to {urad(rms.final, 3)}{reach} µrad.")
+    return ViewAnswer(level, f"From {urad(rms.initial, 3)} to {urad(rms.final, 3)}{reach} µrad.")
 
 
 @dataclass(frozen=True)
@@ -183,19 +183,19 @@ def describe_largest_change(radial: RadialDifference) -> str:
     return f"At most {signed(found.change_px)}{spread} px (3σ) where stars reach, at radius {count(found.radius_px)} px"
 
 
-def answer_radial(result: Calibration) -> Answer:
+def answer_radial(result: Calibration) -> ViewAnswer:
     """Say how far the new parameters move a star along the radius."""
     said = describe_largest_change(result.radial) if result.radial and result.radial.radius_px else ""
-    return Answer("normal", f"{said}.") if said else _nothing(result, "The radial difference was not computed.")
+    return ViewAnswer("normal", f"{said}.") if said else _nothing(result, "The radial difference was not computed.")
 
 
-def _nothing(result: Calibration, never: str, later: str = "Computed when the run ends.") -> Answer:
+def _nothing(result: Calibration, never: str, later: str = "Computed when the run ends.") -> ViewAnswer:
     if result.status == "running":
-        return Answer("standby", later)
-    return Answer("off", never)
+        return ViewAnswer("standby", later)
+    return ViewAnswer("off", never)
 
 
-_VIEWS: tuple[tuple[str, str, str, Callable[[Calibration], Answer]], ...] = (
+_VIEWS: tuple[tuple[str, str, str, Callable[[Calibration], ViewAnswer]], ...] = (
     ("convergence", "convergence", "Convergence, ±3σ", answer_convergence),
     ("rms", "convergence", "RMS arc error", answer_rms),
     ("radial", "distortion", "Radial difference, new − old", answer_radial),

@@ -49,8 +49,13 @@ def list_remedies(result: Calibration | None) -> list[Remedy]:
     """List what may be tried, each once, what answers the gravest doubt first."""
     if result is None or result.status in {"running", "too_few_stars"}:
         return []
-    found = [*_of_status(result), *_of_causes(result), *_of_suspects(result), *_of_weak_directions(result)]
-    found += _of_spare(result)
+    found = [
+        *_remedy_status(result),
+        *_remedy_causes(result),
+        *_remedy_suspects(result),
+        *_remedy_weak_directions(result),
+    ]
+    found += _remedy_spare(result)
     settings = result.inputs.settings
     return list(
         {
@@ -61,7 +66,7 @@ def list_remedies(result: Calibration | None) -> list[Remedy]:
     )
 
 
-def _of_status(result: Calibration) -> Iterator[Remedy]:
+def _remedy_status(result: Calibration) -> Iterator[Remedy]:
     if result.status == "max_iterations":
         yield Remedy("Clone with more iterations", {"max_iterations": str(MORE_ITERATIONS)})
     if result.status == "diverged":
@@ -73,7 +78,7 @@ def _of_status(result: Calibration) -> Iterator[Remedy]:
         yield Remedy("Clone as a batch", {"method": "batch"})
 
 
-def _of_causes(result: Calibration) -> Iterator[Remedy]:
+def _remedy_causes(result: Calibration) -> Iterator[Remedy]:
     for cause in result.causes:
         if cause.name in OF_THE_LENS:
             yield Remedy("Choose a model", part="distortion")
@@ -81,7 +86,7 @@ def _of_causes(result: Calibration) -> Iterator[Remedy]:
             yield Remedy(*OF_CAUSES[cause.name])
 
 
-def _of_suspects(result: Calibration) -> Iterator[Remedy]:
+def _remedy_suspects(result: Calibration) -> Iterator[Remedy]:
     suspects = result.trust.suspects if result.trust else []
     if suspects and len(suspects) <= MOST_STARS_NAMED:
         stars = ",".join(map(str, sorted({*result.inputs.settings.leave_out_stars, *suspects})))
@@ -89,7 +94,7 @@ def _of_suspects(result: Calibration) -> Iterator[Remedy]:
         yield Remedy(f"Leave out {words}", {"leave_out_stars": stars})
 
 
-def _of_spare(result: Calibration) -> Iterator[Remedy]:
+def _remedy_spare(result: Calibration) -> Iterator[Remedy]:
     """Hold the parameter that costs least, where the data give no evidence that it changed."""
     entries = (result.trust.drop_one if result.trust else None) or []
     spare = [one for one in entries if not one.needed and one.settled]
@@ -101,7 +106,7 @@ def _of_spare(result: Calibration) -> Iterator[Remedy]:
         )
 
 
-def _of_weak_directions(result: Calibration) -> Iterator[Remedy]:
+def _remedy_weak_directions(result: Calibration) -> Iterator[Remedy]:
     """Hold so few parameters that every direction of the others is known."""
     seen = result.observability
     if seen is None or not seen.singular_values or result.status == "diverged":

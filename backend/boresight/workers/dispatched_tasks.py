@@ -67,7 +67,7 @@ class DispatchedTasks:
         """Return all attempts on the cluster for this server."""
         return {held for task in self._all for held in task.members}
 
-    def of(self, held: HeldRun) -> DispatchedTask:
+    def find_task(self, held: HeldRun) -> DispatchedTask:
         """Return the task of an attempt."""
         return next(task for task in self._all if held in task.members)
 

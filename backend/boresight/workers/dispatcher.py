@@ -522,7 +522,7 @@ class RunDispatcher:
         """Ask attempts of cancelled runs to stop; kill those that did not answer in time."""
         asked = self._rows.stops(self._tasks.held()) if self._tasks else set()
         for held in asked:
-            task = self._tasks.of(held)
+            task = self._tasks.find_task(held)
             if held not in task.asked_s:
                 task.asked_s[held] = time.monotonic()
                 self._on_cluster().ask_to_stop(held)

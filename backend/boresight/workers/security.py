@@ -121,7 +121,7 @@ MAKE_NEW = "make new ones with `boresight certificates`, and restart server, sch
 
 
 def refuse_unless_address(text: str) -> None:
-    """Refuse an invalid address of a scheduler, which would be tried for ever."""
+    """Refuse an invalid address of a scheduler, which would be tried forever."""
     try:
         parts = urlsplit(text)
         is_address = f"{parts.scheme}://" in PROTOCOLS and bool(parts.hostname) and bool(parts.port)

@@ -48,7 +48,7 @@ export function formatter(form) {
 /** @type {WeakSet<object>} */
 const taught = new WeakSet();
 
-/** Let the hovers of a drawn figure write numbers so, by the locale that Plotly makes anew at each drawing. @param {{ numberFormat: (form: string) => Write } | undefined} locale */
+/** Let the hovers of a drawn figure write numbers so, by the locale that Plotly makes again at each drawing. @param {{ numberFormat: (form: string) => Write } | undefined} locale */
 export function writeNumbersIn(locale) {
   if (!locale || taught.has(locale)) return;
   taught.add(locale);

@@ -277,7 +277,7 @@ export class PlotFigure extends HTMLElement {
     return !this.isSmall && (this.canvas.clientWidth || this.clientWidth) < NARROW_PX; // a canvas without a drawing may be hidden
   }
 
-  /** Fit the drawing to its place; where that came to rest narrow or wide, as by turning a phone, it is laid out anew. */
+  /** Fit the drawing to its place; where that came to rest narrow or wide, as by turning a phone, it is laid out again. */
   #resize() {
     if (!isDrawn(this.canvas) || !this.#figure || !this.canvas.clientWidth) return;
     fit(this.canvas, this.#size());

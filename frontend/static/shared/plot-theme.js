@@ -6,7 +6,7 @@ import { writeTimes } from "./times.js";
 
 const HEADING_PX = 28;
 const BAND_OPACITY = 0.4; // in high contrast
-let isPaper = false; // the print dialog tells before it lays the page out anew, when the media is still the screen
+let isPaper = false; // the print dialog tells before it lays the page out again, when the media is still the screen
 const onPaper = () => isPaper || matchMedia("print").matches;
 const isLight = () => onPaper() || document.documentElement.dataset.theme === "light";
 const isStrong = () => !onPaper() && document.documentElement.dataset.theme === "contrast";

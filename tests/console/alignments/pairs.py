@@ -101,7 +101,7 @@ def submitted(house: House) -> dict[str, Any]:
     """A request for an alignment that is open."""
     made = trackers(house.app.state.settings.data_folder)
     row = ended(house, ask(house, *(run_of(house, one) for one in made)).json()["id"])
-    body = {"reason": "Both trackers were calibrated anew."}
+    body = {"reason": "Both trackers were calibrated again."}
     answer = house.person("ada").post(f"/api/v1/alignments/{row['id']}:submit", json=body)
     assert answer.status_code == 201, answer.text
     return dict(answer.json())
@@ -122,7 +122,7 @@ def _signing(name: str) -> Any:
 def _to_submit(house: House) -> Made:
     made = trackers(house.app.state.settings.data_folder)
     row = ended(house, ask(house, *(run_of(house, one) for one in made)).json()["id"])
-    return "ada", {"alignment_id": row["id"], "json": {"reason": "Both trackers were calibrated anew."}}
+    return "ada", {"alignment_id": row["id"], "json": {"reason": "Both trackers were calibrated again."}}
 
 
 GOOD = {

@@ -117,7 +117,7 @@ def test_one_is_submitted_on_its_page_and_withdrawn_by_the_same_person_or_an_adm
     refused = _post(house, "ada", f"{place}/submit", reason=" ")
     assert refused.status_code == 422
     assert re.search(r'<dialog id="submit"[^>]* open>', refused.text)
-    answer = _post(house, "ada", f"{place}/submit", reason="Calibrated anew.")
+    answer = _post(house, "ada", f"{place}/submit", reason="Calibrated again.")
     assert (answer.status_code, answer.headers["location"]) == (303, place)
     ((number, state, version),) = _requests(house, good)
     assert (state, version) == ("OPEN", 1)

@@ -8,8 +8,9 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from boresight.calibration.alignment.result import parse_alignment
-from boresight.console.alignments import computation, queries, service
+from boresight.console.alignments import queries, service
 from boresight.console.alignments.tables import Alignment
+from boresight.console.jobs import alignment_thread
 from boresight.console.runs.tables import Run
 from boresight.errors import CancelledError, RefusedInputError
 from boresight.platform.actors import SYSTEM
@@ -139,7 +140,7 @@ def test_without_a_common_pair_it_fails_and_says_why(house, pair, monkeypatch):
     def never(*_):
         raise RefusedInputError("No attitudes of the two frames are at the same time.")
 
-    monkeypatch.setattr(computation, "align_sides", never)
+    monkeypatch.setattr(alignment_thread, "align_sides", never)
     row = ended(house, ask(house, *pair, options={"tolerance_s": 0.25}).json()["id"])
     assert (row["state"], row["verdict"]) == ("FAILED", None)
     assert row["reason"].startswith("No attitudes")
@@ -149,13 +150,13 @@ def test_a_server_that_stops_leaves_it_to_the_next_and_a_late_end_writes_nothing
     number = ask(still, *pair, options={"robust": True}).json()["id"]
     first, sources = _claim(still), still.app.state.forecast_sources
     with pytest.raises(CancelledError):
-        computation.compute(first, sources, lambda: True)
+        alignment_thread.compute(first, sources, lambda: True)
     with open_writing(still.app.state.engine) as session:
         service.put_back(session, first)
     assert read(still, number)["state"] == "QUEUED"
     second = _claim(still)
     assert (second.alignment_id, second.attempt) == (number, 2)
-    made = computation.compute(second, sources, lambda: False)
+    made = alignment_thread.compute(second, sources, lambda: False)
     with open_writing(still.app.state.engine) as session:
         assert not service.finish(session, sources.blobs, first, made)
         assert not service.fail(session, first, "late")

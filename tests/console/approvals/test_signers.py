@@ -71,7 +71,7 @@ def _sign(engine: Engine, actor: Actor, approval: Approval, policy: Policy = POL
 
 def _signers(engine: Engine, approval: Approval, policy: Policy = POLICY) -> dict[str, tuple[str, ...] | None]:
     with open_reading(engine) as session:
-        found = approvals.list_signers_of(session, approval.id, policy=policy)
+        found = approvals.list_request_signers(session, approval.id, policy=policy)
     return {one.user.name: one.roles if one.refusal else None for one in found}
 
 

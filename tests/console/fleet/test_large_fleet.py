@@ -105,7 +105,7 @@ def test_a_page_asks_the_store_for_as_much_of_a_thousand_sensors_as_of_three_hun
     visitors = {n: site.visitor("ada") for n, site in fleets.items()}
     for again in range(
         4
-    ):  # the server's own maintenance may commit in between, and then a page looks at the fleet anew
+    ):  # the server's own maintenance may commit in between, and then a page looks at the fleet again
         for n, site in fleets.items():
             visitors[n].get(path)
             with counted(site.engine) as asked[n]:

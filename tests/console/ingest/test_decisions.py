@@ -10,8 +10,8 @@ from boresight.console.approvals import service as approvals
 from boresight.console.approvals.tables import Approval
 from boresight.console.fleet.trend_document import Advice
 from boresight.console.ingest import policies, service
+from boresight.console.ingest.change_tests import PolicyFinding, Reason
 from boresight.console.ingest.folder import WatchedFolder
-from boresight.console.ingest.judgement import PolicyFinding, Reason
 from boresight.console.ingest.rules import PolicyRules
 from boresight.console.ingest.tables import IngestDecision, IngestPolicy
 from boresight.console.jobs.ingest_watcher import IngestWatcher
@@ -103,7 +103,7 @@ class Pipeline:
 
     def answer(self, row, answer, days=7.0, who="ana"):
         with open_writing(self.engine) as session:
-            given = service.Answer(answer, "Seen.", days)
+            given = service.DecisionAnswer(answer, "Seen.", days)
             return service.answer(session, self.people[who], self.blobs, row.id, given, row.version)
 
 
@@ -246,7 +246,7 @@ def test_an_answer_needs_a_reason_and_days_within_bounds():
         ("WAIT", "x", float("nan")),
     ):
         with pytest.raises(RefusedInputError):
-            service.Answer(*given).check()
+            service.DecisionAnswer(*given).check()
 
 
 def test_a_folder_that_cannot_be_written_stops_the_policy(pipeline, tmp_path, monkeypatch):

@@ -149,7 +149,7 @@ def test_only_an_analyst_in_person_answers_and_submitting_makes_them_the_first_o
 
 def test_the_service_itself_can_neither_submit_nor_sign_nor_promote_nor_enable(house):
     row, policy = asked(house), in_force(house)
-    given = service.Answer("SUBMIT", "x")
+    given = service.DecisionAnswer("SUBMIT", "x")
     with open_writing(house.app.state.engine) as session:
         blobs, number = house.app.state.blobs, row["parameter_set_id"]
         for attempt in (

@@ -80,7 +80,7 @@ def test_a_running_upkeep_looks_at_once_and_writes_the_last_uses_when_it_stops(s
         if maintenance.light().state == "verified":
             break
         time.sleep(0.05)
-    maintenance.used(f"key:{key.prefix}")
+    maintenance.used(key.prefix)
     maintenance.close()
     maintenance.close()
     assert maintenance.light().state == "verified"

@@ -21,7 +21,7 @@ from boresight.platform.actors import SYSTEM, Policy
 from boresight.platform.audit import audit_verifier
 from boresight.platform.audit import log as audit
 from boresight.platform.audit import queries as rows
-from boresight.platform.audit.anchors import Trust, keep_time_stamp, make_anchor, spell_statement
+from boresight.platform.audit.anchors import TrustedKeys, keep_time_stamp, make_anchor, spell_statement
 from boresight.platform.audit.export import write_export
 from boresight.platform.audit.log import ChainReport
 from boresight.platform.audit.signing import PublicKey, SigningKey, read_public_keys
@@ -66,11 +66,11 @@ def _anchor(store: Engine, key: SigningKey) -> AuditAnchor:
         return make_anchor(session, key, "Boresight")
 
 
-def _trust(key: SigningKey, **more: object) -> Trust:
-    return replace(Trust(key.list_public_keys(), key.name), **more)  # type: ignore[arg-type]
+def _trust(key: SigningKey, **more: object) -> TrustedKeys:
+    return replace(TrustedKeys(key.list_public_keys(), key.name), **more)  # type: ignore[arg-type]
 
 
-def _verify(store: Engine, trust: Trust) -> ChainReport:
+def _verify(store: Engine, trust: TrustedKeys) -> ChainReport:
     with open_reading(store) as session:
         return audit.verify(session, trust=trust)
 
@@ -184,7 +184,7 @@ def test_an_export_has_its_anchors_and_verifies_against_keys_that_were_kept(expo
 
 
 def _rehashed(folder: Path, changed: int, count: int) -> None:
-    """Rewrite the export as whoever owns the database could: one record changed, all chained anew, the last line right."""
+    """Rewrite the export as whoever owns the database could: one record changed, all chained again, the last line right."""
     lines = (folder / "audit.jsonl").read_bytes().splitlines()
     records, last = [json.loads(line) for line in lines[:count]], json.loads(lines[-1])
     previous = audit_verifier.FIRST_HASH

@@ -20,9 +20,9 @@ from boresight.calibration.alignment.result import (
     PairTest,
     RemovedPair,
     RotationToLoad,
-    quaternion_of,
+    write_quaternion,
 )
-from boresight.calibration.alignment.sides import Side, time_of
+from boresight.calibration.alignment.sides import Side, write_time
 from boresight.calibration.evaluation.alignment import ARCSEC_PER_RAD
 from boresight.errors import RefusedInputError
 from boresight.estimation.alignment import (
@@ -34,7 +34,7 @@ from boresight.estimation.alignment import (
     Term,
     Variation,
     estimate,
-    exp_of,
+    exp_rotation,
     make_pairs,
     make_variation,
 )
@@ -118,7 +118,9 @@ def _can_have(variation: Variation, wanted: tuple[Term, ...]) -> bool:
 
 
 def _never(a: Side, b: Side, options: AlignmentOptions) -> str:
-    spans = [f"{one.name} from {time_of(one.series.time_s[0])} to {time_of(one.series.time_s[-1])}" for one in (a, b)]
+    spans = [
+        f"{one.name} from {write_time(one.series.time_s[0])} to {write_time(one.series.time_s[-1])}" for one in (a, b)
+    ]
     return (
         f"No attitudes of the two frames are at the same time within {options.tolerance_s:g} s: {' and '.join(spans)}. Give sets "
         "of the same hours, or allow a longer tolerance or gap."
@@ -145,7 +147,7 @@ def _write(
     return Alignment(
         a=_told(a),
         b=_told(b),
-        quaternion=quaternion_of(fit.M),
+        quaternion=write_quaternion(fit.M),
         matrix=[[float(one) for one in row] for row in fit.M],
         sigma_arcsec=_sigmas(fit.covariance)[:3],
         sigma_with_misfit_arcsec=_sigmas(P)[:3],
@@ -154,7 +156,7 @@ def _write(
         reference_temperature_c=variation.reference_c if len(known) else None,
         temperature_of=which,
         temperature_range_c=[float(known.min()), float(known.max())] if len(known) else None,
-        reference_utc=time_of(variation.middle_s),
+        reference_utc=write_time(variation.middle_s),
         terms=[
             _term(term, fit.beta[place], _sigmas(P)[3 * place : 3 * place + 3])
             for place, term in enumerate(fit.terms, 1)
@@ -179,10 +181,10 @@ def _write(
 
 def _to_load(fit: Fit) -> RotationToLoad:
     """Return the rotation for whoever loads these parameters, widened by the scatter of the pairs."""
-    M = exp_of(fit.load[0]) @ fit.M
+    M = exp_rotation(fit.load[0]) @ fit.M
     P = fit.covariance_to_load + max(fit.ratio - 1.0, 0.0) * fit.covariance_of_noise
     return RotationToLoad(
-        quaternion=quaternion_of(M),
+        quaternion=write_quaternion(M),
         matrix=[[float(one) for one in row] for row in M],
         sigma_arcsec=_sigmas(P)[:3],
         covariance_rad2=[[float(one) for one in row] for row in P],
@@ -201,8 +203,8 @@ def _told(side: Side) -> AlignedSide:
         values=side.values,
         exposures=side.exposures,
         attitudes=len(side.series),
-        start_utc=time_of(side.series.time_s[0]),
-        end_utc=time_of(side.series.time_s[-1]),
+        start_utc=write_time(side.series.time_s[0]),
+        end_utc=write_time(side.series.time_s[-1]),
     )
 
 
@@ -220,7 +222,7 @@ def _removed(a: Side, b: Side, pairs: Pairs, found: Estimate) -> list[RemovedPai
     listed = out[np.argsort(-found.fit.pair_chi2[out], kind="stable")][:MOST_REMOVED]
     return [
         RemovedPair(
-            time_utc=time_of(pairs.time_s[k]),
+            time_utc=write_time(pairs.time_s[k]),
             frame_a=_number(a.frame, pairs.place[k, 0]),
             exposure_a=_number(a.exposure, pairs.place[k, 0]),
             frame_b=_number(b.frame, pairs.place[k, 1]),
@@ -245,7 +247,7 @@ def _residuals(pairs: Pairs, variation: Variation, found: Estimate) -> PairResid
     basis = variation.basis(fit.terms)[some, 1:]
     warmth = variation.temperature_c[some]
     return PairResiduals(
-        time_utc=[time_of(one) for one in pairs.time_s[some]],
+        time_utc=[write_time(one) for one in pairs.time_s[some]],
         temperature_c=[float(one) if np.isfinite(one) else None for one in warmth],
         residual_arcsec=(left[some] * ARCSEC_PER_RAD).tolist(),
         sigma_arcsec=sigma.tolist(),

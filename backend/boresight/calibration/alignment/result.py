@@ -14,6 +14,7 @@ from boresight.calibration.alignment.sides import Knowledge
 from boresight.calibration.calibration import Matrix, Numbers, make_schema, parse_part
 from boresight.calibration.evaluation.alignment import ARCSEC_PER_RAD
 from boresight.errors import RefusedInputError
+from boresight.estimation.alignment import TERMS, Kind
 from boresight.estimation.attitude import product, to_quaternion, vector_to_quaternion
 
 SCHEMA: Final = "boresight.alignment/1"
@@ -41,7 +42,7 @@ class AlignmentTerm:
     """What the rotation depends on: arcsec a `unit` about the axes of B, with one sigma (with misfit)."""
 
     name: str
-    kind: Literal["temperature", "time"]
+    kind: Kind
     power: int
     unit: str
     value_arcsec: list[float]
@@ -56,6 +57,11 @@ class AlignmentTermTest:
     fall: float
     p: float
     needed: bool
+
+    @property
+    def kind(self) -> Kind | None:
+        """What the term is a power of; None for one that this version does not know."""
+        return TERMS[self.name].kind if self.name in TERMS else None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -208,6 +214,6 @@ def compute_json_schema() -> dict[str, Any]:
     return make_schema(Alignment, SCHEMA)
 
 
-def quaternion_of(matrix: FloatArray) -> list[float]:
+def write_quaternion(matrix: FloatArray) -> list[float]:
     """Write a rotation (3, 3) as x, y, z, w."""
     return [float(one) for one in to_quaternion(matrix)]

@@ -2,7 +2,7 @@
 
 A tracker's stars are matched under its parameters, and each exposure is solved (`estimation.attitude`) with what the camera's
 covariance does to it (`evaluation.alignment.sensitivity_of_exposures`). A reference is a table of times and quaternions, ICRS to
-its frame, each with its error: of every attitude anew (`sigma_arcsec`, or a column of that name, or one an axis), and one that all
+its frame, each with its error: of every attitude again (`sigma_arcsec`, or a column of that name, or one an axis), and one that all
 of them share (`bias_arcsec`), as of a reference that is itself aligned only so well.
 """
 
@@ -75,7 +75,7 @@ class Camera:
     parameters: Knowledge
 
 
-def camera_of(sensor: Sensor, known: tuple[FloatArray, FloatArray | None] | None) -> Camera:
+def make_camera(sensor: Sensor, known: tuple[FloatArray, FloatArray | None] | None) -> Camera:
     """Return the camera to solve attitudes with: the parameters that are known, else the sensor file's at their typical spread."""
     if known is None:
         return Camera(sensor.initial, np.diag(sensor.typical_sigma**2), "typical")
@@ -88,7 +88,7 @@ def to_seconds(time_utc: TimeArray) -> FloatArray:
     return np.asarray((time_utc - _EPOCH) / np.timedelta64(1, "s"), np.float64)
 
 
-def time_of(seconds: float) -> str:
+def write_time(seconds: float) -> str:
     """Write seconds from J2000.0 in ISO 8601, to the millisecond."""
     moment = _EPOCH + np.timedelta64(round(seconds * 1e3), "ms")
     return f"{moment.astype('datetime64[ms]')}Z"

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from boresight.arrays import FloatArray
-from boresight.calibration.advice_kinds import Advice, of_kind
+from boresight.calibration.advice_kinds import Advice, make_advice
 from boresight.calibration.calibrate import CalibrationContext, choose_match_mode, open_validation_set
 from boresight.calibration.calibration import Values
 from boresight.calibration.choice.cross_validation import HeldOutScores, cross_validate, validate
@@ -100,7 +100,7 @@ def choose(  # noqa: PLR0913 - what is chosen from, and six choices of the calle
     cancelled
         Asked often; True stops.
     cache_folder
-        Where lost-in-space identification keeps its tables; None makes them anew.
+        Where lost-in-space identification keeps its tables; None makes them again.
 
     Raises
     ------
@@ -246,7 +246,7 @@ def _read(
     """Read a set, of a large one stretches that are evenly spread over it, with what to say of it."""
     inside, off = open_validation_set(telemetry, sensor, JUDGED_STARS)
     inside = put_right(inside, sensor, catalogue)
-    words = of_kind("off_detector", off.sentences(which))
+    words = make_advice("off_detector", off.sentences(which))
     if is_large(telemetry):
         said = f"The set{which} is large: {len(np.unique(inside.frame)):,} of its frames, evenly spread, were used."
         words.append(Advice(said, "judged_on"))

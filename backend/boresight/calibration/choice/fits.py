@@ -115,7 +115,7 @@ class Fits:
         for subset in reversed(list_subsets(camera)):
             if (camera.name, subset.term_names) in self.known:
                 continue
-            above = [one for one in self.of_camera(camera) if one.subset.contains(subset)]
+            above = [one for one in self.list_fitted(camera) if one.subset.contains(subset)]
             nearest = min((one for one in above if one.usable), key=lambda one: one.n_free, default=None)
             if nearest is not None:
                 rise = self.rise(nearest, subset)
@@ -141,8 +141,8 @@ class Fits:
 
     def _begin_again(self, camera: CameraModel) -> None:
         """Fit those again that ended above one that they contain."""
-        for smaller in sorted(self.of_camera(camera), key=lambda one: one.n_free):
-            for larger in self.of_camera(camera):
+        for smaller in sorted(self.list_fitted(camera), key=lambda one: one.n_free):
+            for larger in self.list_fitted(camera):
                 if (
                     smaller.state in FITTED
                     and larger.subset.contains(smaller.subset)
@@ -153,7 +153,7 @@ class Fits:
                     if again.chi2 < larger.chi2:
                         self.known[camera.name, larger.subset.term_names] = again
 
-    def of_camera(self, camera: CameraModel) -> list[FittedSubset]:
+    def list_fitted(self, camera: CameraModel) -> list[FittedSubset]:
         """Return the candidates of a camera, in the order in which they were looked at."""
         return [one for one in self.known.values() if one.camera is camera]
 

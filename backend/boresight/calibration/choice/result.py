@@ -284,7 +284,7 @@ def _say_needed(found: Choice) -> str:
     camera, terms = found.chosen.camera_model, found.chosen.terms
     if not terms:
         return f"{camera} with only its focal length free suffices"
-    of = [(one.terms[0], f"p {shown_p(one.log10_p_corrected)}", _say_saved(one.held_out_ratio)) for one in found.needed]
+    of = [(one.terms[0], _say_p(one.log10_p_corrected), _say_saved(one.held_out_ratio)) for one in found.needed]
     tested = {name for name, _, _ in of}
     held = [name for name in terms if name not in tested]
     if len(of) == 1:
@@ -301,7 +301,7 @@ def _say_camera(found: Choice) -> Iterable[str]:
         if other.camera_model != own:
             continue
         if other.test is not None and other.test.needed:
-            yield f"{own} does not have them (p {shown_p(other.test.log10_p_corrected)})"
+            yield f"{own} does not have them ({_say_p(other.test.log10_p_corrected)})"
         else:
             yield f"{own} fits the stars less well (BIC {other.bic_above:.3g} above)"
 
@@ -312,7 +312,7 @@ def _say_rest(found: Choice) -> Iterable[str]:
         left = found.leftover
         yield (
             f"but no model here suffices: {left.largest_px:.2g} ± {3 * left.sigma_px:.1g} px of smooth displacement remain "
-            f"(p {shown_p(math.log10(max(left.p, 1e-300)))})"
+            f"({_say_p(math.log10(max(left.p, 1e-300)))})"
         )
     elif missing:
         terms = listed(sorted({name for test in missing for name in test.terms}))
@@ -324,10 +324,15 @@ def _say_rest(found: Choice) -> Iterable[str]:
         yield f"residuals are {ratio:.3g} times what the stated noise explains, and the tests are scaled by it"
 
 
-def shown_p(log10_p: float) -> str:
-    """Write a p-value behind its letter: < 1e-6, = 0.003."""
+def write_p(log10_p: float) -> str:
+    """Write a p-value: < 1e-6, 0.003."""
     p = 10.0 ** min(0.0, log10_p)
-    return "< 1e-6" if p < SMALLEST_P else f"= {p:.2g}"
+    return "< 1e-6" if p < SMALLEST_P else f"{p:.2g}"
+
+
+def _say_p(log10_p: float) -> str:
+    """Write a p-value behind its letter: p < 1e-6, p = 0.003."""
+    return f"p {'' if 10.0 ** min(0.0, log10_p) < SMALLEST_P else '= '}{write_p(log10_p)}"
 
 
 def _say_saved(ratio: float | None) -> str:

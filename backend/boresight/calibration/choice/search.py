@@ -116,7 +116,7 @@ def choose_of_camera(fits: Fits, camera: CameraModel, noise: Noise, cameras: int
         return rise > HOPELESS * _critical(smaller, larger, noise, cameras)
 
     fits.fit_all(camera, hopeless)
-    usable = [one for one in fits.of_camera(camera) if one.usable]
+    usable = [one for one in fits.list_fitted(camera) if one.usable]
     sufficient = [
         one
         for one in usable
@@ -124,7 +124,7 @@ def choose_of_camera(fits: Fits, camera: CameraModel, noise: Noise, cameras: int
     ]
     if not sufficient:
         return None
-    out = [one for one in fits.of_camera(camera) if one.usable or one.state is State.REJECTED]
+    out = [one for one in fits.list_fitted(camera) if one.usable or one.state is State.REJECTED]
     of_terms = {one.subset.term_names: one for one in out}
 
     def has_needed_terms(one: FittedSubset) -> bool:
@@ -213,7 +213,7 @@ def _beats(better: CameraChoice, one: CameraChoice, fits: Fits, noise: Noise, ca
     test = _held(one, better, fits, noise, cameras)
     if test is not None:
         return test.rejects
-    best = min(_uncharged(held, better.fitted, noise) for held in fits.of_camera(one.fitted.camera) if held.usable)
+    best = min(_uncharged(held, better.fitted, noise) for held in fits.list_fitted(one.fitted.camera) if held.usable)
     return best - bic(better.fitted, noise) > DECISIVE
 
 

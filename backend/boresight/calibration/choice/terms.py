@@ -76,17 +76,17 @@ class Subset:
 
     def with_term(self, term: Term) -> Subset:
         """Return the subset with one term more, in the camera's order."""
-        return self._of({*self.term_names, term.name})
+        return self._select({*self.term_names, term.name})
 
     def without_term(self, term: Term) -> Subset:
         """Return the subset with one term less."""
-        return self._of(set(self.term_names) - {term.name})
+        return self._select(set(self.term_names) - {term.name})
 
     def contains(self, other: Subset) -> bool:
         """Whether this camera with these terms free can be all that the other is."""
         return self.camera is other.camera and set(other.term_names) <= set(self.term_names)
 
-    def _of(self, names: Iterable[str]) -> Subset:
+    def _select(self, names: Iterable[str]) -> Subset:
         wanted = set(names)
         return Subset(self.camera, tuple(term for term in find_terms(self.camera) if term.name in wanted))
 

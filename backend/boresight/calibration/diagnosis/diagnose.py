@@ -66,7 +66,7 @@ MOST_IN_FRAMES = 4
 #: Exposures that a mend has to solve, at least and as a share of those with enough stars, and log10 of the chance that it did by
 #: coincidence.
 FEWEST, SHARE, TOO_LIKELY = 2, 0.3, -9.0
-#: An exposure with so many detections ought to be solved.
+#: An exposure with so many detections should be solved.
 ENOUGH_STARS = 7
 #: Of the stars that a mend matches, the file as it is matches less than this share, or the mend is none.
 BETTER = 0.85
@@ -167,7 +167,7 @@ def diagnose(
     settings
         Of a calibration, `minimum_stars`, `leave_out_doubles` and `initial_sigma_scale` count.
     cache_folder
-        Where lost-in-space identification keeps its tables; None makes them anew.
+        Where lost-in-space identification keeps its tables; None makes them again.
     report
         Told what is being tried.
     budget_s
@@ -287,7 +287,7 @@ class _Search:
 
     @property
     def _solvable(self) -> int:
-        """Exposures with so many detections that they ought to match."""
+        """Exposures with so many detections that they should match."""
         return int(np.sum(self.bench.exposures.count >= ENOUGH_STARS))
 
     def _stands(self, trial: Trial) -> bool:

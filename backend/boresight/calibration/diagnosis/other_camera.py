@@ -129,7 +129,7 @@ def find_other_cameras(
     ends = time.perf_counter() + budget_s
     mine = _fit(own, stars)
     if mine.is_on and mine.holds:
-        return _of_one_design(own, mine, others, stars, ends)
+        return _tell_apart_by_noise(own, mine, others, stars, ends)
     found = [(fit, one) for one, fit in _fits(others, stars, ends) if fit.is_on and fit.holds]
     cameras = tuple(one for _, one in sorted(found, key=lambda pair: pair[0].error))
     is_of_none = abs(mine.scale - 1) > CLEAR_SCALE and mine.scatter <= MOST_SCATTER
@@ -151,7 +151,7 @@ def _fits(cameras: Sequence[KnownCamera], stars: _Stars, ends: float) -> Iterato
         yield one, _fit(one, stars)
 
 
-def _of_one_design(
+def _tell_apart_by_noise(
     own: KnownCamera, mine: CameraFit, others: Sequence[KnownCamera], stars: _Stars, ends: float
 ) -> OtherCameras | None:
     """Tell measured cameras apart where the set's own clearly does not have the noise that another has."""

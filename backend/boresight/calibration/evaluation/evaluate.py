@@ -1,6 +1,6 @@
 """How two parameter sets do on a telemetry set: availability, matched stars and RMS on common pairs (E section III).
 
-The set is seen under each state (`calibration.matching.matched_frames`): stars are matched anew, and the flight code's check says
+The set is seen under each state (`calibration.matching.matched_frames`): stars are matched again, and the flight code's check says
 what it would accept. With N(x) the accepted matches of all valid exposures,
 
     availability(x)     = frames with a valid exposure / frames
@@ -120,7 +120,7 @@ def evaluate_matched_frames(
     rng: np.random.Generator | None,
     ordered: ArcSet | None = None,
 ) -> Evaluation:
-    """Compare a set's matched frames under two states, as `evaluate_parameters` does; `ordered`, its arcs, saves ordering anew."""
+    """Compare a set's matched frames under two states, as `evaluate_parameters` does; `ordered`, its arcs, saves ordering again."""
     larger = initial if initial.view.matched_stars > final.view.matched_stars else final
     common = common_arcs(telemetry, sensor, larger, settings.minimum_stars, ordered)
     columns = _columns(initial, final, common, CAMERA_MODELS[sensor.camera_model])

@@ -38,7 +38,7 @@ from boresight.estimation.batch import covariance, normal_equations, sigma_in_sc
 from boresight.estimation.singular_values import Selection
 from boresight.estimation.statistics.observability import Observability as Observed
 from boresight.estimation.statistics.observability import further_covariance, observability
-from boresight.estimation.statistics.references import View, whitened_information
+from boresight.estimation.statistics.references import EvaluationPoint, whitened_information
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.read.frames import Sample
 from boresight.telemetry.sensors import Sensor
@@ -149,7 +149,7 @@ def _predict(sample: Sample, problem: Problem, parameters: Parameters, settings:
     """Fit the sample, take the information there, and scale it to the whole."""
     x, at, A = _fitted(problem, parameters, settings)
     if settings.method in ("svd", "angular"):
-        view = View(problem.camera, x, parameters.free, parameters.scale)
+        view = EvaluationPoint(problem.camera, x, parameters.free, parameters.scale)
         selection = Selection(settings.star_model, settings.singular_values) if settings.method == "svd" else None
         A = whitened_information(view, problem.whitened(x).whole(), selection)
     whole = A * (sample.frames_in_set / sample.frames)

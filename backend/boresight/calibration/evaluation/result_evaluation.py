@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray
-from boresight.calibration.advice_kinds import Advice, of_kind
+from boresight.calibration.advice_kinds import Advice, make_advice
 from boresight.calibration.calibration import (
     Calibration,
     Evaluation,
@@ -57,7 +57,7 @@ from boresight.estimation.batch import determined, normal_equations
 from boresight.estimation.executor import refuse_cancelled
 from boresight.estimation.singular_values import CHOSEN, STAR_MODELS, VALUES, Selection
 from boresight.estimation.statistics.cramer_rao import centroid_rows
-from boresight.estimation.statistics.references import View, information_of_pairs, judged, relative, seen
+from boresight.estimation.statistics.references import EvaluationPoint, information_of_pairs, judged, relative, seen
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
@@ -83,7 +83,7 @@ ADDS_NOTHING = 0.005
 def frame_observability(problem: Problem, parameters: Parameters, estimate: Estimate) -> FrameObservability:
     """Judge single frames and references at the estimate."""
     arcs = whiten_at(chosen(problem.arcs.whole(), _taken(problem.arcs.whole())), problem.camera, estimate.x)
-    view = View(problem.camera, estimate.x, parameters.free, parameters.scale)
+    view = EvaluationPoint(problem.camera, estimate.x, parameters.free, parameters.scale)
     runs = seen(view, arcs)
     untold = [selection for selection in SELECTIONS if not any(selection in told for told in TOLD)]
     smallest, of_selection = judged(view, runs, SELECTIONS, untold)
@@ -122,7 +122,9 @@ def _known(smallest: list[FloatArray]) -> FloatArray:
     return np.where(curves > ROUNDING, curves, np.nan)
 
 
-def _information(view: View, arcs: ArcSet, held: dict[str, FloatArray], names: list[str]) -> list[ReferenceInformation]:
+def _information(
+    view: EvaluationPoint, arcs: ArcSet, held: dict[str, FloatArray], names: list[str]
+) -> list[ReferenceInformation]:
     """Every reference beside the bound; empty where these frames leave a parameter open whatever the reference."""
     try:
         bound = centroid_rows(view.camera, view.x, arcs, view.free, view.scale).information
@@ -151,17 +153,17 @@ def _sentence(information: list[ReferenceInformation], models: FloatArray) -> st
     of_models = ", ".join(f"{_percent(share[f'model_{model}'])} under Model {model}" for model in STAR_MODELS)
     return (
         f"Of the information in these centroids arcs keep {_percent(share['arcs'])}, all pairs {_percent(share['angular'])},"
-        f" and σ2 with σ3 {of_models}; {_of_the_first(share['model_4'], share['sigma_123'])}.{_of_the_measure(models)}"
+        f" and σ2 with σ3 {of_models}; {_say_first_value(share['model_4'], share['sigma_123'])}.{_say_measure(models)}"
     )
 
 
-def _of_the_first(without: float | None, with_it: float | None) -> str:
+def _say_first_value(without: float | None, with_it: float | None) -> str:
     if without is not None and with_it is not None and with_it - without < ADDS_NOTHING:
         return "σ1 adds nothing to them"
     return f"σ1 beside them makes it {_percent(with_it)} under Model 4"
 
 
-def _of_the_measure(models: FloatArray) -> str:
+def _say_measure(models: FloatArray) -> str:
     measured = models[:, np.isfinite(models).any(axis=0)]
     if not measured.size:
         return " No frame alone determines all free parameters."
@@ -254,7 +256,7 @@ def validate(
         )
     scores, shadow = _flown(validation, first, last, estimate.x, settings)
     judged = replace(calibration, validation=scores, shadow=replace(calibration.shadow, validation=shadow))
-    return with_advice(judged, *_of_validation(scores))
+    return with_advice(judged, *_advise_on_validation(scores))
 
 
 def _flown(
@@ -269,7 +271,7 @@ def _flown(
     return scores, shadow_view(telemetry, initial, final)
 
 
-def _of_validation(scores: Evaluation) -> list[Advice]:
+def _advise_on_validation(scores: Evaluation) -> list[Advice]:
     rms, availability = scores.rms_arc_rad, scores.availability
     sentences = []
     if rms.final is not None and rms.initial is not None and rms.final >= rms.initial:
@@ -286,4 +288,4 @@ def _of_validation(scores: Evaluation) -> list[Advice]:
             f"On the validation set fewer frames would give an attitude than before ({availability.final:.1%} against "
             f"{availability.initial:.1%}): check the frames that would be lost."
         )
-    return of_kind("validation_rms", sentences)
+    return make_advice("validation_rms", sentences)

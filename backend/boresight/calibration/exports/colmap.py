@@ -7,7 +7,7 @@ fx fy cx cy k1 k2 k3 k4.
 
 from __future__ import annotations
 
-from boresight.calibration.exports.export import Export, ExportFormat, Written, number, of_lens, provenance
+from boresight.calibration.exports.export import Export, ExportFormat, Written, number, pack_lens, provenance
 from boresight.calibration.exports.lenses import EQUIDISTANT, PLUMB_BOB, RATIONAL
 
 #: COLMAP's name, and how many coefficients it has.
@@ -30,7 +30,7 @@ def _write(asked: Export) -> Written:
         "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]",
         f"1 {model} {sensor.columns} {sensor.rows} {' '.join(number(value) for value in values)}",
     ]
-    return of_lens(asked, "\n".join(lines) + "\n")
+    return pack_lens(asked, "\n".join(lines) + "\n")
 
 
 COLMAP = ExportFormat(

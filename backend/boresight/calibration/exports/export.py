@@ -222,7 +222,7 @@ def _described(form: ExportFormat, asked: Export, written: Written) -> dict[str,
     return document | dict(written.others)
 
 
-def of_lens(asked: Export, content: str | bytes, **others: Any) -> Written:
+def pack_lens(asked: Export, content: str | bytes, **others: Any) -> Written:
     """Return what a writer of a lens has written."""
     fitted = asked.lens
     return Written(content.encode() if isinstance(content, str) else content, fitted.misfit_px, fitted.rms_px, others)

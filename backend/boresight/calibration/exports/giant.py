@@ -15,7 +15,7 @@ from __future__ import annotations
 import json
 from xml.sax.saxutils import escape
 
-from boresight.calibration.exports.export import Export, ExportFormat, Written, of_lens, provenance
+from boresight.calibration.exports.export import Export, ExportFormat, Written, pack_lens, provenance
 from boresight.calibration.exports.lenses import OWEN, PLUMB_BOB
 
 NAME = "camera"
@@ -30,7 +30,7 @@ def _write(asked: Export, kind: str, arguments: dict[str, float | int]) -> Writt
     whole = {"n_rows": asked.sensor.rows, "n_cols": asked.sensor.columns, **arguments, **SAME}
     if asked.suffix == ".json":
         text = json.dumps({"class": f"{kind}Model", "arguments": whole, "about": about}, indent=2)
-        return of_lens(asked, text + "\n")
+        return pack_lens(asked, text + "\n")
     module = f"giant.camera_models.{kind.lower()}_model"
     values = {
         "field_of_view": None,
@@ -49,7 +49,7 @@ def _write(asked: Export, kind: str, arguments: dict[str, float | int]) -> Writt
         f"  </{NAME}>",
         "</CameraModels>",
     ]
-    return of_lens(asked, "\n".join(lines) + "\n")
+    return pack_lens(asked, "\n".join(lines) + "\n")
 
 
 def _brown(asked: Export) -> Written:

@@ -186,17 +186,17 @@ def _more(base: Lens, word: str, names: tuple[str, ...], powers: tuple[int, ...]
     return Lens(name, base.coefficients + names, base.powers + powers, distort, base.opencv)
 
 
-def _of_prism(base: Lens, distort: Distortion) -> Lens:
+def _add_prism(base: Lens, distort: Distortion) -> Lens:
     named = _with_prism(distort, len(base.coefficients))
     return _more(base, "thin_prism", ("s1", "s2", "s3", "s4"), (2, 4, 2, 4), named)
 
 
-def _of_tilt(base: Lens, distort: Distortion) -> Lens:
+def _add_tilt(base: Lens, distort: Distortion) -> Lens:
     return _more(base, "tilted", ("tau_x", "tau_y"), (2, 2), _with_tilt(distort, len(base.coefficients)))
 
 
-THIN_PRISM, THIN_PRISM_RATIONAL = _of_prism(PLUMB_BOB, _plumb_bob), _of_prism(RATIONAL, _rational)
-TILTED, TILTED_RATIONAL = _of_tilt(PLUMB_BOB, _plumb_bob), _of_tilt(RATIONAL, _rational)
+THIN_PRISM, THIN_PRISM_RATIONAL = _add_prism(PLUMB_BOB, _plumb_bob), _add_prism(RATIONAL, _rational)
+TILTED, TILTED_RATIONAL = _add_tilt(PLUMB_BOB, _plumb_bob), _add_tilt(RATIONAL, _rational)
 EQUIDISTANT = Lens("equidistant", ("k1", "k2", "k3", "k4"), (3, 5, 7, 9), _equidistant, "equidistant")
 OWEN = Lens("owen", ("e2", "e4", "e5", "e6", "e1", "e3"), (3, 5, 2, 2, 2, 4), _owen)
 TETRA3 = Lens("tetra3", ("k",), (3,), None)

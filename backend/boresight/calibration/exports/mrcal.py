@@ -8,7 +8,7 @@ is the frame with its axes along columns, rows and boresight, so the pose holds 
 
 from __future__ import annotations
 
-from boresight.calibration.exports.export import Export, ExportFormat, Written, of_lens, provenance
+from boresight.calibration.exports.export import Export, ExportFormat, Written, pack_lens, provenance
 from boresight.calibration.exports.lenses import PINHOLE, PLUMB_BOB, RATIONAL, THIN_PRISM, THIN_PRISM_RATIONAL
 from boresight.calibration.exports.opencv import COEFFICIENTS, LENGTHS
 from boresight.estimation.attitude import rotation_vector, to_quaternion
@@ -29,7 +29,7 @@ def _write(asked: Export) -> Written:
         f"    'imagersize': [{sensor.columns}, {sensor.rows}],",
         "}",
     ]
-    return of_lens(asked, "\n".join(lines) + "\n")
+    return pack_lens(asked, "\n".join(lines) + "\n")
 
 
 MRCAL = ExportFormat(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 
-from boresight.calibration.exports.export import Export, ExportFormat, Written, number, of_lens, provenance
+from boresight.calibration.exports.export import Export, ExportFormat, Written, number, pack_lens, provenance
 from boresight.calibration.exports.lenses import (
     EQUIDISTANT,
     PLUMB_BOB,
@@ -90,7 +90,9 @@ def _opencv(asked: Export) -> Written:
     coefficients = asked.lens.list_coefficients(names)
     module = f"cv::{'fisheye' if lens is EQUIDISTANT else 'projectPoints'}, coefficients {' '.join(names)}"
     comments = [*provenance(asked), f"Lens: {lens.name} ({module}); pixel centres at whole numbers from 0"]
-    return of_lens(asked, opencv_yaml(asked.sensor.columns, asked.sensor.rows, _matrix(asked), coefficients, comments))
+    return pack_lens(
+        asked, opencv_yaml(asked.sensor.columns, asked.sensor.rows, _matrix(asked), coefficients, comments)
+    )
 
 
 def _ros(asked: Export) -> Written:
@@ -98,7 +100,7 @@ def _ros(asked: Export) -> Written:
     comments = [*provenance(asked), "Pixel centres at whole numbers from 0"]
     distortion = (ROS_MODELS[lens.name], coefficients)
     sensor = asked.sensor
-    return of_lens(asked, ros_yaml(sensor.columns, sensor.rows, _matrix(asked), distortion, sensor.name, comments))
+    return pack_lens(asked, ros_yaml(sensor.columns, sensor.rows, _matrix(asked), distortion, sensor.name, comments))
 
 
 OPENCV = ExportFormat(

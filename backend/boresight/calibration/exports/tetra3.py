@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import math
 
-from boresight.calibration.exports.export import Export, ExportFormat, Written, of_lens, provenance
+from boresight.calibration.exports.export import Export, ExportFormat, Written, pack_lens, provenance
 from boresight.calibration.exports.lenses import TETRA3
 
 
@@ -28,7 +28,7 @@ def _write(asked: Export) -> Written:
             "fov_estimate is horizontal, degrees; add centroid_offset_px to rows and columns",
         ],
     }
-    return of_lens(asked, json.dumps(document, indent=2) + "\n")
+    return pack_lens(asked, json.dumps(document, indent=2) + "\n")
 
 
 def _format(name: str, program: str) -> ExportFormat:

@@ -99,11 +99,11 @@ def _fit_polynomials(of: PassesProblem, own: IntArray) -> tuple[PassesFit, PassV
     units = of.parameters.scale[places] / half**power
     coefficient = fitted.solution.slope * units
     sigma = np.sqrt(np.diag(fitted.solution.slope_covariance)) * units
-    mine = {name: np.flatnonzero(places == place) for name, place in zip(of.names_of(own), own, strict=True)}
+    mine = {name: np.flatnonzero(places == place) for name, place in zip(of.list_names(own), own, strict=True)}
     slopes = {name: at[0] for name, at in mine.items() if len(at)}
     by_temperature = settings.vary_as == "temperature"
     return fitted, PassVariation(
-        vary=of.names_of(own),
+        vary=of.list_names(own),
         vary_as=settings.vary_as,
         reference_temperature_c=reference if by_temperature else None,
         reference_utc=None if by_temperature else f"{np.datetime64(round(reference * DAY_US), 'us')}Z",
@@ -207,7 +207,7 @@ def read_events(events: Sequence[str]) -> TimeArray:
 
 def _steps(of: PassesProblem, own: IntArray, fitted: PassesFit, told: list[ParameterStep]) -> PassVariation:
     return PassVariation(
-        vary=of.names_of(own), vary_as="step", chi2=fitted.chi2, steps=told, test=judge_fall(fitted, len(told))
+        vary=of.list_names(own), vary_as="step", chi2=fitted.chi2, steps=told, test=judge_fall(fitted, len(told))
     )
 
 

@@ -1,7 +1,7 @@
 """Change as far as the passes show it: a random walk about temperature and time, with the steps that are beyond chance.
 
 A camera in orbit has a season, ages, wanders, and now and then steps. A model that has some of these takes the others for what it
-has: a walk alone has to walk as far as the season leads, and lags behind it; a step looks like a walk that is fast for ever; a slow
+has: a walk alone has to walk as far as the season leads, and lags behind it; a step looks like a walk that is fast forever; a slow
 drift looks like steps. So all are in one problem. With T_k and t_k of pass k from their means, each parameter that varies is
 
     z_k = p_k + a T_k + b t_k + c T_k^2        p_k - p_k-1 ~ N(0, sigma^2 days_k), and free where a step was found
@@ -9,9 +9,9 @@ drift looks like steps. So all are in one problem. With T_k and t_k of pass k fr
 A term is there as soon as there are so many passes that it leaves `walk.FEWEST_STEPS` steps to the walk, and nothing tests it
 first: what is known of the last pass is to bear all that is not known of them, and one that was dropped for lack of evidence would
 be claimed to be known. It costs little, for a term that is not needed is found near zero. Steps are sought one after the other,
-each where one would take most from chi-square beside all that was found, and the drift estimated anew with it, until none is beyond
-chance over all parameters and gaps (Bonferroni; `estimation.walk`). All of that is linear at one linearisation, and repeated at the
-next until drift and steps stay.
+each where one would take most from chi-square beside all that was found, and the drift estimated again with it, until none is
+beyond chance over all parameters and gaps (Bonferroni; `estimation.walk`). All of that is linear at one linearisation, and repeated
+at the next until drift and steps stay.
 """
 
 from __future__ import annotations
@@ -88,9 +88,9 @@ def fit_evidence(of: PassesProblem, own: IntArray) -> tuple[PassesFit, PassVaria
     passes = WalkedPasses(fitted.sums, of.departures(fitted), own, between, trend, stepped)
     walk = find_walk(passes)
     found = PassVariation(
-        vary=of.names_of(own),
+        vary=of.list_names(own),
         vary_as="evidence",
-        walk=write_walk(of.names_of(own), walk),
+        walk=write_walk(of.list_names(own), walk),
         chi2=fitted.chi2,
         steps=[
             describe_step(of, Step(int(own[j]), gap), *_dated(of, passes, fitted, sigma, gap, j), chances[gap, j])

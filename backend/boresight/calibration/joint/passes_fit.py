@@ -1,7 +1,7 @@
 """A fit of passes that have states of their own: every pass linearised where it is, whatever links them.
 
 From one state for all, damped Gauss-Newton steps of the whole problem (`estimation.block_bordered`) until it rests, with R taken
-at each pass's own state, and taken anew at the end. A and b of each pass are all that is needed of it: in memory, or summed by the
+at each pass's own state, and taken again at the end. A and b of each pass are all that is needed of it: in memory, or summed by the
 workers.
 """
 
@@ -224,7 +224,7 @@ class PassesProblem:
         """Names of the free parameters."""
         return [self.problem.camera.parameter_names[p] for p in self.parameters.free]
 
-    def names_of(self, own: IntArray) -> list[str]:
+    def list_names(self, own: IntArray) -> list[str]:
         """Names of some of the free parameters, by their places."""
         return [self.names[place] for place in own]
 

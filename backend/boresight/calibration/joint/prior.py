@@ -22,11 +22,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from boresight.arrays import FloatArray, parse_times
-from boresight.calibration.advice_kinds import Advice, of_kind
+from boresight.calibration.advice_kinds import Advice, make_advice
 from boresight.calibration.calibration import Calibration, PriorAgreement, PriorUse, Values
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.joint.passes import JointTelemetry, NamedTelemetry, join_sets
-from boresight.calibration.options import OPTIONS, CalibrationSettings
+from boresight.calibration.options import OF_A_PRIOR, OPTIONS, CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.result import OF_SEVERAL, ON_A_PRIOR, trend_entry
 from boresight.calibration.telemetry_pieces import TelemetryInput, is_large
@@ -174,7 +174,7 @@ def take_prior(
         age_days=age,
         drift_sigma=settings.prior_drift_sigma,
     )
-    return TakenPrior(Prior(x, aged), origin, tuple(of_kind("prior", _remarks(source))))
+    return TakenPrior(Prior(x, aged), origin, tuple(make_advice("prior", _remarks(source))))
 
 
 def _check_same_camera(source: PriorSource, sensor: Sensor) -> None:
@@ -267,7 +267,7 @@ def without_held(
 def refuse_without_prior(settings: CalibrationSettings) -> None:
     """Refuse what only a prior has where there is none."""
     for name, option in OPTIONS.items():
-        if name.startswith("prior_") and getattr(settings, name) != option.default:
+        if option.group == OF_A_PRIOR and getattr(settings, name) != option.default:
             raise RefusedInputError(
                 f"{option.title} is of a prior, and none was given: give --prior, or leave {option.flag} out."
             )

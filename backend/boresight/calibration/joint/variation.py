@@ -139,7 +139,7 @@ def fit_variation(
 
 def _fit_linked(of: PassesProblem, own: IntArray) -> tuple[PassesFit, PassVariation]:
     """Fit passes by themselves or as a walk, the drift of which may be to be estimated."""
-    settings, walk, names = of.settings, None, of.names_of(own)
+    settings, walk, names = of.settings, None, of.list_names(own)
     fitted = of.fit(make_link(of.passes, own, settings))
     if settings.vary_as in WALKS and settings.walk_sigma is None:
         fitted, walk = fit_walk(of, days_between(of.passes), own, fitted, find_trend(of.passes, own, settings))

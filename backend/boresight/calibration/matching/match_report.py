@@ -64,7 +64,7 @@ class CyclesEnd:
         """Put what is in memory of the set, all or a sample, in its place, and of a filter's updates those that are of it."""
         history, frame = self.estimate.history, matched.problem.arcs.frame
         if history is not None and len(frame) < self.matched.problem.arcs.n_frames:
-            history = history.of_frames(frame)
+            history = history.select_frames(frame)
         return replace(self, matched=matched, estimate=replace(self.estimate, history=history))
 
 

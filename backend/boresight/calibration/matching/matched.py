@@ -1,7 +1,7 @@
 """A telemetry set under given or renewed matches: the problem it makes at any state, and what was matched on the way.
 
 Given matches are proposals: `calibration.matching.verification` says which of them a state refuses, and the arcs of the
-exposures that lose a star are made anew.
+exposures that lose a star are made again.
 
 Matched again, the set is T(x) of E section II-B: what "a ground-based implementation of the sensor flight software"
 makes of it under x. With `match_rule` "flight" it is what the flight code itself would keep: arcs that disagree with
@@ -545,7 +545,7 @@ class Dataset:
             same = sets._proposed if last.verification is None else sets._verified(last.verification)
             return EvaluatedSet(sets, same, same)
         rows = [judged_matches((part.rows() for part in state.ranges), ends) for state in (first, last)]
-        return EvaluatedSet(sets, *(sets._of_rows(part) for part in rows))
+        return EvaluatedSet(sets, *(sets._match_rows(part) for part in rows))
 
     def _first_done(self, verb: str) -> ProgressCallback:
         return lambda k, n: self._told(READING + (1 - READING) * k / n, f"{verb} {k} of {n} pieces")
@@ -553,7 +553,7 @@ class Dataset:
     def _at(self, under: MatchingState, done: ProgressCallback | None = None) -> Matched:
         """Match all ranges of frames; files go into a folder of their own."""
         if self._pieces.folder is None:
-            return self._of_rows(self._matched_rows(under))
+            return self._match_rows(self._matched_rows(under))
         folder = self._pieces.folder / f"state-{len(self._states)}"
         folder.mkdir()
         work = [
@@ -573,7 +573,7 @@ class Dataset:
         parts = [self._matcher(under.x, under.P, slice(*ends), under.noise) for ends in self._ranges]
         return matched_rows(self.telemetry, joined_matches(parts), under.x, self.sensor, self.settings)
 
-    def _of_rows(self, rows: MatchedRows) -> Matched:
+    def _match_rows(self, rows: MatchedRows) -> Matched:
         problem = build_problem(rows.named(), self.sensor, self.catalogue, self.settings.minimum_stars)
         return Matched(problem, (MatchedRange(rows),))
 

@@ -1,11 +1,11 @@
 """Matched frames: a telemetry set with its matches under one state, and what the flight check accepts of them.
 
-With `match` "rematch" the stars are found anew, as E section II-B does with "a ground-based implementation of the sensor flight
+With `match` "rematch" the stars are found again, as E section II-B does with "a ground-based implementation of the sensor flight
 software"; with "given" they are those the file names, and the flight code's check alone tells the states apart.
 
 Two states are compared on the arcs among the matches that one of them accepts (E section III: "common pairs"). An exposure of
 which every star of an ordered set is accepted, and no other, keeps the order it has there: the order depends on its stars alone,
-and finding it is most of the work. The others are ordered anew.
+and finding it is most of the work. The others are ordered again.
 """
 
 from __future__ import annotations

@@ -222,7 +222,7 @@ class Rematcher:
 
     `telemetry`, `sensor`, `catalogue`: the set, whose it is, and the stars there are. `settings`: `minimum_stars`,
     `leave_out_doubles` and `blends` count here. `cache_folder`: where lost-in-space identification keeps its tables; None makes
-    them anew in every process. `sky`, `epoch`: where the telemetry is part of a set: the stars of the whole set, and the first
+    them again in every process. `sky`, `epoch`: where the telemetry is part of a set: the stars of the whole set, and the first
     time in it; None takes those of the part. `identified`: (n_exposures, 4) attitudes that identification found beforehand, NaN
     where none; None identifies frames without any other start when they come.
     """

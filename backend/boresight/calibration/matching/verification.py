@@ -28,7 +28,7 @@ so one clean set in a hundred loses any star.
 where that refuses more than half of all stars it says more of the start than of the stars, and none is refused. After an estimate
 P is that of the estimate, widened by chi-square, and kappa^2 the median of the t_i over 2 ln 2, the median of chi-square with 2
 degrees of freedom, where chi-square is above its bound: the median does not follow the stars that are to be found. Every proposed
-star is judged anew in each cycle, so that none is lost for good, until the set rests.
+star is judged again in each cycle, so that none is lost for good, until the set rests.
 
 **Names.** A star is seen once in an exposure. Of detections that all stand under one star the nearest to its place, by t_i, keeps
 it; the others are refused, however near they lie.
@@ -203,7 +203,7 @@ def _doubtful(block: ArcSet, how: Verification) -> BoolArray:
     if how.everywhere:
         return doubtful
     if how.before_estimate:
-        loops.find_disagreeing(*block.of_whitened_loop(how.x), how.root, GATE, doubtful)
+        loops.find_disagreeing(*block.begin_whitened_loop(how.x), how.root, GATE, doubtful)
         return doubtful
     return ~(_chi2_in_block(block, how.x) <= how.limit * how.noise**2)
 
@@ -211,7 +211,7 @@ def _doubtful(block: ArcSet, how: Verification) -> BoolArray:
 def _chi2_in_block(block: ArcSet, x: FloatArray) -> FloatArray:
     """Chi-square of each exposure of one block, (n_exposures,)."""
     chi2 = np.empty(block.n_exposures)
-    loops.exposure_chi2(*block.of_whitened_loop(x), chi2)
+    loops.exposure_chi2(*block.begin_whitened_loop(x), chi2)
     return chi2
 
 

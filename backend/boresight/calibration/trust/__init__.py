@@ -137,7 +137,7 @@ def judge_trust(
     parts, unavailable = _computed(fitted, {name: partial(part, fitted) for name, part in OF_THE_FIT.items()})
     if "drop_one" in parts:
         parts["drop_one_sentence"] = drop_one_sentence(fitted, parts["drop_one"])
-    stars = _of_stars(fitted)
+    stars = _judge_stars(fitted)
     parts |= stars.parts
     trust = Trust(**parts, unavailable=unavailable | stars.unavailable)
     spread = None if minima is None or minima.spread is None else np.asarray(minima.spread)
@@ -209,7 +209,7 @@ class StarParts:
     table: StarTable | None = None
 
 
-def _of_stars(fitted: FittedSet) -> StarParts:
+def _judge_stars(fitted: FittedSet) -> StarParts:
     """Judge the residuals in pixels."""
     try:
         found = compute_star_residuals(fitted)

@@ -27,22 +27,22 @@ OF_THE_LENS = ("tangential", "radial", "affine", "lens")
 
 def cause_advice(trust: Trust, causes: Sequence[Cause]) -> list[Advice]:
     """Say what explains the tests that noticed something; it comes before all other advice."""
-    return [*_of_geometry(trust), *_of_causes(trust, causes)]
+    return [*_advise_on_geometry(trust), *_advise_on_causes(trust, causes)]
 
 
 def trust_advice(trust: Trust, coverage: Coverage | None = None) -> list[Advice]:
     """Collect what else in the trust calls for something; `coverage`: where on the detector the stars were."""
-    return [*_of_coverage(trust, coverage), *_of_the_estimate(trust), *_of_spare_parameters(trust)]
+    return [*_advise_on_coverage(trust, coverage), *_advise_on_estimate(trust), *_advise_on_spare_parameters(trust)]
 
 
-def _of_geometry(trust: Trust) -> Iterator[Advice]:
+def _advise_on_geometry(trust: Trust) -> Iterator[Advice]:
     """A mirrored detector is graver than anything else."""
     sentence = trust.unavailable.get("residuals", "")
     if sentence in OTHER_PARITY.values():
         yield Advice(sentence, "parity")
 
 
-def _of_causes(trust: Trust, causes: Sequence[Cause]) -> Iterator[Advice]:
+def _advise_on_causes(trust: Trust, causes: Sequence[Cause]) -> Iterator[Advice]:
     """What explains the tests that noticed something, the likeliest first."""
     for place, cause in enumerate(causes):
         opening = "Besides: " if place else _opening(cause.likelihood)
@@ -60,7 +60,7 @@ def _opening(likelihood: float) -> str:
     return f"Most likely cause ({likelihood:.0%}): " if likelihood < CERTAIN else ""
 
 
-def _of_coverage(trust: Trust, coverage: Coverage | None) -> Iterator[Advice]:
+def _advise_on_coverage(trust: Trust, coverage: Coverage | None) -> Iterator[Advice]:
     """Say how much of the detector held no star, and how far off arcs may be there if the camera model holds."""
     if coverage is None:
         return
@@ -98,14 +98,14 @@ def _predicted(trust: Trust, coverage: Coverage, parts: BoolArray) -> str:
     )
 
 
-def _of_the_estimate(trust: Trust) -> Iterator[Advice]:
+def _advise_on_estimate(trust: Trust) -> Iterator[Advice]:
     """Sigmas below the bound."""
     efficiency = trust.efficiency
     if efficiency is not None and efficiency.overall_ratio < TOO_SMALL:
         yield Advice(efficiency.sentence, "efficiency")
 
 
-def _of_spare_parameters(trust: Trust) -> Iterator[Advice]:
+def _advise_on_spare_parameters(trust: Trust) -> Iterator[Advice]:
     """Parameters the data do not ask for; one alone may have started near its truth by luck."""
     if sum(not entry.needed for entry in trust.drop_one or ()) >= SEVERAL and trust.drop_one_sentence is not None:
         yield Advice(trust.drop_one_sentence, "drop_one")

@@ -42,7 +42,7 @@ from boresight.calibration.trust.departures import ANY_VELOCITY, SOUGHT
 from boresight.calibration.trust.displacements import Score, find_score
 from boresight.calibration.trust.fitted_set import UNLIKELY
 from boresight.calibration.trust.flaws import Flaw
-from boresight.calibration.trust.trust_tests import TRUST_TESTS, Examined, gate_of_test
+from boresight.calibration.trust.trust_tests import TRUST_TESTS, Examined, get_test_gate
 from boresight.cameras import name_camera_with
 from boresight.cameras.model import Role
 from boresight.estimation.statistics.special import fdtrc
@@ -249,9 +249,9 @@ GATES_OF_OTHERS = {
 }
 
 
-def gate_of_cause(name: str) -> str:
+def get_cause_gate(name: str) -> str:
     """The gate that hears of a cause."""
-    return GATES_OF_OTHERS.get(name) or gate_of_test(name)
+    return GATES_OF_OTHERS.get(name) or get_test_gate(name)
 
 
 @dataclass(frozen=True)
@@ -268,7 +268,7 @@ def find_causes(examined: Examined, tests: Sequence[TrustTest]) -> list[Cause]:
     noticed = [test.name for test in sorted(tests, key=lambda test: test.probability) if test.noticed]
     if not noticed:
         return []
-    candidates = [*_displacements(examined), *_of_stars(examined)]
+    candidates = [*_find_displacements(examined), *_find_star_causes(examined)]
     candidates.append(_noise(examined, candidates))
     found = _in_order(examined, [one for one in candidates if one.gain > 0], noticed)
     explained = _explained(examined, [one.name for one, _ in found if one.name in examined.scores], noticed)
@@ -329,7 +329,7 @@ def _evidence(n: int, score: Score) -> float:
     return min(float(evidence), _gain(n, score, score.dof))
 
 
-def _displacements(examined: Examined) -> list[Candidate]:
+def _find_displacements(examined: Examined) -> list[Candidate]:
     n = examined.sums.n_arcs
     return [
         Candidate(
@@ -360,7 +360,7 @@ def _size(examined: Examined, name: str, score: Score) -> float:
     return sigma * float(np.sqrt(2 * max(score.fall - score.dof, 0.0) / examined.sums.n_arcs))
 
 
-def _of_stars(examined: Examined) -> list[Candidate]:
+def _find_star_causes(examined: Examined) -> list[Candidate]:
     """Causes that single stars show."""
     found = examined.found
     if found is None:
@@ -377,10 +377,10 @@ def _of_stars(examined: Examined) -> list[Candidate]:
         Candidate("identities", 2 * (mixed - plain) - 2 * np.log(n), 100 * share),
         Candidate("tails", 2 * (student - plain) - np.log(n), degrees),
     ]
-    return candidates if gross else [*candidates, *_places(examined, n)]
+    return candidates if gross else [*candidates, *_find_mixed_places(examined, n)]
 
 
-def _places(examined: Examined, n: int) -> list[Candidate]:
+def _find_mixed_places(examined: Examined, n: int) -> list[Candidate]:
     """Stars that are off in all their sightings."""
     table = examined.table
     if table is None:
@@ -410,10 +410,10 @@ def _mixture(q: FloatArray) -> tuple[float, float]:
 
 def _student(q: FloatArray) -> tuple[float, float]:
     """Log likelihood of Student's distribution in two dimensions, and its degrees of freedom."""
-    return max(_student_of(q, degrees) for degrees in DEGREES)
+    return max(_fit_student(q, degrees) for degrees in DEGREES)
 
 
-def _student_of(q: FloatArray, degrees: float) -> tuple[float, float]:
+def _fit_student(q: FloatArray, degrees: float) -> tuple[float, float]:
     variance = float(np.median(q)) / (2 * np.log(2))
     for _ in range(ROUNDS):
         weight = (degrees + 2) / (degrees + q / variance)

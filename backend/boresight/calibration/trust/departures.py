@@ -49,7 +49,7 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray, IntArray, TimeArray
-from boresight.calibration.trust.displacements import Block, Departure, add_up, find_score_of
+from boresight.calibration.trust.displacements import Block, Departure, add_up, score_fields
 from boresight.calibration.trust.fitted_set import FittedSet
 from boresight.calibration.trust.flaws import Flaw, bump
 from boresight.estimation.attitude import attitudes, rotation_vector, to_quaternion, triad
@@ -445,7 +445,7 @@ def _likeliest_place(fitted: FittedSet, time: TimeArray, places: FloatArray) -> 
         zenith = zeniths_from(places, time)
         lift = partial(_lifted, zenith, refraction_constants(USUAL_SITE))
         sums = add_up(fitted, [Departure("places", "sky", lift)], SEARCHED)
-        falls = [find_score_of(sums, np.array([k])).statistic for k in range(len(places))]
+        falls = [score_fields(sums, np.array([k])).statistic for k in range(len(places))]
         best = places[int(np.argmax(falls))]
         places, step = _about(best, step), step / 2
     return best, trials

@@ -22,12 +22,12 @@ camera nearly has itself is hardly known and moves the parameters far: what is t
 directions that stand clear of the noise.
 
 Sigmas that are to hold if it is real may not leave such a direction out: it is as likely displaced as the others (`expect`). Let
-the coefficients a in units of the fields' own noise be normal about nought, those of group g with a variance t_g. Given T, the
+the coefficients a in units of the fields' own noise be normal about zero, those of group g with a variance t_g. Given T, the
 diagonal matrix of the t_g, with F and s in these units and of noise one, the coefficients are
 
     a = (F + T^-1)^-1 s        with the covariance (F + T^-1)^-1,
 
-what was found where F is large, and no more than nought +- t^1/2 where it is small; and T has the likelihood
+what was found where F is large, and no more than zero +- t^1/2 where it is small; and T has the likelihood
 
     det(I + T F)^-1/2 exp(s^T (F + T^-1)^-1 s / 2),
 
@@ -47,7 +47,7 @@ the parameter i is moved most, by
 
 the external reliability of geodesy, told in claimed sigmas (`find_unseen`). Among many fields there are some that arcs hardly see,
 as a turn of the image, and some that the camera takes up, as a scale: along them c grows without bound. With W the directions of
-G^T G that stand clear of nought, W^T G^T G W = 1, the eigenvalues of W^T F W are the shares of what arcs see that the camera
+G^T G that stand clear of zero, W^T G^T G W = 1, the eigenvalues of W^T F W are the shares of what arcs see that the camera
 leaves. Where it leaves less than `OWN_SHARE`, a tenth of the displacement, the departure is a change of the camera, which the
 directions of stars do not suffer from; F^-1 is then that of the other directions alone.
 
@@ -306,7 +306,7 @@ def find_score(sums: ScoreSums, *names: str) -> Score:
     return _solve(sums, names[0], np.concatenate([every[sums.places[name]] for name in names]))
 
 
-def find_score_of(sums: ScoreSums, places: IntArray) -> Score:
+def score_fields(sums: ScoreSums, places: IntArray) -> Score:
     """Test some fields of a departure alone, by their places among all."""
     return _solve(sums, "", places)
 

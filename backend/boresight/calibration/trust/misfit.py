@@ -26,7 +26,7 @@ wrong with the model shows in four ways, and what bends in a fifth, each of whic
    Two kinds of departure leave d small though the camera is wrong by more. One that changes it over the set (`drift`, `exposure`,
    `time`, `trend`, `temperature`): a fit ends between its states, and each of these is off by up to the change's amplitude a, along
    the parameters that change, or the focal length: a a^T. One that goes with the magnitude or the colour m of a star about the
-   mean: the star at which it is nought need not be the mean one. If that is the brightest or the faintest, all stars are displaced
+   mean: the star at which it is zero need not be the mean one. If that is the brightest or the faintest, all stars are displaced
    alike besides, by c times the reach of m, and the parameters by -A^-1 H^T G c of that: d d^T.
 
 4. Selection. A filter that matches by the tolerance of the flight code takes in, frame by frame, the arcs that agree with where it
@@ -61,7 +61,7 @@ from boresight.calibration.calibration import Covariance, ModelMisfit, TrustTest
 from boresight.calibration.trust.departures import SOUGHT, find_quantities, half_diagonal
 from boresight.calibration.trust.displacements import Score, ScoreSums, expect, find_score
 from boresight.calibration.trust.fitted_set import FittedSet
-from boresight.calibration.trust.trust_tests import STAYING, gate_of_test
+from boresight.calibration.trust.trust_tests import STAYING, get_test_gate
 from boresight.cameras.model import Role
 from boresight.estimation.batch import covariance
 from boresight.estimation.robust import measure_huber_effect
@@ -126,12 +126,12 @@ def widen(
     """
     noise = covariance(fitted.A)
     level = _level(fitted)
-    widest, blocks = _of_blocks(fitted, noise, level)
+    widest, blocks = _widen_by_blocks(fitted, noise, level)
     shift, taken = np.zeros_like(noise), tuple[str, ...]()
     if sums is not None and scores:
         counted = [one.name for one in tests if _counts(one)]
-        shift, taken = _of_departures(sums, scores, counted)
-        shift = shift + _of_changes(fitted, scores, taken) + _of_zero_points(fitted, sums, taken)
+        shift, taken = _measure_departures(sums, scores, counted)
+        shift = shift + _measure_changes(fitted, scores, taken) + _measure_zero_points(fitted, sums, taken)
     lean = _lean(fitted)
     excess = np.asarray(widest - noise + shift)
     if fitted.parameters.prior is not None:
@@ -173,7 +173,7 @@ def _level(fitted: FittedSet) -> float:
     return test.mean if test.mean > test.upper else 1.0
 
 
-def _of_blocks(fitted: FittedSet, noise: FloatArray, level: float) -> tuple[FloatArray, int]:
+def _widen_by_blocks(fitted: FittedSet, noise: FloatArray, level: float) -> tuple[FloatArray, int]:
     """A covariance `noise` (n_free, n_free) times s, widened by every number of blocks that shows more, and the first that does."""
     widest, taken = level * noise, 0
     if np.isfinite(fitted.threshold):
@@ -216,7 +216,7 @@ def _envelope(P: FloatArray, other: FloatArray) -> FloatArray:
     return np.asarray(half @ half.T)
 
 
-def _of_departures(
+def _measure_departures(
     sums: ScoreSums, scores: Mapping[str, Score], counted: list[str]
 ) -> tuple[FloatArray, tuple[str, ...]]:
     """Find the departures that explain what the tests noticed, and d d^T + cov(d) (n_free, n_free) of them together."""
@@ -233,7 +233,7 @@ def _of_departures(
             break
         best = joint[place]
         taken.append(left[place])
-    of_lens = any(gate_of_test(one) == LENS for one in counted)
+    of_lens = any(get_test_gate(one) == LENS for one in counted)
     others = [name for name in SMOOTH if of_lens and name in scores and name not in taken]
     if not taken and not others:
         return np.zeros_like(sums.A), ()
@@ -241,7 +241,7 @@ def _of_departures(
     return np.outer(d, d) + uncertainty + np.diag((CURVATURE * d) ** 2), tuple(taken)
 
 
-def _of_changes(fitted: FittedSet, scores: Mapping[str, Score], taken: Sequence[str]) -> FloatArray:
+def _measure_changes(fitted: FittedSet, scores: Mapping[str, Score], taken: Sequence[str]) -> FloatArray:
     """Sum of a a^T (n_free, n_free) over the departures that change the camera during the set."""
     total = np.zeros_like(fitted.A)
     for name in taken:
@@ -249,12 +249,12 @@ def _of_changes(fitted: FittedSet, scores: Mapping[str, Score], taken: Sequence[
             a = scores[name].c
             total += np.outer(a, a) + scores[name].covariance
         elif name in SCALE_ALONE:
-            a = _of_scale(fitted, scores[name].clear)
+            a = _measure_scale(fitted, scores[name].clear)
             total += np.outer(a, a)
     return total
 
 
-def _of_scale(fitted: FittedSet, c: FloatArray) -> FloatArray:
+def _measure_scale(fitted: FittedSet, c: FloatArray) -> FloatArray:
     """Largest change (n_free,) by a scale of the Legendre coefficients c, pixels at half a diagonal: that of the focal length."""
     camera, free = fitted.problem.camera, fitted.parameters.free
     place = camera.place(Role.FOCAL)
@@ -263,7 +263,7 @@ def _of_scale(fitted: FittedSet, c: FloatArray) -> FloatArray:
     return np.where(np.asarray(free) == place, a, 0.0)
 
 
-def _of_zero_points(fitted: FittedSet, sums: ScoreSums, taken: Sequence[str]) -> FloatArray:
+def _measure_zero_points(fitted: FittedSet, sums: ScoreSums, taken: Sequence[str]) -> FloatArray:
     """Sum of d d^T (n_free, n_free) where the star that is not displaced may be any of the set."""
     total = np.zeros_like(sums.A)
     known = find_quantities(fitted)

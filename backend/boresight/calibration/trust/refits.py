@@ -249,7 +249,7 @@ def _hold(ground: FittedSet, arcs: ArcSet, place: int, best: Optimum) -> batch.B
     start, begun = _start(arcs, x, best, ground, place)
     return batch.fit(
         arcs, start, free[others], scale[others],
-        threshold=ground.threshold, max_iterations=MOST_ITERATIONS, begun=begun.of(others), cancelled=ground.cancelled,
+        threshold=ground.threshold, max_iterations=MOST_ITERATIONS, begun=begun.select(others), cancelled=ground.cancelled,
     )  # fmt: skip
 
 

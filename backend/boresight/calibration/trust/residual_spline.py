@@ -120,7 +120,9 @@ def _explanation(fitted: FittedSet, fit: Fit, camera: CameraModel) -> SplineExpl
     )
     held = set(own.parameter_names) - {own.parameter_names[p] for p in fitted.parameters.free}
     more = [name for name in camera.parameter_names if name in held or name not in own.parameter_names]
-    return SplineExplanation(camera_model=camera.name, p=splines.test_of(left, fit.posterior.variance).p, more=more)
+    return SplineExplanation(
+        camera_model=camera.name, p=splines.judge_spectrum(left, fit.posterior.variance).p, more=more
+    )
 
 
 Places = tuple[FloatArray, FloatArray]

@@ -10,7 +10,7 @@ the residuals' spread where that exceeds one, so that understated noise alone ma
 times the number of stars (Bonferroni) is below `UNLIKELY`, as any test of trust must be.
 
 A displaced star pulls the attitude and so makes its neighbours look displaced. So the worst are taken out, the residuals of the
-others are taken anew without them, and so on until nobody is suspect.
+others are taken again without them, and so on until nobody is suspect.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from boresight.arrays import BoolArray, FloatArray, IntArray
 from boresight.calibration.calibration import StarTrust
 from boresight.calibration.trust.fitted_set import ARCSEC, UNLIKELY, FittedSet, Unavailable
 from boresight.calibration.trust.residuals import StarResiduals, compute_star_residuals
-from boresight.sky.guide_stars import flags_of, phrases
+from boresight.sky.guide_stars import flag_stars, phrases
 
 MOST_SHOWN = 200
 MOST_ROUNDS = 6
@@ -173,7 +173,7 @@ def _describe_catalogue(fitted: FittedSet, star_id: IntArray, pixel_rad: FloatAr
     place = fitted.catalogue.find_index(star_id)
     known = place >= 0
     flags = np.zeros(len(place), np.int8)
-    flags[known] = flags_of(fitted.catalogue, place[known], BLEND_PX * float(np.median(pixel_rad)))
+    flags[known] = flag_stars(fitted.catalogue, place[known], BLEND_PX * float(np.median(pixel_rad)))
     return [
         phrases(flag) if of else ["not in the catalogue"]
         for flag, of in zip(flags.tolist(), known.tolist(), strict=True)

@@ -93,7 +93,7 @@ def _bounded(examined: Examined, score: Score, effect: float) -> float:
     return min(effect, MATTERS) if little else effect
 
 
-def _of_score(name: str, *, stays: bool) -> Callable[[Examined], Outcome | None]:
+def _ask_score(name: str, *, stays: bool) -> Callable[[Examined], Outcome | None]:
     """Ask the score test of a departure."""
 
     def ask(examined: Examined) -> Outcome | None:
@@ -106,7 +106,7 @@ def _of_score(name: str, *, stays: bool) -> Callable[[Examined], Outcome | None]
     return ask
 
 
-def _of_part(name: str, read: Callable[..., float]) -> Callable[[Examined], Outcome | None]:
+def _ask_part(name: str, read: Callable[..., float]) -> Callable[[Examined], Outcome | None]:
     """Ask a part of trust for its probability."""
 
     def ask(examined: Examined) -> Outcome | None:
@@ -116,7 +116,7 @@ def _of_part(name: str, read: Callable[..., float]) -> Callable[[Examined], Outc
     return ask
 
 
-def _of_dependence(cause: str) -> Callable[[Examined], Outcome | None]:
+def _ask_dependence(cause: str) -> Callable[[Examined], Outcome | None]:
     """Ask whether the radial residual depends on something."""
 
     def ask(examined: Examined) -> Outcome | None:
@@ -127,7 +127,7 @@ def _of_dependence(cause: str) -> Callable[[Examined], Outcome | None]:
     return ask
 
 
-def _flaw(examined: Examined) -> Outcome | None:
+def _ask_flaw(examined: Examined) -> Outcome | None:
     """Ask the place that was found, with its chance at any place."""
     flaw, score = examined.fitted.kept.get("flaw"), examined.scores.get("flaw")
     if flaw is None or score is None or score.dof == 0:
@@ -135,7 +135,7 @@ def _flaw(examined: Examined) -> Outcome | None:
     return flaw.p, _bounded(examined, score, _excess(examined, score))
 
 
-def _chi_square(examined: Examined) -> Outcome | None:
+def _ask_chi_square(examined: Examined) -> Outcome | None:
     fitted = examined.fitted
     dof = fitted.arcs.n_arcs - len(fitted.names)
     above = float(chdtrc(dof, float(fitted.e @ fitted.e)))
@@ -148,7 +148,7 @@ def _nis(part: object) -> float:
     return float(2 * min(two_sided(round(outside * n), n, 1 - CONFIDENCE), runs))
 
 
-def _worst_frame(examined: Examined) -> Outcome | None:
+def _ask_worst_frame(examined: Examined) -> Outcome | None:
     """Ask the frame that is explained worst, in the spread of all: arcs of wide fields are not quite as independent as said."""
     chi2, dof = examined.fitted.sums.chi2, examined.fitted.sums.dof
     deviation = deviates(chi2[dof >= 1], dof[dof >= 1])
@@ -160,13 +160,13 @@ def _worst_frame(examined: Examined) -> Outcome | None:
     return float(min(1.0, len(deviation) * ndtr(-deviation.max() / spread))), None
 
 
-def _stars(examined: Examined) -> Outcome | None:
+def _ask_stars(examined: Examined) -> Outcome | None:
     if examined.table is None or not len(examined.table.z):
         return None
     return float(min(1.0, len(examined.table.z) * np.exp(-(np.max(examined.table.z) ** 2) / 2))), None
 
 
-def _outliers(examined: Examined) -> Outcome | None:
+def _ask_outliers(examined: Examined) -> Outcome | None:
     found = examined.found
     if found is None:
         return None
@@ -199,173 +199,174 @@ def _pull(examined: Examined, far: np.ndarray) -> float | None:
 TRUST_TESTS: tuple[TrustTestKind, ...] = (
     TrustTestKind(
         "tangential", "Tangential distortion", "lens-structure",
-        "Stars are displaced as by a decentred lens", "No tangential distortion is left", _of_score("tangential", stays=True),
+        "Stars are displaced as by a decentred lens", "No tangential distortion is left", _ask_score("tangential", stays=True),
     ),
     TrustTestKind(
         "radial", "Higher radial orders", "lens-structure",
         "Stars are displaced along the radius as by distortion of higher order", "No radial distortion is left",
-        _of_score("radial", stays=True),
+        _ask_score("radial", stays=True),
     ),
     TrustTestKind(
         "affine", "Skew and aspect", "lens-structure",
         "The image is skewed or stretched along one axis", "The image is neither skewed nor stretched",
-        _of_score("affine", stays=True),
+        _ask_score("affine", stays=True),
     ),
     TrustTestKind(
         "lens", "Smooth residual of the lens", "lens-structure",
         "Residuals have a smooth pattern over the detector", "Residuals have no smooth pattern over the detector",
-        _of_score("lens", stays=True),
+        _ask_score("lens", stays=True),
     ),
     TrustTestKind(
         "edges", "Edges of the detector", "lens-structure",
         "Centroids are displaced near the edges of the detector", "Centroids near the edges of the detector are not displaced",
-        _of_score("edges", stays=True),
+        _ask_score("edges", stays=True),
     ),
     TrustTestKind(
         "seam", "Seam between readout halves", "lens-structure",
         "One half of the detector is displaced against the other", "No half of the detector is displaced against the other",
-        _of_score("seam", stays=True),
+        _ask_score("seam", stays=True),
     ),
     TrustTestKind(
         "trail", "Charge left behind", "lens-structure",
         "Stars are displaced the more, the farther their charge is moved", "No displacement by moved charge is seen",
-        _of_score("trail", stays=True),
+        _ask_score("trail", stays=True),
     ),
     TrustTestKind(
         "flaw", "Flaw at one place", "lens-structure",
-        "One place of the detector displaces the stars around it", "No place of the detector displaces the stars around it", _flaw,
+        "One place of the detector displaces the stars around it", "No place of the detector displaces the stars around it",
+        _ask_flaw,
     ),
     TrustTestKind(
         "residual_field", "Residuals over the detector", "lens-structure",
         "Mean residuals differ from cell to cell of the detector", "Mean residuals are equal in all cells of the detector",
-        _of_part("residual_field", lambda part: part.after.p),
+        _ask_part("residual_field", lambda part: part.after.p),
     ),
     TrustTestKind(
         "residual_spline", "Residual spline", "lens-structure",
         "A spline of the residuals contains more than noise", "A spline of the residuals contains only noise",
-        _of_part("residual_spline", lambda part: part.test.p),
+        _ask_part("residual_spline", lambda part: part.test.p),
     ),
     TrustTestKind(
         "residual_radius", "Residual against radius", "lens-structure",
         "The radial residual depends on the radius", "The radial residual does not depend on the radius",
-        _of_dependence("radius"),
+        _ask_dependence("radius"),
     ),
     TrustTestKind(
         "readout", "Line by line readout", "lens-structure",
         "Stars are displaced with their line and the image's velocity", "No displacement with line and velocity is seen",
-        _of_score("readout", stays=False),
+        _ask_score("readout", stays=False),
     ),
     TrustTestKind(
         "trend", "Trend of the scale", "stability",
         "The scale of the image drifts one way over the set", "The scale of the image does not drift over the set",
-        _of_score("trend", stays=True),
+        _ask_score("trend", stays=True),
     ),
     TrustTestKind(
         "time", "Scale over time", "stability",
         "The scale of the image changes with time", "The scale of the image does not change with time",
-        _of_score("time", stays=True),
+        _ask_score("time", stays=True),
     ),
     TrustTestKind(
         "temperature", "Scale with temperature", "stability",
         "The scale of the image changes with temperature", "The scale of the image does not change with temperature",
-        _of_score("temperature", stays=True),
+        _ask_score("temperature", stays=True),
     ),
     TrustTestKind(
         "drift", "Drift of all parameters", "stability",
-        "The parameters drift over the set", "The parameters do not drift over the set", _of_score("drift", stays=True),
+        "The parameters drift over the set", "The parameters do not drift over the set", _ask_score("drift", stays=True),
     ),
     TrustTestKind(
         "exposure", "Exposures of a frame", "stability",
         "The camera differs between the exposures of a frame", "The camera is the same in all exposures of a frame",
-        _of_score("exposure", stays=True),
+        _ask_score("exposure", stays=True),
     ),
     TrustTestKind(
         "two_halves", "Two halves", "stability",
         "Two halves of the set, fitted separately, disagree", "Two halves of the set, fitted separately, agree",
-        _of_part("two_halves", lambda part: part.chi2.p),
+        _ask_part("two_halves", lambda part: part.chi2.p),
     ),
     TrustTestKind(
         "whiteness", "Whiteness", "stability",
         "Residuals of successive frames are correlated", "Residuals of successive frames are independent",
-        _of_part("whiteness", lambda part: part.ljung_box.p),
+        _ask_part("whiteness", lambda part: part.ljung_box.p),
     ),
     TrustTestKind(
         "nis_over_time", "Frames over time", "stability",
-        "Frames are explained unevenly over time", "Frames are explained evenly over time", _of_part("nis_over_time", _nis),
+        "Frames are explained unevenly over time", "Frames are explained evenly over time", _ask_part("nis_over_time", _nis),
     ),
     TrustTestKind(
         "worst_frames", "Worst frame", "identities",
         "A frame is explained worse than chance allows", "No frame is explained worse than chance allows",
-        _worst_frame,
+        _ask_worst_frame,
     ),
     TrustTestKind(
         "residual_time", "Residual against time", "stability",
-        "The radial residual depends on time", "The radial residual does not depend on time", _of_dependence("time"),
+        "The radial residual depends on time", "The radial residual does not depend on time", _ask_dependence("time"),
     ),
     TrustTestKind(
         "residual_temperature", "Residual against temperature", "stability",
         "The radial residual depends on temperature", "The radial residual does not depend on temperature",
-        _of_dependence("temperature"),
+        _ask_dependence("temperature"),
     ),
     TrustTestKind(
         "chi_square", "Size of the noise", "centroid-noise",
-        "The residuals are not as large as the stated noise", "The residuals are as large as the stated noise", _chi_square,
+        "The residuals are not as large as the stated noise", "The residuals are as large as the stated noise", _ask_chi_square,
     ),
     TrustTestKind(
         "residual_distribution", "Tails of the residuals", "centroid-noise",
         "The residuals are not normally distributed", "The residuals are normally distributed",
-        _of_part("residual_distribution", lambda part: part.p_tail),
+        _ask_part("residual_distribution", lambda part: part.p_tail),
     ),
     TrustTestKind(
         "phase", "Pixel phase", "centroid-noise",
         "Centroids depend on the star's place in its pixel", "Centroids do not depend on the star's place in its pixel",
-        _of_score("phase", stays=False),
+        _ask_score("phase", stays=False),
     ),
     TrustTestKind(
         "magnitude", "Magnitude", "centroid-noise",
         "Centroids depend on the star's brightness", "Centroids do not depend on the star's brightness",
-        _of_score("magnitude", stays=False),
+        _ask_score("magnitude", stays=False),
     ),
     TrustTestKind(
         "colour", "Colour", "centroid-noise",
         "Centroids depend on the star's colour", "Centroids do not depend on the star's colour",
-        _of_score("colour", stays=False),
+        _ask_score("colour", stays=False),
     ),
     TrustTestKind(
         "residual_magnitude", "Residual against magnitude", "centroid-noise",
         "The radial residual depends on magnitude", "The radial residual does not depend on magnitude",
-        _of_dependence("magnitude"),
+        _ask_dependence("magnitude"),
     ),
     TrustTestKind(
         "outliers", "Single sightings", "identities",
         "Single centroids are farther off than noise can put them", "No centroid is farther off than noise can put it",
-        _outliers,
+        _ask_outliers,
     ),
     TrustTestKind(
         "stars", "Places of stars", "identities",
-        "Stars are off their catalogue places", "No star is off its catalogue place", _stars,
+        "Stars are off their catalogue places", "No star is off its catalogue place", _ask_stars,
     ),
     TrustTestKind(
         "aberration", "Aberration", "identities",
         "Directions do not match the satellite's velocity", "Directions match the satellite's velocity",
-        _of_score("aberration", stays=False),
+        _ask_score("aberration", stays=False),
     ),
     TrustTestKind(
         "refraction", "Refraction", "identities",
         "Stars are displaced as by the air above a place on the ground", "No refraction is left",
-        _of_score("refraction", stays=False),
+        _ask_score("refraction", stays=False),
     ),
 )  # fmt: skip
 #: The same by name.
 KIND_OF_TEST: dict[str, TrustTestKind] = {kind.name: kind for kind in TRUST_TESTS}
 
 
-def title_of(name: str) -> str:
+def get_test_title(name: str) -> str:
     """The title of a test; the name itself where it is not in the table any more."""
     return KIND_OF_TEST[name].title if name in KIND_OF_TEST else name
 
 
-def gate_of_test(name: str) -> str:
+def get_test_gate(name: str) -> str:
     """The gate that hears of a test; none of one that is not in the table any more."""
     return KIND_OF_TEST[name].gate if name in KIND_OF_TEST else ""
 

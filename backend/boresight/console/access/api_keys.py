@@ -14,7 +14,7 @@ from collections.abc import Collection, Mapping, Sequence
 from boresight.console.access import queries as rows
 from boresight.console.access.tables import ApiKey, User
 from boresight.errors import ForbiddenError, RefusedInputError, UnauthenticatedError
-from boresight.platform.actors import SCOPES, Actor, refuse_key, require_person
+from boresight.platform.actors import KEY, SCOPES, Actor, refuse_key, require_person
 from boresight.platform.audit import log as audit
 from boresight.platform.audit.security_log import note
 from boresight.platform.db.sessions import Session, utc_after, utc_now
@@ -72,7 +72,7 @@ def find_actor_of_key(session: Session, secret: str, request_id: str | None = No
     if user is None or user.disabled_utc is not None:
         raise UnauthenticatedError(f"The owner of the API key {key.label!r} is disabled; ask an administrator.")
     roles, scopes = frozenset(user.roles), frozenset(key.scopes)
-    credential = f"key:{key.prefix}"
+    credential = f"{KEY}{key.prefix}"
     return Actor(user.id, user.name, user.printed_name, roles, credential, scopes, request_id, key.expires_utc)
 
 

@@ -3,7 +3,7 @@
 ====================================  =========================================================
 a password here                       the password again
 a password here and a second factor   the password again and the second factor
-single sign-on                        the provider, which asks the person anew, for one act
+single sign-on                        the provider, which asks the person again, for one act
 single sign-on and a second factor    the second factor
 ====================================  =========================================================
 
@@ -23,7 +23,7 @@ from boresight.platform.actors import Actor, require_person
 from boresight.platform.db.sessions import Session
 
 CONFIRM_FIRST = (
-    "Single sign-on must confirm you anew for this: choose Confirm, log in at the provider, and do it within 5 minutes."
+    "Single sign-on must confirm you for this: choose Confirm, log in at the provider, and do it within 5 minutes."
 )
 
 
@@ -59,7 +59,7 @@ def require(session: Session, actor: Actor, proof: PasswordProof) -> None:
     users.refuse_password_of_another(user)
     if not user.is_external:
         require_proof(session, proof, user.id)
-    if second_factors.is_asked_of(session, user.id, proof.given.rules):
+    if second_factors.needs_second_factor(session, user.id, proof.given.rules):
         second_factors.use(session, actor, user, proof.given, "signature")
     elif user.is_external and not sessions.use_confirmation(session, actor):
         raise SingleSignOnError(CONFIRM_FIRST, "confirmation")
@@ -67,7 +67,11 @@ def require(session: Session, actor: Actor, proof: PasswordProof) -> None:
 
 def require_factor(session: Session, actor: Actor, given: GivenFactor) -> None:
     """Require the second factor of a person who is logged in and has one, where no password is asked for."""
-    if actor.user_id is None or actor.is_key or not second_factors.is_asked_of(session, actor.user_id, given.rules):
+    if (
+        actor.user_id is None
+        or actor.is_key
+        or not second_factors.needs_second_factor(session, actor.user_id, given.rules)
+    ):
         return
     second_factors.use(session, actor, session.get_known(User, actor.user_id), given, "signature")
 
@@ -76,6 +80,6 @@ def authenticate_beside(session: Session, proof: PasswordProof, request_id: str 
     """Return the second person whose name, password and second factor were given at another's console."""
     actor = users.authenticate(session, proof, request_id)
     user = session.get_known(User, require_person(actor, "sign"))
-    if second_factors.is_asked_of(session, user.id, proof.given.rules):
+    if second_factors.needs_second_factor(session, user.id, proof.given.rules):
         second_factors.use(session, actor, user, proof.given, "signature")
     return actor

@@ -359,8 +359,8 @@ def _identify_key_owner(request: Request) -> Identity | None:
         except UnauthenticatedError as error:
             tell_once("authn_token_fail", "failure", reason=str(error))
             raise
-        rows = CredentialRows.read(session, "key", actor.credential.removeprefix("key:"))
-    use = partial(request.app.state.maintenance.used, actor.credential)
+        rows = CredentialRows.read(session, "key", actor.key_prefix)
+    use = partial(request.app.state.maintenance.used, actor.key_prefix)
     use(active=True)
     until_s = math.inf if actor.until_utc is None else datetime.fromisoformat(actor.until_utc).timestamp()
     own = carried(request.scope)

@@ -26,7 +26,7 @@ from boresight.console.access.passwords import NO_PROOF, PasswordProof
 from boresight.console.access.second_factors import WAITS_S, FactorRules, GivenFactor
 from boresight.console.access.sessions import ClientAddress
 from boresight.console.access.tables import User
-from boresight.console.access.webauthn_ceremonies import Site
+from boresight.console.access.webauthn_ceremonies import RelyingParty
 from boresight.console.schemas import Row
 from boresight.errors import (
     ForbiddenError,
@@ -137,7 +137,7 @@ async def csrf(request: Request) -> None:
     try:
         await get_actor(request)
     except UnauthenticatedError:
-        return  # neither is there with a log-in that has ended; it must not keep anybody from logging in anew
+        return  # neither is there with a log-in that has ended; it must not keep anybody from logging in again
     given = request.headers.get(CSRF_HEADER) or await _form_token(request)
     if not hmac.compare_digest(given.encode(), request.state.csrf_token.encode()):
         tell("malicious_csrf", "failure")
@@ -260,9 +260,9 @@ def depend_on_server(name: str) -> Any:
     return Depends(part)
 
 
-def get_site(request: Request) -> Site:
+def get_site(request: Request) -> RelyingParty:
     """Return the site that a browser sees this server as: its public address, or the one that the request was sent to."""
-    return Site.of(get_server(request).settings.public_url or str(request.base_url))
+    return RelyingParty.of(get_server(request).settings.public_url or str(request.base_url))
 
 
 def get_factor_rules(request: Request) -> FactorRules:
@@ -286,7 +286,7 @@ def log_in_person(request: Request, response: Response, session: Session, proof:
     """Log a person in by one request, with the second factor that it carries where one is asked for."""
     actor = users.authenticate(session, proof, request.state.request_id)
     user_id, kind = require_person(actor, "log in"), None
-    if second_factors.is_asked_of(session, user_id, get_factor_rules(request)):
+    if second_factors.needs_second_factor(session, user_id, get_factor_rules(request)):
         kind = second_factors.use(session, actor, session.get_known(User, user_id), proof.given, "log-in")
     return actor, begin_session(request, response, session, actor, "password", kind)
 
@@ -294,7 +294,7 @@ def log_in_person(request: Request, response: Response, session: Session, proof:
 def log_in_or_wait(request: Request, response: Response, session: Session, actor: Actor, method: str) -> bool:
     """Log in a person whose password or provider was right; whether the log-in waits for a second factor instead."""
     user_id = require_person(actor, "log in")
-    if not second_factors.is_asked_of(session, user_id, get_factor_rules(request)):
+    if not second_factors.needs_second_factor(session, user_id, get_factor_rules(request)):
         begin_session(request, response, session, actor, method)
         return False
     waiting_cookie(request).write(response, [second_factors.begin_waiting(session, user_id, method)])

@@ -20,7 +20,7 @@ from boresight.platform.db.sessions import Session, keep_despite_refusal, utc_af
 from boresight.platform.web.text_validation import comparison_key
 
 LONGEST_SUBJECT = 255  # OpenID Connect Core, 2
-CLOCKS_DIFFER_S = 10.0  # at most, where somebody is confirmed anew: a log-in so short before counts as new
+CLOCKS_DIFFER_S = 10.0  # at most, where somebody is confirmed again: a log-in so short before counts as new
 
 
 @dataclass(frozen=True)
@@ -83,14 +83,14 @@ def _make(session: Session, person: ProviderAnswer) -> User:
 
 
 def confirm(session: Session, actor: Actor, person: ProviderAnswer, attempt: Attempt) -> None:
-    """Record that the provider confirmed the acting person anew, after they were sent there and as the same person."""
+    """Record that the provider confirmed the acting person again, after they were sent there and as the same person."""
     known = rows.find_identity(session, person.issuer, person.subject)
     if known is None or known.user_id != actor.user_id or attempt.session_id != str(actor.session_id):
         sentence = "The provider confirmed another person than the one who is logged in; log in as yourself."
         raise SingleSignOnError(sentence, "confirmation")
     if person.authenticated_s is None or person.authenticated_s < float(attempt.began_s) - CLOCKS_DIFFER_S:
         raise SingleSignOnError(
-            "The provider did not say that you logged in anew; try again, or have it set to state auth_time.",
+            "The provider did not say that you logged in again; try again, or have it set to state auth_time.",
             "auth_time",
         )
     sessions.confirm(session, actor)

@@ -23,13 +23,13 @@ from boresight.console.access.passwords import PasswordProof
 from boresight.console.access.routes import require_seen
 from boresight.console.access.second_factors import FactorOffer
 from boresight.console.access.tables import SecondFactor, User
-from boresight.console.access.webauthn_ceremonies import Site
-from boresight.console.operation import Answer, Beside, operations
+from boresight.console.access.webauthn_ceremonies import RelyingParty
+from boresight.console.operation import Beside, OperationResponse, operations
 from boresight.console.schemas import Shape
 from boresight.platform.web.paging import Id, Listing, Page, Paged
 
 router = operations("/second-factors", tags=["second factors"])
-BrowserSite = Annotated[Site, Depends(get_site)]
+BrowserSite = Annotated[RelyingParty, Depends(get_site)]
 ONCE = {"Cache-Control": "no-store"}
 
 
@@ -67,11 +67,11 @@ def list_second_factors(actor: Who, session: Reading, page: Paged) -> Listing[Se
 @router.post("", summary="Enrol a second factor", status_code=201, response_model=schemas.NewSecondFactor)
 def enrol_second_factor(
     given: Enrolment, actor: Who, rules: ServerFactorRules, site: BrowserSite, session: Writing
-) -> Answer:
+) -> OperationResponse:
     """Enrol what `:begin` began, once it proves to work; the first one comes with recovery codes, which are in no other answer."""
     answer = given.factor.get_secret_value()
     row, codes = second_factors.enrol(session, actor, given.challenge_id, given.label, answer, rules, site)
-    return Answer(Beside(row, recovery_codes=codes), headers=ONCE, shown_once=("recovery_codes",))
+    return OperationResponse(Beside(row, recovery_codes=codes), headers=ONCE, shown_once=("recovery_codes",))
 
 
 @router.post(":begin", summary="Begin an enrolment", response_model=schemas.FactorOffer)
@@ -82,11 +82,11 @@ def begin_second_factor(
     rules: ServerFactorRules,
     site: BrowserSite,
     session: Writing,
-) -> Answer:
+) -> OperationResponse:
     """Return the secret of an app, or the options for `navigator.credentials.create`, to be answered within 10 minutes."""
     confirmations.require(session, actor, proof)
     offer: FactorOffer = second_factors.offer(session, actor, signed.kind, rules, site)
-    return Answer(offer, headers=ONCE, shown_once=("secret", "uri"))
+    return OperationResponse(offer, headers=ONCE, shown_once=("secret", "uri"))
 
 
 @router.post(":challenge", summary="Ask a security key", response_model=schemas.KeyChallenge)
@@ -96,11 +96,11 @@ def challenge_security_key(actor: Who, rules: ServerFactorRules, site: BrowserSi
 
 
 @router.post(":renew-recovery-codes", summary="Make recovery codes", response_model=schemas.RecoveryCodes)
-def renew_recovery_codes(signed: Confirmation, actor: Who, proof: Confirmed, session: Writing) -> Answer:  # noqa: ARG001 - read by `proof`
+def renew_recovery_codes(signed: Confirmation, actor: Who, proof: Confirmed, session: Writing) -> OperationResponse:  # noqa: ARG001 - read by `proof`
     """Make ten recovery codes in place of those that are left. They are in this answer and nowhere else."""
     confirmations.require(session, actor, proof)
     codes = second_factors.renew_recovery_codes(session, actor)
-    return Answer({"recovery_codes": codes}, headers=ONCE, shown_once=("recovery_codes",))
+    return OperationResponse({"recovery_codes": codes}, headers=ONCE, shown_once=("recovery_codes",))
 
 
 @router.post("/{factor_id}:remove", summary="Remove a second factor", response_model=schemas.SecondFactor)

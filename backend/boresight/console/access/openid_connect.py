@@ -118,7 +118,7 @@ def _require_https(address: str, what: str) -> None:
 
 @dataclass(frozen=True)
 class Attempt:
-    """A log-in that a browser is at the provider for; `session_id` is empty unless a person is to be confirmed anew."""
+    """A log-in that a browser is at the provider for; `session_id` is empty unless a person is to be confirmed again."""
 
     state: str
     nonce: str
@@ -330,7 +330,7 @@ class IdentityProvider:
         )
 
     async def _discover(self, newer_than_s: float | None = None) -> _Discovered:
-        """Return the discovery document and the keys, read anew each hour and, at most once a minute, for an unknown key."""
+        """Return the discovery document and the keys, read again each hour and, at most once a minute, for an unknown key."""
         async with self._looking:
             known, now_s = self._known, time.monotonic()
             if known is not None:

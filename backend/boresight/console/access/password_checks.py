@@ -32,7 +32,7 @@ from boresight.console.access.log_in_attempts import (
 from boresight.console.access.passwords import NO_PROOF, NewPassword, PasswordProof, StoredPassword
 from boresight.console.access.second_factors import FactorRules, GivenFactor
 from boresight.console.access.sessions import ClientAddress
-from boresight.console.access.webauthn_ceremonies import Site
+from boresight.console.access.webauthn_ceremonies import RelyingParty
 from boresight.errors import BoresightError, OverloadedError
 from boresight.platform.actors import Actor
 from boresight.platform.audit.security_log import tell
@@ -110,7 +110,7 @@ class PasswordWorker:
         self._anybody.close()
 
     async def check_log_in(
-        self, name: str, password: str, client: ClientAddress, code: str = "", site: Site | None = None
+        self, name: str, password: str, client: ClientAddress, code: str = "", site: RelyingParty | None = None
     ) -> PasswordProof:
         """Check name and password of somebody who is not known yet, and the code of a second factor where one is given."""
         place = name_network(client.address)
@@ -121,7 +121,7 @@ class PasswordWorker:
         return await self._with_factor(proof, tried, code, site)
 
     async def check_own(
-        self, actor: Actor, password: str, client: ClientAddress, code: str = "", site: Site | None = None
+        self, actor: Actor, password: str, client: ClientAddress, code: str = "", site: RelyingParty | None = None
     ) -> PasswordProof:
         """Check the acting person's password, and a second factor; only failures under the same log-in delay it."""
         if actor.is_key:
@@ -134,13 +134,13 @@ class PasswordWorker:
         proof = await self._check(attempt, tried, self._known, stored, password)
         return await self._with_factor(proof, tried, code, site)
 
-    async def check_own_factor(self, actor: Actor, code: str, site: Site) -> GivenFactor:
+    async def check_own_factor(self, actor: Actor, code: str, site: RelyingParty) -> GivenFactor:
         """Check the acting person's second factor alone."""
         tried = LoginAttempt(comparison_key(actor.name), f"session {actor.session_id}", known=True)
         user_id = None if actor.is_key else actor.user_id
         return (await self._with_factor(NO_PROOF, tried, code, site, user_id)).given
 
-    async def check_code(self, user_id: int, code: str, client: ClientAddress, site: Site) -> GivenFactor:
+    async def check_code(self, user_id: int, code: str, client: ClientAddress, site: RelyingParty) -> GivenFactor:
         """Check the code of a person whose log-in waits for a second factor."""
         place = name_network(client.address)
         names = await self._read(partial(users.get_person_names, user_id=user_id))
@@ -177,7 +177,12 @@ class PasswordWorker:
         return await self._with_factor(proof, tried, code, None)
 
     async def _with_factor(
-        self, proof: PasswordProof, tried: LoginAttempt, code: str, site: Site | None, user_id: int | None = None
+        self,
+        proof: PasswordProof,
+        tried: LoginAttempt,
+        code: str,
+        site: RelyingParty | None,
+        user_id: int | None = None,
     ) -> PasswordProof:
         """Look at a typed code when the limiter allows it; it is used in the transaction of what it allows."""
         rules, typed = self._rules, code.strip()
@@ -187,7 +192,7 @@ class PasswordWorker:
         given = GivenFactor(typed, site, rules)
         if owner_id is None or not typed or typed.startswith("{"):
             return replace(proof, given=given)
-        if not await self._read(partial(second_factors.is_asked_of, user_id=owner_id, rules=rules)):
+        if not await self._read(partial(second_factors.needs_second_factor, user_id=owner_id, rules=rules)):
             return replace(proof, given=given)
         tried = replace(tried, is_code=True)
         wait_s, failed = self._limiter.admit(tried), None

@@ -30,7 +30,7 @@ from boresight.console.access.dependencies import (
 )
 from boresight.console.access.passwords import NewPassword, PasswordProof
 from boresight.console.access.tables import ApiKey, LoginSession, User
-from boresight.console.operation import Answer, Beside, operations
+from boresight.console.operation import Beside, OperationResponse, operations
 from boresight.console.schemas import Shape
 from boresight.platform.actors import SCOPES, Actor
 from boresight.platform.db.sessions import Session
@@ -183,10 +183,10 @@ def list_api_keys(actor: Who, session: Reading, page: Paged) -> Listing[ApiKey]:
 
 
 @api_key_router.post("", summary="Create a key", status_code=201, response_model=schemas.NewApiKey)
-def create_api_key(wanted: NewKey, actor: Who, session: Writing) -> Answer:
+def create_api_key(wanted: NewKey, actor: Who, session: Writing) -> OperationResponse:
     """Create a key. `secret` is in this answer and nowhere else."""
     row, secret = api_keys.create_key(session, actor, **dict(wanted))
-    return Answer(Beside(row, secret=secret), headers={"Cache-Control": "no-store"}, shown_once=("secret",))
+    return OperationResponse(Beside(row, secret=secret), headers={"Cache-Control": "no-store"}, shown_once=("secret",))
 
 
 @api_key_router.post("/{key_id}:revoke", summary="Revoke a key", response_model=schemas.ApiKey)
@@ -217,7 +217,7 @@ async def proven(credentials: Credentials, passwords: PasswordChecks, request: R
     return await passwords.check_log_in(credentials.name, password, get_client(request), factor, get_site(request))
 
 
-def _who(session: Session, actor: Actor, csrf_token: str | None) -> Answer:
+def _who(session: Session, actor: Actor, csrf_token: str | None) -> OperationResponse:
     body = Beside(
         actor,
         roles=sorted(actor.roles),
@@ -225,11 +225,11 @@ def _who(session: Session, actor: Actor, csrf_token: str | None) -> Answer:
         must_change_password=not actor.is_key and users.must_change_password(session, actor),
         csrf_token=csrf_token,
     )
-    return Answer(body, headers={"Cache-Control": "no-store"})
+    return OperationResponse(body, headers={"Cache-Control": "no-store"})
 
 
 @entrance.post("", summary="Log in", status_code=201, response_model=schemas.Session, dependencies=NO_DRY_RUN)
-def log_in(proof: Annotated[PasswordProof, Depends(proven)], session: LoggingIn, request: Request) -> Answer:
+def log_in(proof: Annotated[PasswordProof, Depends(proven)], session: LoggingIn, request: Request) -> OperationResponse:
     """Log in: sets the cookie and returns the token for `X-CSRF-Token`. Failures make further tries from there wait.
 
     Who has a second factor gives it too, a code or a recovery code; a security key logs in on the page `/login` alone.
@@ -240,7 +240,7 @@ def log_in(proof: Annotated[PasswordProof, Depends(proven)], session: LoggingIn,
 
 
 @session_router.get("/current", summary="Who am I", response_model=schemas.Session, dependencies=NO_DRY_RUN)
-def get_session(actor: Who, session: Reading, request: Request) -> Answer:
+def get_session(actor: Who, session: Reading, request: Request) -> OperationResponse:
     """Say who acts, with which roles and scopes, and give the CSRF token again."""
     return _who(session, actor, getattr(request.state, "csrf_token", None))
 

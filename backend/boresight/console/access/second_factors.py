@@ -27,7 +27,7 @@ import pyotp
 from boresight.console.access import queries as rows
 from boresight.console.access.tables import FactorChallenge, RecoveryCode, SecondFactor, User
 from boresight.console.access.webauthn_ceremonies import (
-    Site,
+    RelyingParty,
     check_assertion,
     check_registration,
     make_creation_options,
@@ -88,7 +88,7 @@ class GivenFactor:
     """What was given as a second factor, on which site, and whether a typed code was right when it was looked at."""
 
     code: str = field(default="", repr=False)
-    site: Site | None = None
+    site: RelyingParty | None = None
     rules: FactorRules | None = None
     fits: bool = True
 
@@ -96,7 +96,7 @@ class GivenFactor:
 NO_FACTOR = GivenFactor()
 
 
-def is_asked_of(session: Session, user_id: int, rules: FactorRules | None) -> bool:
+def needs_second_factor(session: Session, user_id: int, rules: FactorRules | None) -> bool:
     """Whether a person has a second factor and is asked for it."""
     return rules is not None and rules.are_on and bool(rows.list_factors(session, user_id))
 
@@ -236,7 +236,7 @@ def _take(challenge: FactorChallenge) -> None:
     challenge.ended_utc = utc_now()
 
 
-def make_signing_challenge(session: Session, actor: Actor, rules: FactorRules, site: Site) -> dict[str, Any]:
+def make_signing_challenge(session: Session, actor: Actor, rules: FactorRules, site: RelyingParty) -> dict[str, Any]:
     """Make the question that a security key answers for one signature under this log-in."""
     user_id = require_person(actor, "use a security key")
     known = rows.list_factors(session, user_id)
@@ -288,7 +288,7 @@ def find_waiting(session: Session, token: str) -> FactorChallenge:
     return row
 
 
-def make_log_in_options(session: Session, waiting: FactorChallenge, site: Site) -> str | None:
+def make_log_in_options(session: Session, waiting: FactorChallenge, site: RelyingParty) -> str | None:
     """Return what a security key is asked for a log-in that waits; None where the person has none for this site."""
     return make_request_options(rows.list_factors(session, waiting.user_id), waiting.challenge, site)
 
@@ -335,7 +335,7 @@ class FactorOffer:
     options: dict[str, Any] | None = None
 
 
-def offer(session: Session, actor: Actor, kind: str, rules: FactorRules, site: Site) -> FactorOffer:
+def offer(session: Session, actor: Actor, kind: str, rules: FactorRules, site: RelyingParty) -> FactorOffer:
     """Begin to enrol a second factor of a person who confirmed who they are (`confirmations.require`)."""
     user = session.get_known(User, require_person(actor, "enrol a second factor"))
     _refuse_off(rules)
@@ -354,14 +354,16 @@ def offer(session: Session, actor: Actor, kind: str, rules: FactorRules, site: S
     return FactorOffer(row.id, kind, options=dict(json.loads(options)))
 
 
-def make_uri(secret: str, name: str, site: Site) -> str:
+def make_uri(secret: str, name: str, site: RelyingParty) -> str:
     """Return the address that an authenticator app reads from a QR code."""
     return pyotp.TOTP(secret, digits=DIGITS, interval=STEP_S).provisioning_uri(
         name=name, issuer_name=f"Boresight {site.rp_id}".strip()
     )
 
 
-def find_offer(session: Session, actor: Actor, challenge_id: int, rules: FactorRules, site: Site) -> FactorOffer:
+def find_offer(
+    session: Session, actor: Actor, challenge_id: int, rules: FactorRules, site: RelyingParty
+) -> FactorOffer:
     """Return an enrolment that was begun under this log-in and not finished, to be shown again."""
     user = session.get_known(User, require_person(actor, "enrol a second factor"))
     row = _find_own(session, actor, challenge_id)
@@ -388,7 +390,7 @@ def _find_own(session: Session, actor: Actor, challenge_id: int) -> FactorChalle
 
 
 def enrol(
-    session: Session, actor: Actor, challenge_id: int, label: str, answer: str, rules: FactorRules, site: Site
+    session: Session, actor: Actor, challenge_id: int, label: str, answer: str, rules: FactorRules, site: RelyingParty
 ) -> tuple[SecondFactor, list[str] | None]:
     """Enrol what was begun once it proved to work; with the first one come recovery codes, and every other log-in ends."""
     user = session.get_known(User, require_person(actor, "enrol a second factor"))
@@ -411,7 +413,7 @@ def enrol(
 
 
 def _make(
-    session: Session, user: User, offered: FactorChallenge, answer: str, rules: FactorRules, site: Site
+    session: Session, user: User, offered: FactorChallenge, answer: str, rules: FactorRules, site: RelyingParty
 ) -> SecondFactor:
     if offered.purpose == "totp":
         secret = rules.box.open(offered.challenge)

@@ -65,7 +65,7 @@ def begin(
 
 
 def confirm(session: Session, actor: Actor) -> None:
-    """Record that the provider confirmed the acting person anew, for one act soon."""
+    """Record that the provider confirmed the acting person again, for one act soon."""
     row = _current(session, actor)
     if row is not None:
         row.confirmed_utc = utc_now()

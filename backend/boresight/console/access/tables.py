@@ -104,7 +104,7 @@ class LoginSession(Base):
     user_agent: Mapped[str] = mapped_column(sa.Text)
     method: Mapped[str] = mapped_column(sa.Text, default="password", server_default="password")
     factor_kind: Mapped[str | None] = mapped_column(sa.Text)  # of the second factor that was given
-    confirmed_utc: Mapped[str | None] = mapped_column(sa.Text)  # when the provider confirmed the person anew
+    confirmed_utc: Mapped[str | None] = mapped_column(sa.Text)  # when the provider confirmed the person again
 
 
 class ExternalIdentity(Base):

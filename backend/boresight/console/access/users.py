@@ -144,7 +144,11 @@ def get_actor(
         raise SessionEndedError("disabled")
     if not sets_password:
         refuse_password_of_another(user)
-    if rules is not None and rules.demand(user.roles) and not second_factors.is_asked_of(session, user.id, rules):
+    if (
+        rules is not None
+        and rules.demand(user.roles)
+        and not second_factors.needs_second_factor(session, user.id, rules)
+    ):
         raise FactorEnrolmentDueError("Your roles need a second factor: enrol one first, then continue.")
     return make_actor(user, session_id=session_id)
 

@@ -43,14 +43,14 @@ MALFORMED = (ValueError, KeyError, TypeError, AttributeError, IndexError, Recurs
 
 
 @dataclass(frozen=True)
-class Site:
+class RelyingParty:
     """The site that credentials belong to: its host, and the origin that browsers write."""
 
     rp_id: str
     origin: str
 
     @classmethod
-    def of(cls, address: str) -> Site:
+    def of(cls, address: str) -> RelyingParty:
         """Return the site of a server's address."""
         parts = urlsplit(address)
         return cls(parts.hostname or "", f"{parts.scheme}://{parts.netloc}")
@@ -92,7 +92,7 @@ def _refusing(answer: str, sentence: str) -> Iterator[None]:
         raise SecondFactorError(sentence) from error
 
 
-def make_creation_options(user: User, known: Sequence[SecondFactor], challenge: str, site: Site) -> str:
+def make_creation_options(user: User, known: Sequence[SecondFactor], challenge: str, site: RelyingParty) -> str:
     """Return the options of `navigator.credentials.create` as JSON."""
     site.refuse_address()
     options = webauthn.generate_registration_options(
@@ -111,7 +111,7 @@ def make_creation_options(user: User, known: Sequence[SecondFactor], challenge: 
     return options_to_json(options)
 
 
-def make_request_options(known: Sequence[SecondFactor], challenge: str, site: Site) -> str | None:
+def make_request_options(known: Sequence[SecondFactor], challenge: str, site: RelyingParty) -> str | None:
     """Return the options of `navigator.credentials.get` as JSON; None where no key of this site is known."""
     own = _list_own(known, site)
     if not own:
@@ -126,7 +126,7 @@ def make_request_options(known: Sequence[SecondFactor], challenge: str, site: Si
     return options_to_json(options)
 
 
-def _list_own(known: Sequence[SecondFactor], site: Site) -> list[str]:
+def _list_own(known: Sequence[SecondFactor], site: RelyingParty) -> list[str]:
     """Return the credentials of a site."""
     return [one.credential_id for one in known if one.credential_id is not None and one.rp_id == site.rp_id]
 
@@ -135,7 +135,7 @@ def _describe(credentials: Sequence[str]) -> list[PublicKeyCredentialDescriptor]
     return [PublicKeyCredentialDescriptor(id=base64url_to_bytes(one)) for one in credentials]
 
 
-def check_registration(answer: str, challenge: str, site: Site) -> RegisteredCredential:
+def check_registration(answer: str, challenge: str, site: RelyingParty) -> RegisteredCredential:
     """Check what `navigator.credentials.create` returned."""
     unfit = "The security key was not registered, for its answer does not fit this page; reload the page and try again."
     with _refusing(answer, unfit):
@@ -169,7 +169,7 @@ def read_assertion(answer: str) -> Assertion:
         return Assertion(answer, bytes_to_base64url(given.raw_id), bytes_to_base64url(told.challenge))
 
 
-def check_assertion(given: Assertion, challenge: str, site: Site, public_key: str, sign_count: int) -> int:
+def check_assertion(given: Assertion, challenge: str, site: RelyingParty, public_key: str, sign_count: int) -> int:
     """Check an answer against a challenge and a public key; returns the new count of signatures."""
     other = (
         "The security key's answer was refused: it is of another key, page or attempt; reload the page and try again."

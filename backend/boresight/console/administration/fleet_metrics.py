@@ -113,9 +113,9 @@ class FleetMetrics(Collector):
 
     def collect(self) -> Iterator[GaugeMetricFamily]:
         """Yield every metric as it is now, or was some seconds ago."""
-        found: dict[str, Values] = {"build_info": {(boresight.__version__,): 1.0}, **self._of_server()}
+        found: dict[str, Values] = {"build_info": {(boresight.__version__,): 1.0}, **self._read_server()}
         try:
-            found |= self._of_store()
+            found |= self._read_store_again()
             found["store_up"] = {(): 1.0}
         except (BoresightError, OSError):
             found["store_up"] = {(): 0.0}
@@ -130,7 +130,7 @@ class FleetMetrics(Collector):
         """Describe nothing at registration: the store may not be migrated yet."""
         return []
 
-    def _of_server(self) -> dict[str, Values]:
+    def _read_server(self) -> dict[str, Values]:
         state = self.server.workers() or {}
         return {
             "audit_intact": {(): float(not self.server.broken())},
@@ -139,7 +139,7 @@ class FleetMetrics(Collector):
             "worker_tasks": {(): float(state.get("tasks", 0))},
         }
 
-    def _of_store(self) -> dict[str, Values]:
+    def _read_store_again(self) -> dict[str, Values]:
         """Read the store; the states of runs each time, everything else once in some seconds."""
         with open_reading(self.database) as session:
             if time.monotonic() - self._read_s > KEPT_S:
@@ -187,7 +187,7 @@ def _by_state(counts: Mapping[str, int]) -> Values:
 
 
 def _smallest_p(session: Session) -> Values:
-    """Return the smallest p of each sensor whose trend was judged; a scrape judges none anew.
+    """Return the smallest p of each sensor whose trend was judged; a scrape judges none again.
 
     A shift against a ground calibration is no drift, and has none.
     """

@@ -65,7 +65,7 @@ def warnings(people: Sequence[User], *, four_eyes: bool) -> list[str]:
 
 
 def keys_at(keys: Sequence[ApiKey], now: str, soon: str) -> KeyCounts:
-    """Count the keys that are valid, and of them those never used, soon expired, or valid for ever."""
+    """Count the keys that are valid, and of them those never used, soon expired, or valid forever."""
     valid = [key for key in keys if not key.revoked_utc and (key.expires_utc is None or key.expires_utc > now)]
     return KeyCounts(
         valid=len(valid),

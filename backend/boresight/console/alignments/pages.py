@@ -53,7 +53,7 @@ from boresight.console.runs.pages.list import read_names
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry import queries as telemetry_rows
 from boresight.errors import ConflictError, RefusedInputError
-from boresight.estimation.alignment import log_of
+from boresight.estimation.alignment import log_rotation
 from boresight.estimation.attitude import to_matrix
 from boresight.figures import alignment as chart
 from boresight.platform.actors import Actor
@@ -127,7 +127,7 @@ class RefusedForm:
 
 
 def _view_rotation(name: str, title: str, sentence: str, q: Sequence[float], sigma: Sequence[float]) -> RotationView:
-    turn = np.degrees(log_of(to_matrix(np.array([q], np.float64)))[0])
+    turn = np.degrees(log_rotation(to_matrix(np.array([q], np.float64)))[0])
     lines = [(axis, fixed(float(v), 5), number(3 * s, 3)) for axis, v, s in zip(AXES, turn, sigma, strict=True)]
     return RotationView(name, title, sentence, ", ".join(f"{one:.9f}" for one in q), lines)
 

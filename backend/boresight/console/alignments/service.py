@@ -31,7 +31,7 @@ from boresight.console.runs.service import get_run
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet, find_quality
 from boresight.errors import ConflictError, RefusedInputError
-from boresight.estimation.alignment import log_of
+from boresight.estimation.alignment import log_rotation
 from boresight.estimation.attitude import to_matrix
 from boresight.platform.actors import SYSTEM, Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
@@ -276,6 +276,6 @@ def list_history(session: Session, row: Alignment) -> list[PastAlignment]:
 def _compare(own: AlignmentSummary, row: Alignment, former: AlignmentSummary) -> PastAlignment:
     q = np.array([own.quaternion, former.quaternion], np.float64)
     turned = to_matrix(q)
-    change = log_of(turned[:1] @ np.swapaxes(turned[1:], 1, 2))[0] * ARCSEC_PER_RAD
+    change = log_rotation(turned[:1] @ np.swapaxes(turned[1:], 1, 2))[0] * ARCSEC_PER_RAD
     sigma = np.hypot(own.sigma_arcsec, former.sigma_arcsec)
     return PastAlignment(row, former, change.tolist(), (change / sigma).tolist())

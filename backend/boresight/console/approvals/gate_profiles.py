@@ -31,7 +31,7 @@ from boresight.telemetry.sensors import parse_sensor
 from boresight.verdicts import gates
 from boresight.verdicts.gates import Measurement
 from boresight.verdicts.gates.assessed_set import assess_calibration, ground_set
-from boresight.verdicts.gates.assessment import of_result
+from boresight.verdicts.gates.assessment import take_scores
 
 DEFAULT = gates.parse_profile({}).document()
 DEFAULT_SHA256 = compute_sha256(DEFAULT)
@@ -192,7 +192,7 @@ def _measure(blobs: BlobStore, run: Run) -> dict[str, Measurement]:
             incumbent=ground_set(sensor),
             result=found,
             made_with=sensor,
-            validation=of_result(found),
+            validation=take_scores(found),
             no_validation=NO_VALIDATION,
         )
     except (BoresightError, ValueError):

@@ -14,7 +14,7 @@ STALE.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +59,7 @@ from boresight.telemetry.working_table import WorkingTable
 from boresight.verdicts import gates
 from boresight.verdicts.gates import GATES
 from boresight.verdicts.gates.assessed_set import parse_assessed_set
-from boresight.verdicts.gates.assessment import compute_validation_scores, of_result, started_from
+from boresight.verdicts.gates.assessment import compute_validation_scores, started_from, take_scores
 
 
 @dataclass(frozen=True)
@@ -197,7 +197,7 @@ def _seen(
 ) -> tuple[gates.ValidationScores | None, str]:
     """Return the scores on validation frames, or None with the reason; a comparison that the run made already is reused."""
     if incumbent is not None and result is not None and started_from(result, incumbent):
-        own = of_result(result)
+        own = take_scores(result)
         if own is not None:
             return own, ""
     if stored.validation is None:
@@ -227,7 +227,7 @@ def record_report(session: Session, actor: Actor, assessment: GateAssessment) ->
 def _record(session: Session, actor: Actor, assessment: GateAssessment) -> GateReport:
     row = session.get_known(ParameterSet, assessment.parameter_set_id)
     profile = ensure_profile(session, actor, row.sensor_id)
-    moved = _list_moved(assessment.report.bound, compute_bound_hashes(session, row))
+    moved = assessment.report.bound.list_moved(compute_bound_hashes(session, row))
     if moved:
         since = describe_baseline(session, row.sensor_id)
         raise StaleError(
@@ -253,12 +253,6 @@ def _record(session: Session, actor: Actor, assessment: GateAssessment) -> GateR
     return report
 
 
-def _list_moved(bound: gates.BoundHashes, now: gates.BoundHashes) -> list[str]:
-    """List in words what has another hash now."""
-    names = [one.name for one in fields(bound) if getattr(bound, one.name) != getattr(now, one.name)]
-    return [name.removesuffix("_sha256").replace("_", " ") for name in names]
-
-
 def find_valid_report(session: Session, parameter_set_id: int) -> GateReport | None:
     """Return a set's newest report if its inputs are unchanged; None otherwise."""
     report = rows.find_newest_report(session, parameter_set_id)
@@ -281,7 +275,7 @@ def get_report(session: Session, parameter_set_id: int, sha256: str | None = Non
 def list_moved_since(session: Session, report: GateReport) -> list[str]:
     """List the inputs of a report that have changed; it is valid while there are none."""
     now = compute_bound_hashes(session, session.get_known(ParameterSet, report.parameter_set_id))
-    return _list_moved(gates.parse_bound_report(report.document).bound, now)
+    return gates.parse_bound_report(report.document).bound.list_moved(now)
 
 
 def choose_report_for_submission(
@@ -309,7 +303,7 @@ def _laid_over(
 
 
 def read_verdicts(session: Session, parameter_set_ids: Collection[int]) -> dict[int, gates.BoundGateReport]:
-    """Return the newest report of each of some sets that was ever assessed, with the waivers laid over it for ever."""
+    """Return the newest report of each of some sets that was ever assessed, with the waivers laid over it forever."""
     given = rows.list_waivers(session, parameter_set_ids)
     return {
         number: _laid_over(report, [waiver for waiver in given if waiver.parameter_set_id == number])

@@ -42,7 +42,7 @@ from boresight.console.approvals.service import Decision
 from boresight.console.approvals.tables import Approval, GateProfile, GateReport, Opening, Remark, Thread, Waiver
 from boresight.console.change_proposals import service as proposals
 from boresight.console.change_proposals.routes import PROPOSED, in_force_or_proposed
-from boresight.console.operation import Answer, Beside, operations
+from boresight.console.operation import Beside, OperationResponse, operations
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.figure_routes import FigureName, Seen, get_figure
 from boresight.console.runs.schemas import PlotlyFigure
@@ -79,10 +79,10 @@ class NewProfile(Limits):
     summary="List the gate profiles of a sensor",
     response_model=Page[schemas.GateProfile],
 )
-def list_gate_profiles(sensor_id: Id, session: Reading, page: Paged) -> Answer:
+def list_gate_profiles(sensor_id: Id, session: Reading, page: Paged) -> OperationResponse:
     """List every version of a sensor's limits, newest first; the first is in force, and its ETag is needed to set another."""
     found = gate_profiles.list_profiles(session, sensor_id)
-    return Answer(page.cut_whole(found), headers={"ETag": schemas.GateProfile.etag(found[0])})
+    return OperationResponse(page.cut_whole(found), headers={"ETag": schemas.GateProfile.etag(found[0])})
 
 
 @gate_profile_router.post(
@@ -94,7 +94,7 @@ def list_gate_profiles(sensor_id: Id, session: Reading, page: Paged) -> Answer:
 )
 def set_gate_profile(
     sensor_id: Id, profile: NewProfile, actor: Who, seen: SeenVersion, policy: ServerPolicy, session: Writing
-) -> GateProfile | TableDefinition | Answer:
+) -> GateProfile | TableDefinition | OperationResponse:
     """Put other limits into force. The sensor's open requests become STALE, because their verdict may change.
 
     Where the setting `second_person` is on, the change is proposed, answered with 202, and changes nothing until another
@@ -108,10 +108,12 @@ def set_gate_profile(
 @gate_profile_router.post(
     "/{sensor_id}/gate-profiles:dry-run", summary="Try limits on past runs", response_model=schemas.DryRunOfProfile
 )
-def try_gate_profile(sensor_id: Id, profile: Limits, asked: IsDryRun, session: Reading, blobs: Blobs) -> Answer:
+def try_gate_profile(
+    sensor_id: Id, profile: Limits, asked: IsDryRun, session: Reading, blobs: Blobs
+) -> OperationResponse:
     """Say of each of the sensor's newest runs what these limits would have blocked; nothing is stored in any case."""
     found = gate_profiles.dry_run(session, blobs, sensor_id, {"gates": profile.gates})
-    return Answer(Listing(found), headers={"X-Validate-Only": "true"} if asked else {})
+    return OperationResponse(Listing(found), headers={"X-Validate-Only": "true"} if asked else {})
 
 
 gate_report_router = operations("/parameter-sets", tags=["gates"])
@@ -298,7 +300,7 @@ def get_approval(approval_id: Id, session: Reading) -> Approval:
 @router.get("/{approval_id}/signers", summary="List who may sign", response_model=Page[schemas.Signer])
 def list_signers(approval_id: Id, policy: ServerPolicy, session: Reading) -> Listing[Beside]:
     """List every approver with whether they may sign this request, and if not, which action on the set excludes them."""
-    found = approvals.list_signers_of(session, approval_id, policy=policy)
+    found = approvals.list_request_signers(session, approval_id, policy=policy)
     return Listing(
         [
             Beside(

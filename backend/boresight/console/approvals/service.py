@@ -121,7 +121,7 @@ def explain_why_not_sign(session: Session, actor: Actor, approval_id: int, *, po
     return None
 
 
-def list_signers_of(session: Session, approval_id: int, *, policy: Policy = POLICY) -> list[Signer]:
+def list_request_signers(session: Session, approval_id: int, *, policy: Policy = POLICY) -> list[Signer]:
     """Return every approver with whether they may sign a request, and if not, why."""
     return list_signers(session, session.get_known(Approval, approval_id), policy)
 

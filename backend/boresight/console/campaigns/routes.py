@@ -11,7 +11,7 @@ from boresight.console.access.dependencies import IsDryRun, Reading, Seen, SeenT
 from boresight.console.campaigns import service as campaigns
 from boresight.console.campaigns.queries import MemberStatus
 from boresight.console.campaigns.service import MOST_SENSORS, CampaignView, MemberRequest, make_result_line
-from boresight.console.operation import Answer, Beside, operations
+from boresight.console.operation import Beside, OperationResponse, operations
 from boresight.console.schemas import Document, Row, Shape
 from boresight.platform.db.sessions import Session
 from boresight.platform.web.paging import Id, Listing, Page, Paged
@@ -148,7 +148,9 @@ def list_campaigns(session: Reading, page: Paged) -> Listing[CampaignView]:
     response_model=Campaign,
     responses={200: {"model": DryRunOfCampaign, "description": "The dry run of `validate_only`."}},
 )
-def launch_campaign(launch: CampaignLaunch, actor: Who, session: Writing, asked: IsDryRun) -> Beside | Answer:
+def launch_campaign(
+    launch: CampaignLaunch, actor: Who, session: Writing, asked: IsDryRun
+) -> Beside | OperationResponse:
     """Queue a run for every sensor that can have one; the others are listed with the cause. All or nothing in one transaction."""
     made = campaigns.launch_campaign(
         session,
@@ -160,7 +162,7 @@ def launch_campaign(launch: CampaignLaunch, actor: Who, session: Writing, asked:
         validate_only=asked or launch.validate_only,
     )
     if isinstance(made, dict):
-        return Answer(made, shape=DryRunOfCampaign, is_trial=True)
+        return OperationResponse(made, shape=DryRunOfCampaign, is_trial=True)
     return _shown(campaigns.read_campaign(session, made.id))
 
 

@@ -245,7 +245,7 @@ class Key(NamedTuple):
     row_id: int
 
 
-def _of_sensor(sensor_id: int) -> dict[str, tuple[Any, Any, sa.Select[Any]]]:
+def _make_sensor_queries(sensor_id: int) -> dict[str, tuple[Any, Any, sa.Select[Any]]]:
     """Return for every kind its table, the column of its time, and the query for a sensor's rows."""
     of_set = ParameterSet.sensor_id == sensor_id
     return {
@@ -277,7 +277,7 @@ def list_event_keys(
         query.with_only_columns(
             time.label("at_utc"), sa.literal(KINDS.index(kind)).label("kind"), table.id.label("row_id")
         )
-        for kind, (table, time, query) in _of_sensor(sensor_id).items()
+        for kind, (table, time, query) in _make_sensor_queries(sensor_id).items()
     ]
     every = sa.union_all(*parts).subquery()
     order = (every.c.at_utc, every.c.kind, every.c.row_id)
@@ -291,7 +291,7 @@ def list_event_keys(
 
 def find_event_key(session: Session, sensor_id: int, kind: int, row_id: int) -> Key | None:
     """Return the key of one event; None when it is not of this sensor."""
-    table, time, query = _of_sensor(sensor_id)[KINDS[kind]]
+    table, time, query = _make_sensor_queries(sensor_id)[KINDS[kind]]
     at_utc = session.scalar(query.with_only_columns(time).where(table.id == row_id))
     return None if at_utc is None else Key(at_utc, kind, row_id)
 
@@ -299,7 +299,7 @@ def find_event_key(session: Session, sensor_id: int, kind: int, row_id: int) -> 
 def read_rows_at(session: Session, sensor_id: int, found: Sequence[Key]) -> dict[Key, Any]:
     """Return the row behind each key; one query a kind."""
     rows: dict[tuple[int, int], Any] = {}
-    for kind, (table, _, query) in enumerate(_of_sensor(sensor_id).values()):
+    for kind, (table, _, query) in enumerate(_make_sensor_queries(sensor_id).values()):
         ids = [key.row_id for key in found if key.kind == kind]
         if ids:
             rows |= {(kind, row.id): row for row in session.scalars(query.where(table.id.in_(ids)))}

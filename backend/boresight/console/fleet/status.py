@@ -54,9 +54,9 @@ def get_drift_verdicts(
         for sensor in sensors
     }
     unknown = [sensor.id for sensor in sensors if of_store.get(sensor.id, (None,))[0] != rests_on[sensor.id]]
-    anew = unknown if most is None else unknown[:most]
-    for start in range(0, len(anew), TOGETHER):
-        asked = queries.list_sensors(session, anew[start : start + TOGETHER])
+    judged = unknown if most is None else unknown[:most]
+    for start in range(0, len(judged), TOGETHER):
+        asked = queries.list_sensors(session, judged[start : start + TOGETHER])
         for sensor_id, trend in read_trends(session, asked).items():
             found = judge_drift(trend)
             said = DriftVerdict(found.verdict, found.sentence, to_plain(document(found)))
@@ -68,7 +68,7 @@ STATUS_WORDS = ("critical", "serious", "caution", "normal", "standby", "off")
 WORSE_THAN_NORMAL = STATUS_WORDS[: STATUS_WORDS.index("normal")]
 OLD_DAYS = 180.0  # a baseline older than this deserves a look
 SECONDS_PER_DAY = 86400.0
-MOST_JUDGED = 100  # ground calibrations that one call judges anew: a fifth of a second
+MOST_JUDGED = 100  # ground calibrations that one call judges again: a fifth of a second
 
 
 @dataclass(frozen=True)
@@ -192,7 +192,7 @@ def _is_on_the_ground(known: SensorFacts) -> bool:
 def _find_ground_shifts(
     session: Session, heads: Sequence[Any], known: Mapping[int, SensorFacts]
 ) -> Iterator[tuple[int, bool | None]]:
-    """Yield whether each ground calibration has shifted; None beyond `MOST_JUDGED` that this call would have to judge anew."""
+    """Yield whether each ground calibration has shifted; None beyond `MOST_JUDGED` that this call would have to judge again."""
     asked = [head for head in heads if _is_on_the_ground(known[head.id])]
     stamps = queries.read_trend_stamps(session, [head.id for head in asked])
     asked = [head for head in asked if head.id in stamps]

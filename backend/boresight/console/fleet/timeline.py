@@ -66,7 +66,7 @@ class TimelineReader:
     first_promotions: Mapping[int, int]
 
     @classmethod
-    def of_sensor(cls, session: Session, sensor_id: int) -> TimelineReader:
+    def from_sensor(cls, session: Session, sensor_id: int) -> TimelineReader:
         """Read the names that a sensor's events refer to."""
         return cls(
             sensor_rows.read_set_names(session, sensor_id),
@@ -269,7 +269,7 @@ def list_events(
         before=None if before_id is None else _find_key(session, sensor_id, before_id),
         limit=limit,
     )
-    reader = TimelineReader.of_sensor(session, sensor_id)
+    reader = TimelineReader.from_sensor(session, sensor_id)
     return [reader.read(key, row) for key, row in sensor_rows.read_rows_at(session, sensor_id, found).items()]
 
 

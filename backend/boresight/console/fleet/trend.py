@@ -106,7 +106,7 @@ class Trend:
         """The calibrations that count, by the time of their data."""
         return [point for point in self.points if not point.left_out]
 
-    def of_run(self, run_id: int | None) -> TrendPoint | None:
+    def find_run(self, run_id: int | None) -> TrendPoint | None:
         """Return the calibration of a run."""
         return next((point for point in (*self.points, *self.others) if point.run_id == run_id), None)
 
@@ -302,7 +302,7 @@ def judge_drift(trend: Trend, alpha: float = FALSE_ALARM_RATE) -> DriftResult:
         return DriftResult(
             "NOT TESTED", "There is no baseline to compare a calibration with; register the sensor again."
         )
-    own = trend.of_run(trend.baseline.run_id)
+    own = trend.find_run(trend.baseline.run_id)
     since = [point for point in trend.independent if _is_since(point, own, trend.baseline)]
     later = [point for point in since if own is None or not point.overlaps(own)]
     if not later:
@@ -419,11 +419,11 @@ def make_baseline_epoch(baseline: ParameterSet, own: TrendPoint | None, names: S
 def _with_sentence(found: DriftResult, baseline: ParameterSet) -> DriftResult:
     """Add a sentence on the findings, tests that reject first."""
     first = [GROUND_SHIFTED] if found.verdict == "GROUND SHIFT" else []
-    said = [*first, _of_the_baseline(found, baseline), *_of_the_slope(found), *_of_temperature(found)]
+    said = [*first, _say_baseline(found, baseline), *_say_slope(found), *_say_temperature(found)]
     return replace(found, sentence=" ".join(said))
 
 
-def _of_the_baseline(found: DriftResult, baseline: ParameterSet) -> str:
+def _say_baseline(found: DriftResult, baseline: ParameterSet) -> str:
     if found.holds is None or found.newest is None or found.largest is None:
         return ""
     name, worth = found.largest
@@ -434,7 +434,7 @@ def _of_the_baseline(found: DriftResult, baseline: ParameterSet) -> str:
     return f"Run {found.newest.run_id} agrees with {baseline.name} ({numbers})."
 
 
-def _of_the_slope(found: DriftResult) -> list[str]:
+def _say_slope(found: DriftResult) -> list[str]:
     if found.slope is None or found.line is None:
         return ["Too few calibrations since the baseline for a slope: it takes three at different times."]
     said = "change with time" if found.slope.rejects else "do not change with time"
@@ -448,7 +448,7 @@ def _of_the_slope(found: DriftResult) -> list[str]:
     return sentences
 
 
-def _of_temperature(found: DriftResult) -> list[str]:
+def _say_temperature(found: DriftResult) -> list[str]:
     if found.line is None or found.line.thermal_per_c is None or found.line.thermal_covariance is None:
         return []
     statistic = tests.mahalanobis(found.line.thermal_per_c, found.line.thermal_covariance)

@@ -112,7 +112,7 @@ def _rules(drift: DriftResult, data: UnseenTelemetry, baseline: ParameterSet, ag
 
 def find_unseen_telemetry(trend: Trend) -> UnseenTelemetry:
     """Return the telemetry that is newer than the baseline's data, and how much it would improve the sigmas."""
-    own = trend.of_run(trend.baseline.run_id) if trend.baseline else None
+    own = trend.find_run(trend.baseline.run_id) if trend.baseline else None
     sets = [
         row
         for row in trend.telemetry.values()

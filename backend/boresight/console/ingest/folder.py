@@ -92,7 +92,7 @@ class WatchedFolder:
                 f"{arrival.name} is no plain file but a link, folder or device; send the file itself."
             )
         refuse_too_large(arrival.name, arrival.size_bytes, most_bytes)
-        with self._of_sensor(arrival.sensor) as place, _opened(arrival.name, FILE_FLAGS, place) as file:
+        with self._open_sensor(arrival.sensor) as place, _opened(arrival.name, FILE_FLAGS, place) as file:
             if _described(arrival, os.fstat(file)) != arrival:
                 return None
             digest, size = hashlib.sha256(), 0
@@ -108,7 +108,7 @@ class WatchedFolder:
 
     def settle(self, arrival: Arrival, to: str, reason: str = "") -> None:
         """Move a file to `done` or `refused`, there with its reason; a name that is taken gets a number before it."""
-        with self._of_sensor(arrival.sensor) as place:
+        with self._open_sensor(arrival.sensor) as place:
             with suppress(FileExistsError):
                 os.mkdir(to, 0o750, dir_fd=place)
             with _opened(to, FOLDER_FLAGS, place) as target:
@@ -121,7 +121,7 @@ class WatchedFolder:
         self._seen.pop(arrival, None)
 
     @contextmanager
-    def _of_sensor(self, sensor: str) -> Iterator[int]:
+    def _open_sensor(self, sensor: str) -> Iterator[int]:
         with _opened(self.folder) as root, _opened(sensor, FOLDER_FLAGS, root) as place:
             yield place
 

@@ -97,7 +97,7 @@ STEPS = {
     "rehearse": "Rehearsed on the past; nothing else happened.",
     "enable": "The policy is in force.",
     "pause": "Paused: files stay where they are.",
-    "resume": "Resumed: its limits count anew.",
+    "resume": "Resumed: its limits count again.",
     "switch-off": "Switched off.",
 }
 
@@ -229,7 +229,7 @@ def _answer(
         number = float(days)
     except ValueError as error:
         raise RefusedInputError(f"{days[:20]!r} is no number of days; give one, such as 7.") from error
-    given = service.Answer(typed.get("answer", ""), typed.get("reason", ""), number)
+    given = service.DecisionAnswer(typed.get("answer", ""), typed.get("reason", ""), number)
     return service.answer(session, actor, blobs, decision_id, given, seen_version(typed), policy=policy)
 
 

@@ -15,7 +15,7 @@ from boresight.console.alarms.rules import update_alarms
 from boresight.console.fleet.tables import Sensor
 from boresight.console.fleet.trend import read_trend
 from boresight.console.ingest import queries as rows
-from boresight.console.ingest.rehearsal import rehearse
+from boresight.console.ingest.change_tests import rehearse
 from boresight.console.ingest.rules import PolicyRules, parse_rules
 from boresight.console.ingest.tables import IngestPolicy
 from boresight.console.runs.presets import get_offer
@@ -144,7 +144,7 @@ def pause_by_person(
 
 
 def resume(session: Session, actor: Actor, policy_id: int, reason: str, seen_version: int | None) -> IngestPolicy:
-    """Let a paused policy go on; the counts that stopped it begin anew. Only a person may, because a machine stopped it."""
+    """Let a paused policy go on; the counts that stopped it begin again. Only a person may, because a machine stopped it."""
     require_person(actor, "resume an ingest policy")
     require_role(actor, *WRITERS)
     row = session.get_known(IngestPolicy, policy_id)

@@ -30,7 +30,7 @@ from boresight.console.fleet.trend import Trend, read_trend
 from boresight.console.fleet.trend_document import Advice, advise
 from boresight.console.ingest import policies
 from boresight.console.ingest import queries as rows
-from boresight.console.ingest.judgement import PolicyFinding, Reason, agree, judge_newest
+from boresight.console.ingest.change_tests import PolicyFinding, Reason, agree, judge_newest
 from boresight.console.ingest.rules import PolicyRules
 from boresight.console.ingest.tables import ANSWERS, IngestDecision, IngestPolicy
 from boresight.console.parameter_sets import queries as set_rows
@@ -253,7 +253,7 @@ def examine(session: Session, decision_id: int) -> Found:
     run = session.get_known(Run, row.run_id or 0)
     policy = session.get_known(IngestPolicy, row.policy_id)
     if run.state != "SUCCEEDED":
-        return Found(row.id, _of_failure(run))
+        return Found(row.id, _report_failure(run))
     summary = parse_run_summary(run.summary)
     if summary.status not in parameter_sets.USABLE_STATUSES:
         said = f"Run {run.id} ended {(summary.status or 'without a status').replace('_', ' ')}: {summary.advice or 'see its page.'}"
@@ -268,7 +268,7 @@ def examine(session: Session, decision_id: int) -> Found:
     return Found(row.id, found, _list_alternatives(found, run), advise(trend))
 
 
-def _of_failure(run: Run) -> PolicyFinding:
+def _report_failure(run: Run) -> PolicyFinding:
     return PolicyFinding(
         "NOT JUDGED", (Reason("RUN", f"Run {run.id} {run.state.lower()}: {run.reason or 'no cause was recorded'}"),)
     )
@@ -451,7 +451,7 @@ def supersede_overtaken(session: Session, decision_id: int) -> None:
 
 
 @dataclass(frozen=True)
-class Answer:
+class DecisionAnswer:
     """What a person answers: one of `ANSWERS`, why, and for WAIT for how many days."""
 
     answer: str
@@ -474,7 +474,7 @@ def answer(
     actor: Actor,
     blobs: BlobStore,
     decision_id: int,
-    given: Answer,
+    given: DecisionAnswer,
     seen_version: int | None,
     *,
     policy: Policy = POLICY,

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from boresight.errors import BoresightError
 from boresight.platform.audit import queries as rows
-from boresight.platform.audit.anchors import Trust, keep_time_stamp, make_anchor
+from boresight.platform.audit.anchors import TrustedKeys, keep_time_stamp, make_anchor
 from boresight.platform.audit.signing import SigningKey
 from boresight.platform.audit.time_stamps import TimeStampService
 from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing, utc_now
@@ -33,11 +33,11 @@ class Anchoring:
     every_s: float
     fault: str = ""
 
-    def trust(self, newest: int | None = None) -> Trust | None:
+    def trust(self, newest: int | None = None) -> TrustedKeys | None:
         """Return what anchors are verified with; None where the key cannot be read, of which the alarm tells."""
         authorities = () if self.service is None else self.service.authorities
         try:
-            return Trust(self.key.list_public_keys(), self.key.name, authorities, newest)
+            return TrustedKeys(self.key.list_public_keys(), self.key.name, authorities, newest)
         except BoresightError:
             return None
 

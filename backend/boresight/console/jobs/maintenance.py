@@ -124,10 +124,10 @@ class Maintenance:
         self._thread.close(PATIENCE_S)
         self._thread.take(self.write_uses)
 
-    def used(self, credential: str, *, active: bool = True) -> bool:  # noqa: ARG002 - a key is used by what only listens too
+    def used(self, key_prefix: str, *, active: bool = True) -> bool:  # noqa: ARG002 - a key is used by what only listens too
         """Record the use of a key; keys have no idle limit, so this returns True."""
         with self._guard:
-            self._used_utc[credential.removeprefix("key:")] = utc_now()
+            self._used_utc[key_prefix] = utc_now()
         return True
 
     def session_used(self, session_id: int, last_used_utc: str, *, active: bool) -> bool:

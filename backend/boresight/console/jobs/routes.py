@@ -38,7 +38,7 @@ PING = b": ping\n\n"
 
 
 class EventStream(StreamingResponse):
-    """Server-sent events, written by the feed itself: the framework's own writer would write each anew for each listener."""
+    """Server-sent events, written by the feed itself: the framework's own writer would write each again for each listener."""
 
     media_type = "text/event-stream"
 

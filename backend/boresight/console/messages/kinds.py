@@ -62,7 +62,7 @@ class MessageKind:
     tell: Callable[[Source], News | None]
 
 
-def _signature_waits(of: Source) -> News | None:
+def _tell_signature_waits(of: Source) -> News | None:
     row = of.session.get_one(Approval, of.number)
     if row.state != "OPEN":
         return None
@@ -86,7 +86,7 @@ DECIDED = {
 }
 
 
-def _signature_of_alignment_waits(of: Source) -> News | None:
+def _tell_alignment_signature_waits(of: Source) -> News | None:
     row = of.session.get_one(AlignmentRequest, of.number)
     if row.state != "OPEN":
         return None
@@ -99,7 +99,7 @@ def _signature_of_alignment_waits(of: Source) -> News | None:
     return News(made.sensor_a_id, said, f"/alignment-requests/{row.id}", set(able) - own)
 
 
-def _alignment_decided(of: Source) -> News:
+def _tell_alignment_decided(of: Source) -> News:
     row = of.session.get_one(AlignmentRequest, of.number)
     made = of.session.get_one(Alignment, row.alignment_id)
     said = f"request {row.id} for alignment {made.id} {DECIDED[of.record.action]}"
@@ -107,7 +107,7 @@ def _alignment_decided(of: Source) -> News:
     return News(made.sensor_a_id, said, f"/alignment-requests/{row.id}", concerned - {of.record.actor_id})
 
 
-def _decided(of: Source) -> News | None:
+def _tell_decided(of: Source) -> News | None:
     row = of.session.get_one(Approval, of.number)
     if of.after.get("state") == "OPEN":
         return None  # it needs another signature
@@ -117,30 +117,30 @@ def _decided(of: Source) -> News | None:
     return News(named.sensor_id, said, f"/approvals/{row.id}", concerned - {of.record.actor_id})
 
 
-def _promoted(of: Source) -> News:
+def _tell_promoted(of: Source) -> News:
     row = of.session.get_one(ParameterSet, of.number)
     return News(row.sensor_id, f"{row.name} is the baseline", f"/parameter-sets/{row.id}")
 
 
-def _on_board(of: Source) -> News:
+def _tell_on_board(of: Source) -> News:
     row = of.session.get_one(ParameterSet, of.number)
     said = f"{row.name} is {of.after.get('onboard_state')} on board"
     return News(row.sensor_id, said, f"/parameter-sets/{row.id}/uplink")
 
 
-def _alarm(of: Source) -> News:
+def _tell_alarm(of: Source) -> News:
     row = of.session.get_one(Alarm, of.number)
     again = " again, or graver" if of.after.get("event") == "RAISED AGAIN" else ""
     return News(row.sensor_id, f"alarm {row.id}, {row.kind}, {row.level}, is raised{again}", f"/alarms/{row.id}")
 
 
-def _alarm_assigned(of: Source) -> News | None:
+def _tell_alarm_assigned(of: Source) -> News | None:
     row = of.session.get_one(Alarm, of.number)
     said = f"alarm {row.id} is assigned to you"
     return None if row.assigned_to is None else News(row.sensor_id, said, f"/alarms/{row.id}", [row.assigned_to])
 
 
-def _request_assigned(of: Source) -> News | None:
+def _tell_request_assigned(of: Source) -> News | None:
     row = of.session.get_one(Approval, of.number)
     if row.assigned_to is None:
         return None
@@ -155,7 +155,7 @@ def _tell_run(of: Source, states: Collection[str]) -> News | None:
     return News(row.sensor_id, f"run {row.id} {state}", f"/runs/{row.id}", [row.launched_by])
 
 
-def _ingest_asks(of: Source) -> News | None:
+def _tell_ingest_asks(of: Source) -> News | None:
     row = of.session.get_one(IngestDecision, of.number)
     if row.state != "ASKED":
         return None
@@ -164,7 +164,7 @@ def _ingest_asks(of: Source) -> News | None:
     return News(row.sensor_id, said, f"/ingest/{row.id}", analysts)
 
 
-def _mentioned(of: Source) -> News | None:
+def _tell_mentioned(of: Source) -> News | None:
     row = of.session.get_one(Remark, int(of.record.object.rpartition("/")[2]))
     named = {user.id for user in user_rows.list_users(of.session) if user.name in (row.mentions or ())}
     if not named:
@@ -174,7 +174,7 @@ def _mentioned(of: Source) -> News | None:
     return News(sensor_id, said, f"/approvals/{of.number}", named - {row.user_id})
 
 
-def _change_waits(of: Source) -> News | None:
+def _tell_change_waits(of: Source) -> News | None:
     row = of.session.get_one(ChangeProposal, of.number)
     if row.state != "OPEN":
         return None
@@ -183,7 +183,7 @@ def _change_waits(of: Source) -> News | None:
     return News(row.sensor_id, said, f"/change-proposals/{row.id}", {*may} - {row.proposed_by})
 
 
-def _account(of: Source) -> News | None:
+def _tell_account(of: Source) -> News | None:
     if of.record.actor_id == of.number:
         return None
     person = of.session.get_one(User, of.number)
@@ -198,27 +198,27 @@ def _kind(name: str, title: str, records: str, tell: Callable[[Source], News | N
 KINDS: Mapping[str, MessageKind] = {
     kind.name: kind
     for kind in (
-        _kind("signature-waits", "A request waits for my signature", r"approvals/(\d+) opened", _signature_waits),
+        _kind("signature-waits", "A request waits for my signature", r"approvals/(\d+) opened", _tell_signature_waits),
         _kind("request-decided", "A request that I have a part in is decided, stale or expired",
-              rf"approvals/(\d+) (?:{'|'.join(DECIDED)})", _decided),
-        _kind("mention", "Somebody mentions me", r"approvals/(\d+)/remarks/\d+ remarked", _mentioned),
-        _kind("alarm-assigned", "An alarm is assigned to me", r"alarms/(\d+) alarm assigned", _alarm_assigned),
-        _kind("request-assigned", "A request is assigned to me", r"approvals/(\d+) assigned", _request_assigned),
-        _kind("promoted", "A parameter set becomes the baseline", r"parameter-sets/(\d+) promoted", _promoted),
-        _kind("on-board", "What is on board changes", r"parameter-sets/(\d+) recorded .+ for", _on_board),
-        _kind("alarm", "An alarm is raised, or becomes graver", r"alarms/(\d+) alarm raised(?: again)?", _alarm),
+              rf"approvals/(\d+) (?:{'|'.join(DECIDED)})", _tell_decided),
+        _kind("mention", "Somebody mentions me", r"approvals/(\d+)/remarks/\d+ remarked", _tell_mentioned),
+        _kind("alarm-assigned", "An alarm is assigned to me", r"alarms/(\d+) alarm assigned", _tell_alarm_assigned),
+        _kind("request-assigned", "A request is assigned to me", r"approvals/(\d+) assigned", _tell_request_assigned),
+        _kind("promoted", "A parameter set becomes the baseline", r"parameter-sets/(\d+) promoted", _tell_promoted),
+        _kind("on-board", "What is on board changes", r"parameter-sets/(\d+) recorded .+ for", _tell_on_board),
+        _kind("alarm", "An alarm is raised, or becomes graver", r"alarms/(\d+) alarm raised(?: again)?", _tell_alarm),
         _kind("run-failed", "A run of mine fails or is lost", r"runs/(\d+) ended",
               lambda of: _tell_run(of, ("FAILED", "LOST"))),
         _kind("run-ended", "A run of mine ends in another way", r"runs/(\d+) ended",
               lambda of: _tell_run(of, ("SUCCEEDED", "CANCELLED"))),
-        _kind("ingest-asks", "New telemetry needs an answer", r"ingest-decisions/(\d+) decided", _ingest_asks),
+        _kind("ingest-asks", "New telemetry needs an answer", r"ingest-decisions/(\d+) decided", _tell_ingest_asks),
         _kind("change-waits", "New limits or table layouts wait for a second person",
-              r"change-proposals/(\d+) proposed", _change_waits),
+              r"change-proposals/(\d+) proposed", _tell_change_waits),
         _kind("alignment-waits", "An alignment waits for my signature",
-              r"alignment-requests/(\d+) submitted", _signature_of_alignment_waits),
+              r"alignment-requests/(\d+) submitted", _tell_alignment_signature_waits),
         _kind("alignment-decided", "A request for an alignment that I have a part in is decided",
-              rf"alignment-requests/(\d+) (?:{'|'.join(DECIDED)})", _alignment_decided),
-        _kind("account", "Somebody else changes my account", r"users/(\d+) .+", _account),
+              rf"alignment-requests/(\d+) (?:{'|'.join(DECIDED)})", _tell_alignment_decided),
+        _kind("account", "Somebody else changes my account", r"users/(\d+) .+", _tell_account),
     )
 }  # fmt: skip
 

@@ -2,22 +2,59 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from fastapi import Depends
 from pydantic import Field
 
 from boresight.console.access.dependencies import Reading, SecretKeeper, Who, Writing
 from boresight.console.jobs.dependencies import ServerMessageSender
-from boresight.console.messages import schemas
 from boresight.console.messages import service as messages
+from boresight.console.messages import tables
 from boresight.console.messages.kinds import KINDS
-from boresight.console.messages.tables import Message, MessageAddress
 from boresight.console.operation import Beside, operations
-from boresight.console.schemas import Shape
+from boresight.console.schemas import Row, Shape
 from boresight.platform.db.secret_box import SecretBox
 from boresight.platform.jobs.message_transport import CheckedAddress
 from boresight.platform.web.paging import Id, Listing, Page, Paged
+
+
+class MessageAddress(Row):
+    """Where a person gets messages, without the address itself."""
+
+    location = "/message-addresses/{row.id}"
+
+    id: int
+    label: str
+    service: str = Field(description="Scheme of apprise; mailto: by this server's mail server.")
+    shown: str = Field(description="What is shown of the address.")
+    kinds: list[str]
+    quiet_from: str | None = Field(description="Nothing is sent from this time of the day on.")
+    quiet_until: str | None
+    quiet_zone: str = Field(description="Time zone of both; empty: UTC.")
+    created_utc: str
+    state: Literal["ENABLED", "PAUSED"] = Field(
+        description="PAUSED: it cannot be decrypted with this server's key; remove it and enter it again."
+    )
+
+
+class Message(Row):
+    """One message, and what came of its last attempt."""
+
+    id: int
+    address_id: int
+    audit_id: int | None = Field(description="The audit record that it tells of; null for a test message.")
+    kind: str
+    subject: str
+    text: str
+    path: str
+    state: Literal["PENDING", "DELIVERED", "FAILED", "DROPPED"]
+    attempts: int
+    due_utc: str
+    attempted_utc: str | None
+    outcome: str | None
+    created_utc: str
+
 
 router = operations("/message-addresses", tags=["messages"])
 
@@ -47,17 +84,17 @@ def _judge(new: NewAddress, actor: Who, sender: ServerMessageSender) -> tuple[st
     return sender.judge_address(actor, new.address)
 
 
-def _shown(row: MessageAddress, box: SecretBox) -> Beside:
+def _shown(row: tables.MessageAddress, box: SecretBox) -> Beside:
     return Beside(row, state=messages.get_state(row, box))
 
 
-@router.get("", summary="List your addresses", response_model=Page[schemas.MessageAddress])
+@router.get("", summary="List your addresses", response_model=Page[MessageAddress])
 def list_message_addresses(actor: Who, session: Reading, page: Paged, box: SecretKeeper) -> Listing[Beside]:
     """List where you get messages."""
     return page.cut_whole(messages.list_addresses(session, actor), lambda row: _shown(row, box))
 
 
-@router.post("", summary="Add an address", status_code=201, response_model=schemas.MessageAddress)
+@router.post("", summary="Add an address", status_code=201, response_model=MessageAddress)
 def add_message_address(
     new: NewAddress,
     actor: Who,
@@ -70,13 +107,13 @@ def add_message_address(
     return _shown(messages.add_address(session, actor, box, new.label, address, checked, new.choice()), box)
 
 
-@router.get("/{address_id}", summary="Read an address", response_model=schemas.MessageAddress)
+@router.get("/{address_id}", summary="Read an address", response_model=MessageAddress)
 def get_message_address(address_id: Id, actor: Who, session: Reading, box: SecretKeeper) -> Beside:
     """Read what you get at an address of yours."""
     return _shown(messages.get_address(session, actor, address_id), box)
 
 
-@router.post("/{address_id}:change", summary="Choose other kinds", response_model=schemas.MessageAddress)
+@router.post("/{address_id}:change", summary="Choose other kinds", response_model=MessageAddress)
 def change_message_address(
     address_id: Id, wanted: WantedKinds, actor: Who, box: SecretKeeper, session: Writing
 ) -> Beside:
@@ -84,19 +121,19 @@ def change_message_address(
     return _shown(messages.change_address(session, actor, address_id, wanted.choice()), box)
 
 
-@router.post("/{address_id}:remove", summary="Remove an address", response_model=schemas.MessageAddress)
+@router.post("/{address_id}:remove", summary="Remove an address", response_model=MessageAddress)
 def remove_message_address(address_id: Id, actor: Who, box: SecretKeeper, session: Writing) -> Beside:
     """Forget an address; what waits for it is not sent."""
     return _shown(messages.remove_address(session, actor, address_id), box)
 
 
-@router.post("/{address_id}:try", summary="Send a test message", status_code=202, response_model=schemas.Message)
-def try_message_address(address_id: Id, actor: Who, session: Writing) -> Message:
+@router.post("/{address_id}:try", summary="Send a test message", status_code=202, response_model=Message)
+def try_message_address(address_id: Id, actor: Who, session: Writing) -> tables.Message:
     """Queue a message that says nothing but that it came."""
     return messages.try_address(session, actor, address_id)
 
 
-@router.get("/{address_id}/messages", summary="List messages", response_model=Page[schemas.Message])
-def list_address_messages(address_id: Id, actor: Who, session: Reading, page: Paged) -> Listing[Message]:
+@router.get("/{address_id}/messages", summary="List messages", response_model=Page[Message])
+def list_address_messages(address_id: Id, actor: Who, session: Reading, page: Paged) -> Listing[tables.Message]:
     """List what was sent to an address of yours and what is to be sent, newest first."""
     return page.cut(messages.list_messages(session, actor, address_id, **page.rows))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import AsyncIterator
-from typing import Annotated
+from typing import Annotated, Literal
 
 from fastapi import Depends
 from fastapi.concurrency import contextmanager_in_threadpool
@@ -13,15 +13,51 @@ from starlette.datastructures import UploadFile
 from starlette.requests import Request
 
 from boresight.console.access.dependencies import Blobs, Database, IsDryRun, Reading, Who, Writing
-from boresight.console.notes import attachments, schemas
+from boresight.console.notes import attachments, tables
 from boresight.console.notes import service as notes
-from boresight.console.notes.tables import Annotation, Note, NoteAttachment
 from boresight.console.operation import FORM_CONTENT, operations
-from boresight.console.schemas import Shape, file_field, multipart
+from boresight.console.schemas import Row, Shape, file_field, multipart
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.platform.blobs import files
 from boresight.platform.web.media import StoredFile
 from boresight.platform.web.paging import Id, Listing, Page
+
+
+class NoteAttachment(Row):
+    """A file that the author of a note added to it."""
+
+    id: int
+    note_id: int
+    name: str
+    sha256: str
+    size_bytes: int
+    made_utc: str
+
+
+class Note(Row):
+    """What a person wrote down about a run, a sensor or a parameter set; never edited."""
+
+    id: int
+    subject_kind: Literal["runs", "sensors", "parameter-sets"]
+    subject_id: int
+    user_id: int
+    printed_name: str
+    text: str
+    made_utc: str
+    attachments: list[NoteAttachment]
+
+
+class Annotation(Row):
+    """What a person says of a time of a sensor's mission, drawn on its trend; never edited."""
+
+    id: int
+    sensor_id: int
+    at_utc: str
+    user_id: int
+    printed_name: str
+    text: str
+    made_utc: str
+
 
 router = operations(tags=["notes"])
 
@@ -32,28 +68,26 @@ class NewNote(Shape):
     text: str = Field(examples=["Taken through the South Atlantic Anomaly; expect more spurious centroids."])
 
 
-@router.get("/runs/{run_id}/notes", summary="Read the notes on a run", response_model=Page[schemas.Note])
-def list_run_notes(run_id: Id, session: Reading) -> Listing[Note]:
+@router.get("/runs/{run_id}/notes", summary="Read the notes on a run", response_model=Page[Note])
+def list_run_notes(run_id: Id, session: Reading) -> Listing[tables.Note]:
     """Read the notes on a run, in order."""
     return Listing(notes.list_notes(session, "runs", run_id))
 
 
-@router.post("/runs/{run_id}/notes", summary="Write a note on a run", status_code=201, response_model=schemas.Note)
-def add_run_note(run_id: Id, new: NewNote, actor: Who, session: Writing) -> Note:
+@router.post("/runs/{run_id}/notes", summary="Write a note on a run", status_code=201, response_model=Note)
+def add_run_note(run_id: Id, new: NewNote, actor: Who, session: Writing) -> tables.Note:
     """Add a note to a run; notes cannot be edited."""
     return notes.add_note(session, actor, "runs", run_id, new.text)
 
 
-@router.get("/sensors/{sensor_id}/notes", summary="Read the notes on a sensor", response_model=Page[schemas.Note])
-def list_sensor_notes(sensor_id: Id, session: Reading) -> Listing[Note]:
+@router.get("/sensors/{sensor_id}/notes", summary="Read the notes on a sensor", response_model=Page[Note])
+def list_sensor_notes(sensor_id: Id, session: Reading) -> Listing[tables.Note]:
     """Read the notes on a sensor, in order."""
     return Listing(notes.list_notes(session, "sensors", sensor_id))
 
 
-@router.post(
-    "/sensors/{sensor_id}/notes", summary="Write a note on a sensor", status_code=201, response_model=schemas.Note
-)
-def add_sensor_note(sensor_id: Id, new: NewNote, actor: Who, session: Writing) -> Note:
+@router.post("/sensors/{sensor_id}/notes", summary="Write a note on a sensor", status_code=201, response_model=Note)
+def add_sensor_note(sensor_id: Id, new: NewNote, actor: Who, session: Writing) -> tables.Note:
     """Add a note to a sensor; notes cannot be edited."""
     return notes.add_note(session, actor, "sensors", sensor_id, new.text)
 
@@ -68,9 +102,9 @@ class NewAnnotation(Shape):
 @router.get(
     "/sensors/{sensor_id}/annotations",
     summary="Read the annotations of a trend",
-    response_model=Page[schemas.Annotation],
+    response_model=Page[Annotation],
 )
-def list_annotations(sensor_id: Id, session: Reading) -> Listing[Annotation]:
+def list_annotations(sensor_id: Id, session: Reading) -> Listing[tables.Annotation]:
     """Read what is said of times of a sensor's mission, by these times."""
     return Listing(notes.list_annotations(session, sensor_id))
 
@@ -79,9 +113,9 @@ def list_annotations(sensor_id: Id, session: Reading) -> Listing[Annotation]:
     "/sensors/{sensor_id}/annotations",
     summary="Annotate a trend",
     status_code=201,
-    response_model=schemas.Annotation,
+    response_model=Annotation,
 )
-def annotate(sensor_id: Id, new: NewAnnotation, actor: Who, session: Writing) -> Annotation:
+def annotate(sensor_id: Id, new: NewAnnotation, actor: Who, session: Writing) -> tables.Annotation:
     """Say something of a time of a sensor's mission; it is drawn on the trend and never edited."""
     return notes.annotate(session, actor, sensor_id, new.at_utc, new.text)
 
@@ -89,9 +123,9 @@ def annotate(sensor_id: Id, new: NewAnnotation, actor: Who, session: Writing) ->
 @router.get(
     "/parameter-sets/{parameter_set_id}/notes",
     summary="Read the notes on a parameter set",
-    response_model=Page[schemas.Note],
+    response_model=Page[Note],
 )
-def list_parameter_set_notes(parameter_set_id: Id, session: Reading) -> Listing[Note]:
+def list_parameter_set_notes(parameter_set_id: Id, session: Reading) -> Listing[tables.Note]:
     """Read the notes on a parameter set, in order."""
     return Listing(notes.list_notes(session, "parameter-sets", parameter_set_id))
 
@@ -100,9 +134,9 @@ def list_parameter_set_notes(parameter_set_id: Id, session: Reading) -> Listing[
     "/parameter-sets/{parameter_set_id}/notes",
     summary="Write a note on a parameter set",
     status_code=201,
-    response_model=schemas.Note,
+    response_model=Note,
 )
-def add_parameter_set_note(parameter_set_id: Id, new: NewNote, actor: Who, session: Writing) -> Note:
+def add_parameter_set_note(parameter_set_id: Id, new: NewNote, actor: Who, session: Writing) -> tables.Note:
     """Add a note to a parameter set; notes cannot be edited."""
     return notes.add_note(session, actor, "parameter-sets", parameter_set_id, new.text)
 
@@ -140,7 +174,7 @@ async def stored_file(
     "/notes/{note_id}/attachments",
     summary="Attach a file to a note",
     status_code=201,
-    response_model=schemas.NoteAttachment,
+    response_model=NoteAttachment,
     openapi_extra=FORM,
 )
 def attach(
@@ -149,7 +183,7 @@ def attach(
     came: Annotated[attachments.AttachedFile, Depends(stored_file, scope="function")],
     session: Writing,
     blobs: Blobs,
-) -> NoteAttachment:
+) -> tables.NoteAttachment:
     """Add a file to a note of your own; it is never removed."""
     return attachments.attach(session, actor, blobs, note_id, came)
 
@@ -157,8 +191,8 @@ def attach(
 @router.get("/notes/{note_id}/attachments/{attachment_id}", summary="Download an attachment", response_class=StoredFile)
 def get_attachment(note_id: Id, attachment_id: Id, session: Reading, blobs: Blobs) -> StoredFile:
     """Download the bytes as they were attached, checked against their SHA-256."""
-    session.get_known(Note, note_id)
-    row = session.get_known(NoteAttachment, attachment_id)
+    session.get_known(tables.Note, note_id)
+    row = session.get_known(tables.NoteAttachment, attachment_id)
     if row.note_id != note_id:
         raise NotFoundError(f"The note {note_id} has no attachment {attachment_id}; choose one of the list.")
     return StoredFile(blobs.path(row.sha256), filename=row.name, headers={"ETag": f'"{row.sha256}"'})

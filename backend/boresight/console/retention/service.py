@@ -64,9 +64,7 @@ class RetentionPreview:
 def preview(session: Session, keep_days: float) -> RetentionPreview:
     """Judge every set; only reads."""
     if keep_days <= 0:
-        raise RefusedInputError(
-            "Telemetry is kept for ever here: give a number of days, above 0, to see what would go."
-        )
+        raise RefusedInputError("Telemetry is kept forever here: give a number of days, above 0, to see what would go.")
     rows = queries.list_sets(session)
     reasons = _find_reasons(session, rows, utc_after(-keep_days * DAY_S), f"{keep_days:g} days")
     sizes = dict(files.list_sizes(session, sorted({address for row in rows for address in _list_files(row)})))

@@ -1,7 +1,7 @@
 """Choosing a camera for a run's data: a run of its own, that workers compute as any other, and its answer.
 
 A run that has ended has at most one choice on its way or done: asked again, it is the same one. One that failed, was lost or
-cancelled, or whose answer cannot be read any more, is made anew.
+cancelled, or whose answer cannot be read any more, is made again.
 """
 
 from __future__ import annotations

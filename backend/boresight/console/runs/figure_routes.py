@@ -43,7 +43,7 @@ Compare = Annotated[str, Query(description="Other runs to show with it: `2,3`.",
 
 
 @dataclass(frozen=True)
-class View:
+class FigureView:
     """How runs are overlaid in a figure, and which part of the axis is shown."""
 
     align: Annotated[
@@ -86,7 +86,7 @@ class View:
         return figure_json(drawn)
 
 
-Seen = Annotated[View, Depends()]
+Seen = Annotated[FigureView, Depends()]
 
 
 @router.get("/{run_id}/figures", summary="List the figures", response_model=Page[schemas.FigureEntry])

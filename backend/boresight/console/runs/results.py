@@ -33,7 +33,7 @@ def read_result(blobs: BlobStore, sha256: str, run_id: int | None = None) -> dic
 
 
 def read_choice(blobs: BlobStore, sha256: str, run_id: int | None = None) -> Choice:
-    """Read the stored choice of a camera for a run's data; refuses one that is missing too, for it can be made anew."""
+    """Read the stored choice of a camera for a run's data; refuses one that is missing too, for it can be made again."""
     try:
         return parse_choice(blobs.document(sha256))
     except (ValueError, RefusedInputError, NotFoundError):

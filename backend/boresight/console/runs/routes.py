@@ -27,7 +27,7 @@ from boresight.console.access.dependencies import (
     Who,
     Writing,
 )
-from boresight.console.operation import Answer, Beside, json_response, operations
+from boresight.console.operation import Beside, OperationResponse, json_response, operations
 from boresight.console.runs import archive, choices, frames, presets, schemas
 from boresight.console.runs import service as runs
 from boresight.console.runs.frames import FrameLine
@@ -118,7 +118,7 @@ def list_runs(
 )
 def launch_run(
     launch: Launch, actor: Who, session: Writing, asked: IsDryRun, forecast_sources: DryRunSources
-) -> Run | Answer:
+) -> Run | OperationResponse:
     """Queue a calibration; `Location` is where to follow it. With `validate_only` only describe the run and predict its sigmas."""
     made = runs.launch(
         session,
@@ -134,7 +134,7 @@ def launch_run(
         validate_only=asked or launch.validate_only,
         forecast_sources=forecast_sources,
     )
-    return Answer(made, shape=schemas.DryRun, is_trial=True) if isinstance(made, dict) else made
+    return OperationResponse(made, shape=schemas.DryRun, is_trial=True) if isinstance(made, dict) else made
 
 
 @router.get("/{run_id}", summary="Read a run", response_model=schemas.Run, dependencies=[SAME_FOR_ALL])

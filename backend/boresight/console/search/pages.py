@@ -99,7 +99,7 @@ def _split(text: str) -> tuple[str | None, str]:
 def _find(session: Session, text: str) -> Iterator[Found]:
     number = parse_row_id(text.lstrip("#"))
     if number is not None:
-        yield from _of_number(session, number)
+        yield from _find_by_number(session, number)
     yield from map(_sensor, _rows(session, "sensors", text, "sensor"))
     sets = _rows(session, "parameter-sets", text, "-set")
     yield from map(_set, sets)
@@ -149,7 +149,7 @@ def _rows(session: Session, name: str, text: str, sort: str) -> list[Any]:
     return list(lists.read_page(session, name, {"q": text}, sort, limit=MOST_OF_A_KIND))
 
 
-def _of_number(session: Session, number: int) -> Iterator[Found]:
+def _find_by_number(session: Session, number: int) -> Iterator[Found]:
     if (run := session.get(Run, number)) is not None:
         yield _run(run)
     if (request := session.get(Approval, number)) is not None:

@@ -595,7 +595,7 @@ async def accept_mapping(
     engine: Database,
     settings: ServerSettings,
 ) -> Response:
-    """Store a set anew as its diagnosis says that it is to be read."""
+    """Store a set again as its diagnosis says that it is to be read."""
     made = _mapped(actor, set_id, forecast_sources, engine, settings)
     outcome = await _with(request, made, partial(_store_mapped, actor, forecast_sources.blobs, set_id))
     if outcome.refusal is not None:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Annotated, Literal
 
 from fastapi import Depends, Query
+from pydantic import Field
 from starlette.requests import Request
 from starlette.responses import Response
 
@@ -23,12 +24,11 @@ from boresight.console.access.dependencies import (
 )
 from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import Beside, operations
-from boresight.console.schemas import Document, file_field, multipart
-from boresight.console.telemetry import profiles, schemas
+from boresight.console.schemas import Document, Row, file_field, multipart
+from boresight.console.telemetry import profiles, tables
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.telemetry.dependencies import Uploaded, hold_upload
 from boresight.console.telemetry.profiles import OfferedProfile
-from boresight.console.telemetry.tables import ImportProfile, TelemetrySet
 from boresight.errors import NotFoundError
 from boresight.platform.actors import require_role
 from boresight.platform.db.sessions import open_reading
@@ -36,6 +36,51 @@ from boresight.platform.web.media import StoredFile
 from boresight.platform.web.paging import Id, Listing, Page, Paged
 from boresight.platform.web.response_cache import cover_with_tag, matches_tag
 from boresight.telemetry.imports.builtin import BUILT_IN
+
+
+class TelemetrySet(Row):
+    """An uploaded telemetry file."""
+
+    versioned_by = ("id", "archived_utc", "removed_utc", "diagnosed")
+    location = "/telemetry-sets/{row.id}"
+
+    id: int
+    sensor_id: int
+    name: str
+    purpose: Literal["calibration", "validation"]
+    frames: int
+    stars: int
+    quality: Document = Field(description="Quality of the file: counts, gaps, coverage, warnings.")
+    original_sha256: str = Field(description="SHA-256 of the bytes that were uploaded.")
+    table_sha256: str = Field(description="SHA-256 of the table that runs work on.")
+    uploaded_utc: str
+    uploaded_by: int | None
+    archived_utc: str | None
+    removed_utc: str | None = Field(description="When its files were removed by the retention of telemetry.")
+    source_sha256: str | None = Field(
+        description="SHA-256 of the file it was imported from; null for telemetry that was not imported."
+    )
+    import_record: Document | None = Field(
+        description="How it was imported: sources, profile, what each column means, notes; for an upload also the first rows."
+    )
+
+
+class ImportProfile(Row):
+    """A mapping profile."""
+
+    versioned_by = ("id", "archived_utc")
+    location = "/import-profiles/{row.id}"
+
+    key: str = Field(description="The value of `profile` in an upload.")
+    id: int | None = Field(description="Of a saved version; null for built-in ones.")
+    name: str
+    number: int | None = Field(description="Version.")
+    document: Document = Field(description="The profile; `docs/import-profile.schema.json` is its schema.")
+    sha256: str = Field(description="Hash of the profile without its version.")
+    created_utc: str | None
+    created_by: int | None
+    archived_utc: str | None
+
 
 router = operations("/telemetry-sets", tags=["telemetry sets"])
 
@@ -74,14 +119,14 @@ def _prepare(
 Prepared = Annotated[telemetry_sets.PreparedUpload, Depends(_prepare, scope="function")]
 
 
-@router.get("", summary="List telemetry sets", response_model=Page[schemas.TelemetrySet], dependencies=[SAME_FOR_ALL])
+@router.get("", summary="List telemetry sets", response_model=Page[TelemetrySet], dependencies=[SAME_FOR_ALL])
 def list_telemetry_sets(
     session: Reading,
     page: Paged,
     sensor_id: Id | None = None,
     purpose: Literal["calibration", "validation"] | None = None,
     archived: Annotated[bool, Query(description="Show the archived ones too.")] = False,
-) -> Listing[TelemetrySet]:
+) -> Listing[tables.TelemetrySet]:
     """List telemetry sets, newest first."""
     found = telemetry_sets.list_telemetry_sets(
         session, sensor_id=sensor_id, purpose=purpose, archived=archived, **page.rows
@@ -93,7 +138,7 @@ def list_telemetry_sets(
     "",
     summary="Upload telemetry",
     status_code=201,
-    response_model=schemas.TelemetrySet,
+    response_model=TelemetrySet,
     openapi_extra=FORM,
 )
 def upload_telemetry_set(actor: Who, upload: Uploaded, prepared: Prepared, session: Writing, blobs: Blobs) -> Beside:
@@ -112,19 +157,19 @@ def upload_telemetry_set(actor: Who, upload: Uploaded, prepared: Prepared, sessi
 @router.get(
     "/{telemetry_set_id}",
     summary="Read a telemetry set",
-    response_model=schemas.TelemetrySet,
+    response_model=TelemetrySet,
     dependencies=[SAME_FOR_ALL],
 )
-def get_telemetry_set(telemetry_set_id: Id, session: Reading, request: Request) -> TelemetrySet:
+def get_telemetry_set(telemetry_set_id: Id, session: Reading, request: Request) -> tables.TelemetrySet:
     """Read a telemetry set with its quality report."""
     cover_with_tag(request)
-    return session.get_known(TelemetrySet, telemetry_set_id)
+    return session.get_known(tables.TelemetrySet, telemetry_set_id)
 
 
 @router.get("/{telemetry_set_id}/file", summary="Download the original file", response_class=StoredFile)
 def get_telemetry_file(telemetry_set_id: Id, session: Reading, blobs: Blobs, request: Request) -> Response:
     """Download the bytes as they were uploaded; their address is the tag, so a copy never goes out of date."""
-    row = session.get_known(TelemetrySet, telemetry_set_id)
+    row = session.get_known(tables.TelemetrySet, telemetry_set_id)
     headers = {"ETag": f'"{row.original_sha256}"'}
     if matches_tag(request.headers.get("if-none-match", "").encode(), headers["ETag"].encode()):
         return Response(status_code=304, headers=headers)
@@ -135,7 +180,7 @@ def _diagnose(telemetry_set_id: Id, actor: Who, forecast_sources: DryRunSources,
     """Search before the writing transaction, because it takes seconds and there is one writer."""
     require_role(actor, "analyst")
     with open_reading(engine) as session:
-        row = session.get_known(TelemetrySet, telemetry_set_id)
+        row = session.get_known(tables.TelemetrySet, telemetry_set_id)
         document = session.get_known(Sensor, row.sensor_id).document
     return telemetry_sets.diagnose_stored(document, row, forecast_sources)
 
@@ -143,8 +188,8 @@ def _diagnose(telemetry_set_id: Id, actor: Who, forecast_sources: DryRunSources,
 Diagnosed = Annotated[Diagnosis, Depends(_diagnose, scope="function")]
 
 
-@router.post("/{telemetry_set_id}:diagnose", summary="Diagnose a telemetry set", response_model=schemas.TelemetrySet)
-def diagnose_telemetry_set(telemetry_set_id: Id, actor: Who, found: Diagnosed, session: Writing) -> TelemetrySet:
+@router.post("/{telemetry_set_id}:diagnose", summary="Diagnose a telemetry set", response_model=TelemetrySet)
+def diagnose_telemetry_set(telemetry_set_id: Id, actor: Who, found: Diagnosed, session: Writing) -> tables.TelemetrySet:
     """Find why a set does not match its sensor file, on up to 40 exposures; the answer is `diagnosis` of its `quality`.
 
     `causes` are named best first, each with how many exposures match once corrected; `sensor_document` is the corrected sensor
@@ -153,18 +198,18 @@ def diagnose_telemetry_set(telemetry_set_id: Id, actor: Who, found: Diagnosed, s
     return telemetry_sets.record_diagnosis(session, actor, telemetry_set_id, found)
 
 
-@router.post("/{telemetry_set_id}:archive", summary="Archive a telemetry set", response_model=schemas.TelemetrySet)
-def archive_telemetry_set(telemetry_set_id: Id, actor: Who, seen: SeenTag, session: Writing) -> TelemetrySet:
+@router.post("/{telemetry_set_id}:archive", summary="Archive a telemetry set", response_model=TelemetrySet)
+def archive_telemetry_set(telemetry_set_id: Id, actor: Who, seen: SeenTag, session: Writing) -> tables.TelemetrySet:
     """Hide a set; nothing is deleted. Uploading the same bytes brings it back."""
-    row = session.get_known(TelemetrySet, telemetry_set_id)
-    seen.require(schemas.TelemetrySet, row, row.name)
+    row = session.get_known(tables.TelemetrySet, telemetry_set_id)
+    seen.require(TelemetrySet, row, row.name)
     return telemetry_sets.archive_telemetry_set(session, actor, telemetry_set_id)
 
 
 @router.get("/{telemetry_set_id}/source", summary="Download the imported file", response_class=StoredFile)
 def get_telemetry_source(telemetry_set_id: Id, session: Reading, blobs: Blobs) -> Response:
     """Download the file that a set was imported from, as it came."""
-    row = session.get_known(TelemetrySet, telemetry_set_id)
+    row = session.get_known(tables.TelemetrySet, telemetry_set_id)
     if row.source_sha256 is None or row.import_record is None:
         raise NotFoundError(f"{row.name} was uploaded as telemetry: download its file.")
     name = row.import_record["sources"][0]["name"]
@@ -174,7 +219,7 @@ def get_telemetry_source(telemetry_set_id: Id, session: Reading, blobs: Blobs) -
 profile_router = operations("/import-profiles", tags=["telemetry sets"])
 
 
-def _saved(row: ImportProfile) -> Beside:
+def _saved(row: tables.ImportProfile) -> Beside:
     return Beside(row, key=str(row.id))
 
 
@@ -184,7 +229,7 @@ def _own(offer: OfferedProfile) -> Beside:
     return Beside(offer, name=offer.key, document=document, sha256=sha256, **absent)
 
 
-@profile_router.get("", summary="List mapping profiles", response_model=Page[schemas.ImportProfile])
+@profile_router.get("", summary="List mapping profiles", response_model=Page[ImportProfile])
 def list_import_profiles(session: Reading, page: Paged, archived: bool = False) -> Listing[Beside]:
     """List saved versions, newest first, with the archived ones where asked; the first page begins with Boresight's own."""
     saved = page.cut(profiles.list_profiles(session, archived=archived, **page.rows), _saved)
@@ -192,20 +237,20 @@ def list_import_profiles(session: Reading, page: Paged, archived: bool = False) 
     return Listing([*own, *saved.items], saved.next)
 
 
-@profile_router.post("", summary="Save a mapping profile", status_code=201, response_model=schemas.ImportProfile)
+@profile_router.post("", summary="Save a mapping profile", status_code=201, response_model=ImportProfile)
 def save_import_profile(document: Document, actor: Who, session: Writing) -> Beside:
     """Save a profile under its name; an existing name gets its next version."""
     return _saved(profiles.save_profile(session, actor, document))
 
 
-@profile_router.get("/{profile_id}", summary="Read a mapping profile", response_model=schemas.ImportProfile)
+@profile_router.get("/{profile_id}", summary="Read a mapping profile", response_model=ImportProfile)
 def get_import_profile(profile_id: Id, session: Reading) -> Beside:
     """Read a saved version, archived or not."""
     return _saved(profiles.get_profile(session, profile_id))
 
 
-@profile_router.post("/{profile_id}:archive", summary="Archive a mapping profile", response_model=schemas.ImportProfile)
+@profile_router.post("/{profile_id}:archive", summary="Archive a mapping profile", response_model=ImportProfile)
 def archive_import_profile(profile_id: Id, actor: Who, seen: SeenTag, session: Writing) -> Beside:
     """Stop offering a version; nothing is deleted."""
-    seen.require(schemas.ImportProfile, profiles.get_profile(session, profile_id), f"Mapping profile {profile_id}")
+    seen.require(ImportProfile, profiles.get_profile(session, profile_id), f"Mapping profile {profile_id}")
     return _saved(profiles.archive_profile(session, actor, profile_id))

@@ -35,7 +35,7 @@ from boresight.console.access.passwords import PasswordProof
 from boresight.console.approvals.tables import GateProfile
 from boresight.console.change_proposals import service as proposals
 from boresight.console.change_proposals.routes import PROPOSED, in_force_or_proposed
-from boresight.console.operation import FORM_CONTENT, Answer, Idempotency, get_idempotency, operations
+from boresight.console.operation import FORM_CONTENT, Idempotency, OperationResponse, get_idempotency, operations
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.schemas import Shape, file_field, multipart
 from boresight.console.uplinks import hand_over as hand_overs
@@ -393,11 +393,11 @@ class NewTableDefinition(Shape):
     summary="List the table definitions of a sensor",
     response_model=Page[schemas.TableDefinition],
 )
-def list_table_definitions(sensor_id: Id, session: Reading, page: Paged) -> Answer:
+def list_table_definitions(sensor_id: Id, session: Reading, page: Paged) -> OperationResponse:
     """List every version, newest first; the first is in force, and the ETag is needed to set another, `"v0"` for none."""
     found = table_definitions.list_definitions(session, sensor_id)
     tag = schemas.TableDefinition.etag(found[0]) if found else '"v0"'
-    return Answer(page.cut_whole(found), headers={"ETag": tag})
+    return OperationResponse(page.cut_whole(found), headers={"ETag": tag})
 
 
 @table_definition_router.post(
@@ -414,7 +414,7 @@ def set_table_definition(
     seen: SeenVersion,
     policy: ServerPolicy,
     session: Writing,
-) -> GateProfile | TableDefinition | Answer:
+) -> GateProfile | TableDefinition | OperationResponse:
     """Put another layout into force. The sensor's open requests become STALE, because their bytes would change.
 
     Where the setting `second_person` is on, the change is proposed, answered with 202, and changes nothing until another

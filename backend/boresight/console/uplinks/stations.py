@@ -310,7 +310,7 @@ def _step_of_former(viewer: _Viewer, row: ParameterSet) -> NextStep:
 def _signing_step(viewer: _Viewer, request: Approval, report: GateReport | None) -> NextStep:
     able = [
         one.user
-        for one in approvals.list_signers_of(viewer.session, request.id, policy=viewer.policy)
+        for one in approvals.list_request_signers(viewer.session, request.id, policy=viewer.policy)
         if one.refusal is None
     ]
     missing = request.needed - sum(one.decision == "APPROVE" for one in request.signatures)

@@ -56,7 +56,7 @@ def parse_for(session: Session, sensor_id: int, document: Mapping[str, Any]) -> 
 
 
 @dataclass(frozen=True)
-class Layout:
+class FilledTable:
     """A definition with the baseline's numbers in it.
 
     `image`: (length_bytes,) bytes.
@@ -69,7 +69,7 @@ class Layout:
     filled_with: str
 
 
-def lay_out(session: Session, sensor_id: int, document: Mapping[str, Any]) -> Layout:
+def lay_out(session: Session, sensor_id: int, document: Mapping[str, Any]) -> FilledTable:
     """Lay the sensor's baseline out by a definition, stored or not."""
     definition = parse_for(session, sensor_id, document)
     sensor = parse_sensor(session.get_known(Sensor, sensor_id).document)
@@ -79,7 +79,7 @@ def lay_out(session: Session, sensor_id: int, document: Mapping[str, Any]) -> La
         values = baseline.document["parameters"]
     image = table_definition.encode(definition, values, table_definition.NO_TURN)
     held = table_definition.quantised(definition, values)
-    return Layout(
+    return FilledTable(
         definition=definition,
         image=image,
         decoded=table_definition.decode(definition, image),

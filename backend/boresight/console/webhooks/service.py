@@ -6,7 +6,7 @@ Webhooks::
 
     webhook-signature: v1,base64(HMAC-SHA256(k, id "." t "." body))
 
-with the key k behind `whsec_`, signed anew for every attempt, and by each secret while a former one still holds.
+with the key k behind `whsec_`, signed again for every attempt, and by each secret while a former one still holds.
 """
 
 from __future__ import annotations

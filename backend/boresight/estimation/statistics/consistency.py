@@ -27,7 +27,7 @@ from boresight.arrays import FloatArray
 from boresight.estimation.statistics.special import bdtr, chdtrc, chdtri, ndtr
 
 CONFIDENCE = 0.95
-#: Sigmas beyond which a single number is clear of nought; of what is Gaussian one in 370 is.
+#: Sigmas beyond which a single number is clear of zero; of what is Gaussian one in 370 is.
 CLEAR_SIGMAS = 3.0
 
 

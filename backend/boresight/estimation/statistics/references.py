@@ -38,7 +38,7 @@ MOST_SQUARES = 2e5
 
 
 @dataclass(frozen=True)
-class View:
+class EvaluationPoint:
     """Under which camera, state and scale a set is looked at.
 
     Parameters
@@ -81,18 +81,21 @@ class SeenFrames:
     D: FloatArray
 
 
-def observability_of_models(view: View, arcs: ArcSet) -> FloatArray:
+def observability_of_models(view: EvaluationPoint, arcs: ArcSet) -> FloatArray:
     """Smallest singular value of H' of every frame under Models 1 to 4, (n_frames, 4): W Figure 3."""
     return judged(view, seen(view, arcs), [Selection(model, CHOSEN.values) for model in STAR_MODELS])[0].T
 
 
-def observability_of_values(view: View, arcs: ArcSet) -> FloatArray:
+def observability_of_values(view: EvaluationPoint, arcs: ArcSet) -> FloatArray:
     """Smallest singular value of H' of every frame with one singular value alone, (n_frames, 3): W Figure 4."""
     return judged(view, seen(view, arcs), [Selection(CHOSEN.model, (k,)) for k in VALUES])[0].T
 
 
 def judged(
-    view: View, runs: Sequence[SeenFrames], selections: Sequence[Selection], unmeasured: Collection[Selection] = ()
+    view: EvaluationPoint,
+    runs: Sequence[SeenFrames],
+    selections: Sequence[Selection],
+    unmeasured: Collection[Selection] = (),
 ) -> tuple[FloatArray, FloatArray]:
     """Both measures of selections of singular values, in one pass.
 
@@ -117,7 +120,7 @@ def judged(
     return np.concatenate(smallest, axis=1), A
 
 
-def seen(view: View, arcs: ArcSet) -> list[SeenFrames]:
+def seen(view: EvaluationPoint, arcs: ArcSet) -> list[SeenFrames]:
     """Frames of a set under a view, with the direction errors of its state, in runs whose covariances fit into memory."""
     sigma_rad, star_start = angular_sigma(view.camera, view.x, arcs), arcs.star_start
     s, D = arcs.camera.directions_and_jacobian(view.x, arcs.row_px, arcs.col_px, arcs.pitch)
@@ -149,13 +152,13 @@ def relative(A: FloatArray, bound: FloatArray) -> FloatArray:
     return np.asarray(np.diag(np.linalg.inv(bound)) / np.diag(np.linalg.inv(A)))
 
 
-def whitened_information(view: View, arcs: ArcSet, selection: Selection | None) -> FloatArray:
+def whitened_information(view: EvaluationPoint, arcs: ArcSet, selection: Selection | None) -> FloatArray:
     """H^T R^+ H of a whitened set (n_free, n_free): of singular values, or of all pairs for None."""
     runs = seen(view, arcs)
     return information_of_pairs(view, runs) if selection is None else judged(view, runs, [selection], [selection])[1][0]
 
 
-def information_of_pairs(view: View, runs: Sequence[SeenFrames]) -> FloatArray:
+def information_of_pairs(view: EvaluationPoint, runs: Sequence[SeenFrames]) -> FloatArray:
     """H^T R^+ H of all pairs of some frames, (n_free, n_free)."""
     reference = AllPairs(view.free, view.scale)
     A = np.zeros((len(view.free), len(view.free)))
@@ -166,7 +169,9 @@ def information_of_pairs(view: View, runs: Sequence[SeenFrames]) -> FloatArray:
     return A
 
 
-def weighted_information(view: View, arcs: ArcSet, selection: Selection | None) -> tuple[FloatArray, FloatArray]:
+def weighted_information(
+    view: EvaluationPoint, arcs: ArcSet, selection: Selection | None
+) -> tuple[FloatArray, FloatArray]:
     """Information B V^-1 B that weights 1 / R_rr leave of a whitened set, and B, which they claim; both (n_free, n_free)."""
     B, V = np.zeros((len(view.free), len(view.free))), np.zeros((len(view.free), len(view.free)))
     for frame in seen(view, arcs):

@@ -196,11 +196,11 @@ def _draw_run(
     cost = method_scores(trace.result).ms_per_frame
     name = style.label if cost is None else f"{style.label} ({number(cost, 2)} ms per frame)"
     hover = f"claimed %{{y:.3g}} bounds<extra>{style.label}</extra>"
-    options = {"meta": theme.of_run(style.label, "claimed"), "hovertemplate": hover}
+    options = {"meta": theme.tag_run(style.label, "claimed"), "hovertemplate": hover}
     figure.add_trace(theme.line(style, x[kept], way.claimed[kept], name=name, showlegend=True, **options))
     if np.isfinite(way.true).any():
         hover = f"true %{{y:.3g}} bounds<extra>{style.label}</extra>"
-        options = {"meta": theme.of_run(style.label, "true"), "hovertemplate": hover}
+        options = {"meta": theme.tag_run(style.label, "true"), "hovertemplate": hover}
         dots = theme.line(style, x[kept], way.true[kept], showlegend=False, **options)
         dots.update(line={"dash": "dot", "width": 1.2, "color": theme.translucent(style.colour, 0.75)})
         figure.add_trace(dots)

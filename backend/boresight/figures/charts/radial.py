@@ -110,7 +110,7 @@ def _draw_run(figure: go.Figure, radial: RadialDifference, style: theme.RunStyle
 def _draw_band(
     figure: go.Figure, radial: RadialDifference, style: theme.RunStyle, *, named: bool = False
 ) -> list[float]:
-    """Add one run's band around nought in a panel of its own: on the curve it would be thinner than the line."""
+    """Add one run's band around zero in a panel of its own: on the curve it would be thinner than the line."""
     radius, reach = column(radial.radius_px), 3 * lay_over(radial, radial.sigma_px)
     kept = keep_extremes([reach])
     radius, reach = radius[kept], reach[kept]
@@ -133,7 +133,7 @@ def _draw_counts(figure: go.Figure, counts: StarCounts | None, style: theme.RunS
         fillcolor=theme.translucent(style.colour, 0.22),
         name=f"{style.label} stars",
         legendgroup=style.label,
-        meta=theme.of_run(style.label, "stars"),
+        meta=theme.tag_run(style.label, "stars"),
         showlegend=False,
         hovertemplate=f"%{{y}} stars<extra>{style.label}</extra>",
     )

@@ -72,7 +72,7 @@ def _steps(one: Part[ResidualDistribution], histogram: Histogram, *, is_old: boo
         mode="lines",
         name=name,
         legendgroup=name,
-        meta=theme.of_run(style.label),
+        meta=theme.tag_run(style.label),
         line=line,
         hovertemplate=f"%{{y:.2%}} from %{{x}} σ on<extra>{name}</extra>",
     )

@@ -1,7 +1,7 @@
 """The residual spline over the detector: what the camera model leaves of a star's row and of its column, and where that is clear.
 
-Two fields of colour on one scale about nought, which is as wide as the larger of what is left and three of its sigmas, so that
-nothing but noise looks pale; a diamond marks a place that is more than three sigmas from nought.
+Two fields of colour on one scale about zero, which is as wide as the larger of what is left and three of its sigmas, so that
+nothing but noise looks pale; a diamond marks a place that is more than three sigmas from zero.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def _field(part: ResidualSpline, side: str, reach: float, label: str, *, last: b
 
 
 def find_clear(part: ResidualSpline, side: str) -> tuple[FloatArray, FloatArray]:
-    """Rows and columns of the places that are more than `CLEAR_SIGMAS` sigmas from nought, none where the test finds nothing."""
+    """Rows and columns of the places that are more than `CLEAR_SIGMAS` sigmas from zero, none where the test finds nothing."""
     d, sigma = _displacement(part, side)
     row, col = np.nonzero((np.abs(d) > CLEAR_SIGMAS * sigma) & part.structure)
     return column(part.row_px)[row], column(part.col_px)[col]

@@ -146,7 +146,7 @@ def _draw_run(
         name = f"{style.label} · {word}"
         settings = {
             "name": name,
-            "meta": theme.of_run(style.label, word),
+            "meta": theme.tag_run(style.label, word),
             "legendgroup": name,
             "hovertemplate": f"%{{y:.2f}} µrad<extra>{name}</extra>",
             "mode": "lines" if history.axis == "frame" else "lines+markers",
@@ -173,7 +173,7 @@ def _draw_levels(
             continue
         name = f"{key} parameters" if single else f"{style.label} · final"
         settings: dict[str, Any] = {"hovertemplate": f"%{{y:.2f}} µrad<extra>{name}</extra>"}
-        settings |= {} if single else {"meta": theme.of_run(style.label, "final")}
+        settings |= {} if single else {"meta": theme.tag_run(style.label, "final")}
         figure.add_trace(theme.reference(span, value * URAD_PER_RAD, name, colour, dash, **settings))
     return [] if rms.final is None else [rms.final * URAD_PER_RAD]
 
@@ -342,7 +342,7 @@ def _rms_axes_draw_run(
         figure.add_trace(theme.band(own, frame, level - 3 * sigma, level + 3 * sigma), **place)
     hover = f"frame %{{x}}: %{{y:.4f}} px {axis}<extra>{style.label}</extra>"
     options = {"name": f"{style.label} · {axis}", "hovertemplate": hover, "legendgroup": f"{style.label} · {axis}"}
-    figure.add_trace(theme.line(own, frame, level, meta=theme.of_run(own.label, axis), **options), **place)
+    figure.add_trace(theme.line(own, frame, level, meta=theme.tag_run(own.label, axis), **options), **place)
 
 
 def running(found: AxisResiduals, axis: str) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -226,7 +226,7 @@ def plain(values: NDArray[np.float64]) -> list[float | None]:
     return [float(value) if np.isfinite(value) else None for value in values]
 
 
-def of_run(run: str, part: str = "", sigmas: int | None = None) -> dict[str, Any]:
+def tag_run(run: str, part: str = "", sigmas: int | None = None) -> dict[str, Any]:
     """Say in a trace's `meta` whose it is, which of that run's curves, and of a band how many sigmas it reaches."""
     return {"run": run, "part": part} | ({} if sigmas is None else {"sigmas": sigmas})
 
@@ -234,7 +234,7 @@ def of_run(run: str, part: str = "", sigmas: int | None = None) -> dict[str, Any
 def line(style: RunStyle, x: NDArray[np.float64], y: NDArray[np.float64], **options: Any) -> go.Scatter:
     """Draw a run's estimate."""
     settings = {"mode": "lines", "name": style.label, "legendgroup": style.label, "connectgaps": True}
-    settings |= {"meta": of_run(style.label)} | options
+    settings |= {"meta": tag_run(style.label)} | options
     return go.Scatter(
         x=short(x), y=short(y), line={"color": style.colour, "dash": style.dash, "width": 1.8}, **settings
     )
@@ -275,7 +275,7 @@ def band(
         fill="toself",
         fillcolor=translucent(style.colour, 0.16),
         name=f"{style.label} ±3σ",
-        meta=of_run(style.label, sigmas=BAND_SIGMAS),
+        meta=tag_run(style.label, sigmas=BAND_SIGMAS),
         **settings,
     )
 

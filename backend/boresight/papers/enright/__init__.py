@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from boresight.papers.enright.study import Plan, run, write
+from boresight.papers.enright.study import StudySize, run, write
 
-__all__ = ["Plan", "run", "write"]
+__all__ = ["StudySize", "run", "write"]

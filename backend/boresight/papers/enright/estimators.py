@@ -1,9 +1,9 @@
 """What the study runs on each telemetry set: the paper's estimators, their peers, and the forms the paper argues about.
 
-All start from the ground calibration with P_0 = (10 typical sigmas)^2, which the paper leaves unstated. Stars are matched anew by
+All start from the ground calibration with P_0 = (10 typical sigmas)^2, which the paper leaves unstated. Stars are matched again by
 the statistical rule, whose tolerance follows from the parameters' covariance; `-flight` takes in only what the flight software
 would accept with its fixed tolerance, and from a ground calibration those are the arcs that agree with it. Filters take the
-corrected equations (errata to E Eqs 83 to 88) and linearise a frame anew while its state still moves; `printed` linearises once
+corrected equations (errata to E Eqs 83 to 88) and linearise a frame again while its state still moves; `printed` linearises once
 a frame, as printed. The paper's own EKF is that same filter in covariance form.
 
 One simulated set of one sensor: every estimator run on it and held against the truth. Each trial has its own process.
@@ -253,7 +253,7 @@ def _against_truth(data: TrialData, found: Record, x: FloatArray, estimator: Est
 
 
 def _evaluation(trial: Trial, data: TrialData, telemetry: Telemetry, found: Record) -> Record:
-    """Compare ground and estimate on a set, matched anew with each and accepted by the rule of the flight software."""
+    """Compare ground and estimate on a set, matched again with each and accepted by the rule of the flight software."""
     settings = ESTIMATORS["batch"].settings
     P_ground = ground_covariance(data.sensor, settings.initial_sigma_scale)
     evaluation = evaluate_parameters(

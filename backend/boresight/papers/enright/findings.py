@@ -223,7 +223,7 @@ def _unscented(pooled: Pooled) -> Finding:
 
 def _paired(pooled: Pooled, key: str, other: str) -> NDArray[np.float64]:
     """Ratio of two estimators' errors on the sets where both converged; 1 where there is none."""
-    found = zip(pooled.of(key), pooled.of(other), strict=True)
+    found = zip(pooled.list_records(key), pooled.list_records(other), strict=True)
     squares = [(one["squared_over_bound"], two["squared_over_bound"]) for one, two in found]
     known = [one / two for one, two in squares if one is not None and two is not None]
     return np.sqrt(known or [1.0])
@@ -327,7 +327,7 @@ def _converging(pooled: Pooled) -> str:
             found.append(
                 f"{ESTIMATORS[key].label} after frame {np.median(frames):.0f} ({min(frames)} to {max(frames)})"
             )
-    states = [record["status"] for key in SEQUENTIAL for record in pooled.of(key)]
+    states = [record["status"] for key in SEQUENTIAL for record in pooled.list_records(key)]
     return (
         f"{states.count('converged')} of {len(states)} runs of the three variants converged. The RMS error of the whole set stays "
         f"within {100 * SETTLED:.0f} % of its end, median over sensors: {'; '.join(found) or 'not recorded'}. Whether the claimed "

@@ -51,13 +51,13 @@ class Pooled:
         """Return the records of all sensors that the tables show."""
         return [record for sensor in self.sensors if (record := self.first(sensor, estimator)) is not None]
 
-    def of(self, estimator: str) -> list[Record]:
+    def list_records(self, estimator: str) -> list[Record]:
         """Return every record of an estimator."""
         return [record for record in self.records if record["estimator"] == estimator]
 
     def statistics(self) -> list[dict[str, Any]]:
         """Return, an estimator each, what its sets say about its covariance and its efficiency."""
-        return [_statistics(key, found) for key in ESTIMATORS if (found := self.of(key))]
+        return [_statistics(key, found) for key in ESTIMATORS if (found := self.list_records(key))]
 
 
 def _statistics(key: str, found: Sequence[Record]) -> dict[str, Any]:

@@ -67,7 +67,7 @@ def _kept(record: Record) -> Record:
 def _timing(pooled: Pooled) -> dict[str, Any]:
     """Milliseconds a frame of each estimator, matching included: the median over sets, by the clock of this run."""
     spent = {
-        key: [1e3 * record["timing_s"]["calibration"] / max(record["frames"], 1) for record in pooled.of(key)]
+        key: [1e3 * record["timing_s"]["calibration"] / max(record["frames"], 1) for record in pooled.list_records(key)]
         for key in ESTIMATORS
     }
     return {"ms_per_frame": {key: float(np.median(times)) for key, times in spent.items() if times}}
@@ -78,7 +78,7 @@ SETS_SHARE = 0.9
 
 
 @dataclass(frozen=True)
-class Plan:
+class StudySize:
     """How large a study is."""
 
     quick: bool = False
@@ -108,7 +108,7 @@ class Plan:
         return split(trial, FEW if self.quick else SETTINGS) if SENSOR in self.sensors else []
 
 
-def run(plan: Plan, catalogue_folder: Path | None, say: Report = keep_silent) -> dict[str, Any]:
+def run(plan: StudySize, catalogue_folder: Path | None, say: Report = keep_silent) -> dict[str, Any]:
     """Run the study; returns its document, schema `boresight.reproduction/1`."""
     plan.check()
     found = run_all(

@@ -38,7 +38,7 @@ LABELS = {
 
 def drawings(pooled: Pooled) -> list[Drawing]:
     """Return every figure with its verdict."""
-    seen = pooled.of("truth")[0]["observability"]
+    seen = pooled.list_records("truth")[0]["observability"]
     return [_figure_3(seen), _figure_4(seen), *_figures_6(pooled), _figure_8(pooled)]
 
 
@@ -77,7 +77,7 @@ def _numbers(columns: Sequence[Sequence[float | None]]) -> np.ndarray[Any, np.dt
 
 
 def _figures_6(pooled: Pooled) -> list[Drawing]:
-    histories = {place: pooled.of(*place)[0]["history"] for place in LABELS}
+    histories = {place: pooled.list_records(*place)[0]["history"] for place in LABELS}
     svd, angular = (np.array(histories[key, "full"]["A"]) for key in ("svd-4-23", "angular"))
     ratio = svd / angular
     ended = {place: history["B"][-1] for place, history in histories.items()}
@@ -102,7 +102,7 @@ def _figures_6(pooled: Pooled) -> list[Drawing]:
 
 
 def _figure_8(pooled: Pooled) -> Drawing:
-    history = pooled.of("svd-4-23")[0]["history"]
+    history = pooled.list_records("svd-4-23")[0]["history"]
     states, sigmas = np.array(history["states"]), np.array(history["sigmas"], dtype=np.float64)
     curves = [
         {

@@ -48,7 +48,7 @@ from boresight.estimation.filters.singular import SingularValues
 from boresight.estimation.singular_values import CHOSEN, Selection
 from boresight.estimation.statistics.consistency import nees
 from boresight.estimation.statistics.references import (
-    View,
+    EvaluationPoint,
     observability_of_models,
     observability_of_values,
     weighted_information,
@@ -72,7 +72,7 @@ START_SIGMA = np.array([1e-2, 5e-4, 20.0, 20.0, 0.5, 0.5])
 FREE = np.arange(len(START_SIGMA))
 #: Magnitude to which an image holds about the 14.7 stars of the field experiment (W 4.2).
 FIELD_LIMIT = 5.25
-#: Frames before the full R is taken anew.
+#: Frames before the full R is taken again.
 FIRST_FRAMES = 20
 
 
@@ -307,7 +307,7 @@ def _settled(states: FloatArray) -> list[int]:
 
 def _observability(arcs: ArcSet, n_frames: int) -> Record:
     """Minimum singular values of single frames at the truth (W Figures 3 and 4); null where a frame has too few rows."""
-    view = View(PINHOLE_RADIAL, WU_TRUTH, FREE, WU_TYPICAL_SIGMA)
+    view = EvaluationPoint(PINHOLE_RADIAL, WU_TRUTH, FREE, WU_TYPICAL_SIGMA)
     few = arcs.frames(0, min(n_frames, arcs.n_frames))
     models, values = observability_of_models(view, few), observability_of_values(view, few)
     return {
@@ -318,7 +318,7 @@ def _observability(arcs: ArcSet, n_frames: int) -> Record:
     }
 
 
-def _information_held(view: View, arcs: ArcSet) -> Record:
+def _information_held(view: EvaluationPoint, arcs: ArcSet) -> Record:
     """Variance of each parameter by SVD over that by AD, (6,), by what the weights are."""
     full = [whitened_information(view, arcs, selection) for selection in (None, CHOSEN)]
     diagonal = [weighted_information(view, arcs, selection)[0] for selection in (None, CHOSEN)]

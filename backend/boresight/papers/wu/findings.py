@@ -26,24 +26,31 @@ def findings(pooled: Pooled) -> list[Finding]:
 
 
 def _noise(pooled: Pooled) -> Finding:
-    at = {noise: find_interval(pooled.of("truth", noise_px=noise), criterion("B", "mean")).mean for noise in NOISES_PX}
+    at = {
+        noise: find_interval(pooled.list_records("truth", noise_px=noise), criterion("B", "mean")).mean
+        for noise in NOISES_PX
+    }
     implied = NOISES_PX[0] * PRINTED_B / at[NOISES_PX[0]]
-    ours = compute_mean(pooled.of("svd-4-23"), "B")
+    ours = compute_mean(pooled.list_records("svd-4-23"), "B")
     return finding(
         "The centroid noise is 0.2 px, not 0.5 px",
         "4.1: “normally-distributed noise (with a standard deviation of 0.5 pixel)”; Table 4: criterion B from 10.608″ to 10.854″.",
         f"With the true parameters criterion B is {at[0.5]:.2f}″ at 0.5 px and {at[0.2]:.2f}″ at 0.2 px, so that the printed "
         f"{PRINTED_B:.3f}″ is that of {implied:.3f} px.",
         f"Calibrated at 0.2 px, Model 4 {{2,3}} gives {ours:.3f}″, {100 * (ours / PRINTED_B - 1):+.2f} % from the printed; by "
-        f"groups of {_of_groups(pooled)} %.",
+        f"groups of {_say_groups(pooled)} %.",
     )
 
 
-def _of_groups(pooled: Pooled) -> str:
+def _say_groups(pooled: Pooled) -> str:
     """How far criterion B at 0.2 px lies from the printed in each group of Table 4, with its stars."""
     printed_b = printed.TABLE_4["B", "mean"][1::2]
-    found = [compute_mean(pooled.of("svd-4-23", "full", NOISES_PX[0], limit), "B") for limit in printed.GROUPS]
-    stars = [np.mean([record["stars"] for record in pooled.of("angular", limit=limit)]) for limit in printed.GROUPS]
+    found = [
+        compute_mean(pooled.list_records("svd-4-23", "full", NOISES_PX[0], limit), "B") for limit in printed.GROUPS
+    ]
+    stars = [
+        np.mean([record["stars"] for record in pooled.list_records("angular", limit=limit)]) for limit in printed.GROUPS
+    ]
     said = [
         f"{count:.0f} stars {100 * (ours / theirs - 1):+.1f}"
         for count, ours, theirs in zip(stars, found, printed_b, strict=True)
@@ -52,10 +59,10 @@ def _of_groups(pooled: Pooled) -> str:
 
 
 def _first_value(pooled: Pooled) -> Finding:
-    pairs = zip(pooled.of("svd-4-123"), pooled.of("svd-4-23"), strict=True)
+    pairs = zip(pooled.list_records("svd-4-123"), pooled.list_records("svd-4-23"), strict=True)
     apart = max(float(np.abs((np.array(a["error"]) - b["error"]) / START_SIGMA).max()) for a, b in pairs)
-    full = {key: compute_mean(pooled.of(f"svd-4-{key}"), "A") for key in ("123", "23", "12", "13")}
-    diagonal = {key: compute_mean(pooled.of(f"svd-4-{key}", "diagonal"), "A") for key in ("123", "23")}
+    full = {key: compute_mean(pooled.list_records(f"svd-4-{key}"), "A") for key in ("123", "23", "12", "13")}
+    diagonal = {key: compute_mean(pooled.list_records(f"svd-4-{key}", "diagonal"), "A") for key in ("123", "23")}
     return finding(
         "The first singular value adds nothing",
         "4.1, Test 2: “there may be some information in σ1 and σ3 that could help”, and {1,2,3} is recommended beside {2,3}.",
@@ -70,7 +77,7 @@ def _first_value(pooled: Pooled) -> Finding:
 def _models(pooled: Pooled) -> Finding:
     said = {}
     for weights in ("full", "diagonal"):
-        found = [compute_mean(pooled.of(key, weights), "A") for key in MODEL_COLUMNS.values()]
+        found = [compute_mean(pooled.list_records(key, weights), "A") for key in MODEL_COLUMNS.values()]
         said[weights] = ", ".join(f"{value:.3f}″" for value in found)
     return finding(
         "With its covariance every model is as good as Model 4",
@@ -84,7 +91,7 @@ def _models(pooled: Pooled) -> Finding:
 def _consistency(pooled: Pooled) -> Finding:
     full, angular = pooled.nees("svd-4-23"), pooled.nees("angular")
     diagonal = [pooled.nees(key, "diagonal") for key in ("svd-4-23", "angular")]
-    sets = len(pooled.of("svd-4-23"))
+    sets = len(pooled.list_records("svd-4-23"))
     verdict = "inside" if full.consistent else "outside"
     return finding(
         "A diagonal R is far over-confident",
@@ -99,8 +106,8 @@ def _consistency(pooled: Pooled) -> Finding:
 def _baseline(pooled: Pooled) -> Finding:
     found, apart = [], 0.0
     for limit, stars in printed.GROUPS.items():
-        svd, angular = (compute_mean(pooled.of(key, limit=limit), "A") for key in ("svd-4-23", "angular"))
-        b = [compute_mean(pooled.of(key, limit=limit), "B") for key in ("svd-4-23", "angular")]
+        svd, angular = (compute_mean(pooled.list_records(key, limit=limit), "A") for key in ("svd-4-23", "angular"))
+        b = [compute_mean(pooled.list_records(key, limit=limit), "B") for key in ("svd-4-23", "angular")]
         apart = max(apart, abs(b[0] - b[1]))
         found.append(f"{svd:.3f}″ and {angular:.3f}″ at {stars:g} stars")
     return finding(
@@ -112,7 +119,7 @@ def _baseline(pooled: Pooled) -> Finding:
 
 def _errors(pooled: Pooled) -> Finding:
     at = {
-        (weights, noise): compute_mean(pooled.of("svd-4-23", weights, noise), "A")
+        (weights, noise): compute_mean(pooled.list_records("svd-4-23", weights, noise), "A")
         for weights in ("full", "diagonal")
         for noise in NOISES_PX
     }
@@ -131,12 +138,12 @@ def _errors(pooled: Pooled) -> Finding:
 
 def _typical(pooled: Pooled, weights: str) -> float:
     """Typical factor between our means of criterion A at 0.2 px and the printed ones, each once."""
-    ours = [compute_mean(pooled.of(key, weights, limit=limit), "A") for key, limit in PRINTED_A]
+    ours = [compute_mean(pooled.list_records(key, weights, limit=limit), "A") for key, limit in PRINTED_A]
     return compute_typical_factor(np.array(ours) / [mean for mean, _ in PRINTED_A.values()])
 
 
 def _experiment(pooled: Pooled) -> Finding:
-    found, (mean, deviation, stars, _) = pooled.of("svd-4-23", limit=FIELD_LIMIT), printed.FIELD.values()
+    found, (mean, deviation, stars, _) = pooled.list_records("svd-4-23", limit=FIELD_LIMIT), printed.FIELD.values()
     scale = mean / compute_mean(found, "B")
     over = find_interval(found, lambda record: scale * criterion("B", "deviation")(record))
     equal = mean / np.sqrt(2 * (2 * stars - 3))
@@ -160,7 +167,7 @@ def _field(_: Pooled) -> Finding:
 
 def _sky(pooled: Pooled) -> Finding:
     found = [
-        find_interval(pooled.of("angular", limit=limit), lambda record: float(record["stars"])).mean
+        find_interval(pooled.list_records("angular", limit=limit), lambda record: float(record["stars"])).mean
         for limit in printed.GROUPS
     ]
     ours, theirs = ", ".join(f"{stars:.1f}" for stars in found), ", ".join(map(str, printed.GROUPS.values()))
@@ -276,7 +283,7 @@ def errata(pooled: Pooled) -> list[dict[str, Any]]:
 
 def _saving(pooled: Pooled) -> Erratum:
     """Judge the saving of Table 4, which hangs on the form of the filter; its times stand with the other times."""
-    held = pooled.of("truth")[0]["observability"]["information"]
+    held = pooled.list_records("truth")[0]["observability"]["information"]
     said = {weights: f"{min(ratios):.2f} to {max(ratios):.2f}" for weights, ratios in held.items()}
     return Erratum(
         "4.1, Table 4",

@@ -66,7 +66,7 @@ def _consistency(pooled: Pooled, estimator: str, weights: str) -> dict[str, Any]
     return {
         "estimator": estimator,
         "weights": weights,
-        "sets": len(pooled.of(estimator, weights)),
+        "sets": len(pooled.list_records(estimator, weights)),
         "nees": 6 * found.mean,
         "expected": 6,
         "lower": 6 * found.lower,
@@ -82,7 +82,7 @@ SETS_SHARE = 0.7
 
 
 @dataclass(frozen=True)
-class Plan:
+class StudySize:
     """How large a study is."""
 
     quick: bool = False
@@ -101,7 +101,7 @@ class Plan:
         return [GridTrial(trial, order) for trial in self.trials(sets) for order in chosen]
 
 
-def run(plan: Plan, catalogue_folder: Path | None, say: Report = keep_silent) -> dict[str, Any]:
+def run(plan: StudySize, catalogue_folder: Path | None, say: Report = keep_silent) -> dict[str, Any]:
     """Run the study; returns its document, schema `boresight.reproduction/1`."""
     if plan.frames <= FIRST_FRAMES:
         raise RefusedInputError(f"{plan.frames} images are too few: give more than {FIRST_FRAMES}.")

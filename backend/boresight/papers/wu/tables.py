@@ -58,7 +58,9 @@ class Pooled:
     def __init__(self, records: Sequence[Record]) -> None:
         self.records = list(records)
 
-    def of(self, estimator: str, weights: str = "full", noise_px: float = 0.2, limit: float = 5.5) -> list[Record]:
+    def list_records(
+        self, estimator: str, weights: str = "full", noise_px: float = 0.2, limit: float = 5.5
+    ) -> list[Record]:
         """Return the records of all sets, in order."""
         wanted = (estimator, weights, noise_px, limit)
         return [
@@ -69,7 +71,7 @@ class Pooled:
 
     def nees(self, estimator: str, weights: str = "full") -> ChiSquare:
         """Test the errors of all sets against their claimed covariance; `mean` per parameter."""
-        found = self.of(estimator, weights)
+        found = self.list_records(estimator, weights)
         return chi_square(sum(record["nees"] for record in found), 6 * len(found))
 
 
@@ -174,7 +176,7 @@ def _errors(pooled: Pooled, name: str, weights: str, noise_px: float) -> Row:
     """Errors of one parameter under Models 1 to 4."""
     cause, value, cells, sizes = CAUSE[weights, noise_px], error_percent(name), [], []
     for (column, key), theirs in zip(MODEL_COLUMNS.items(), printed.TABLE_2[name], strict=True):
-        found = pooled.of(key, weights, noise_px)
+        found = pooled.list_records(key, weights, noise_px)
         over = find_interval(found, value)
         sizes.append(float(np.sqrt(np.mean([value(record) ** 2 for record in found]))))
         cells.append(replace(over.cell(column, "%", theirs, 1e-4, cause, error=sizes[-1]), ours=value(found[0])))
@@ -196,7 +198,14 @@ def _criterion_a(
 ) -> Row:  # fmt: skip
     """Criterion A by column; `repeated` is the column that another table has printed already."""
     cells = [
-        _cell(pooled.of(key, *variant), column, value, ("A", which), causes[variant], REPEATED * (column == repeated))
+        _cell(
+            pooled.list_records(key, *variant),
+            column,
+            value,
+            ("A", which),
+            causes[variant],
+            REPEATED * (column == repeated),
+        )
         for (column, key), value in zip(columns.items(), theirs, strict=True)
     ]
     return judge(labelled(f"A {which}", *variant), cells, concluded(pooled, *variant, which), _variant(*variant))
@@ -217,7 +226,7 @@ def _cell(
 
 
 def _model_4_is_best(pooled: Pooled, weights: str, noise_px: float, which: str) -> Conclusion:  # noqa: ARG001 - same for both rows
-    found = [compute_mean(pooled.of(key, weights, noise_px), "A") for key in MODEL_COLUMNS.values()]
+    found = [compute_mean(pooled.list_records(key, weights, noise_px), "A") for key in MODEL_COLUMNS.values()]
     said = ", ".join(f"{value:.3f}″" for value in found)
     cause = NO_R if weights == "full" else NO_Q
     return Conclusion(found[3] < (1 - SAME_A) * min(found[:3]), f"criterion A of Models 1 to 4: {said}.", *cause)
@@ -240,14 +249,18 @@ def table_3(pooled: Pooled) -> Table:
 
 
 def _three_best(pooled: Pooled, weights: str, noise_px: float, which: str) -> Conclusion:  # noqa: ARG001 - one signature
-    found = {column: compute_mean(pooled.of(key, weights, noise_px), "A") for column, key in SUBSET_COLUMNS.items()}
+    found = {
+        column: compute_mean(pooled.list_records(key, weights, noise_px), "A") for column, key in SUBSET_COLUMNS.items()
+    }
     best = sorted(found, key=lambda column: found[column])[:3]
     said = ", ".join(f"{column} {found[column]:.3f}″" for column in best)
     return Conclusion(set(best) == {"{1,2,3}", "{2,3}", "{2}"}, f"the three best are {said}.", *SIGMA_1)
 
 
 def _unstable(pooled: Pooled, weights: str, noise_px: float, which: str) -> Conclusion:
-    two, both = (compute_mean(pooled.of(f"svd-4-{key}", weights, noise_px), "A", which) for key in ("2", "23"))
+    two, both = (
+        compute_mean(pooled.list_records(f"svd-4-{key}", weights, noise_px), "A", which) for key in ("2", "23")
+    )
     return Conclusion(two > both, f"{{2}} {two:.3f}″, {{2,3}} {both:.3f}″.", *NO_Q)
 
 
@@ -266,7 +279,7 @@ def _stars(pooled: Pooled) -> tuple[Row]:
     why = ("unstated setting", "the path over the sky is not given; Hipparcos, Hp, stands for Tycho-2")
     cells = []
     for group, (limit, theirs) in enumerate(printed.GROUPS.items(), 1):
-        over = find_interval(pooled.of("angular", limit=limit), lambda record: float(record["stars"]))
+        over = find_interval(pooled.list_records("angular", limit=limit), lambda record: float(record["stars"]))
         cells.append(over.cell(f"group {group}", "", theirs, 0.1, why))
     said = ", ".join(f"{cell.ours:.1f}" for cell in cells)
     return (judge("stars of an image", cells, Conclusion(True, f"{said} stars.", *why), CIRCULAR),)
@@ -276,7 +289,7 @@ def _compared(pooled: Pooled, quantity: str, which: str, variant: tuple[str, flo
     cells, ratios = [], []
     theirs = printed.TABLE_4[quantity, which]
     for group, limit in enumerate(printed.GROUPS):
-        found = [pooled.of(key, *variant, limit) for key in ("angular", "svd-4-23")]
+        found = [pooled.list_records(key, *variant, limit) for key in ("angular", "svd-4-23")]
         for name, records, value in zip(("AD", "SVD"), found, theirs[2 * group :], strict=False):
             left_out = _left_out_of_table_4(quantity, which, f"{group + 1} {name}")
             cells.append(
@@ -306,7 +319,9 @@ def _always_worse(pooled: Pooled, weights: str, noise_px: float) -> Row:
     """By how much SVD exceeds AD under criterion B, where the text says that it always does."""
     cells, theirs = [], printed.TABLE_4["B", "mean"]
     for group, limit in enumerate(printed.GROUPS):
-        pairs = zip(*(pooled.of(key, weights, noise_px, limit) for key in ("svd-4-23", "angular")), strict=True)
+        pairs = zip(
+            *(pooled.list_records(key, weights, noise_px, limit) for key in ("svd-4-23", "angular")), strict=True
+        )
         apart = [{"difference": svd["B"][0] - angular["B"][0]} for svd, angular in pairs]
         over = find_interval(apart, lambda record: float(record["difference"]))
         value = round(theirs[2 * group + 1] - theirs[2 * group], 3)
@@ -323,7 +338,7 @@ FIELD = ("no field data", "neither the images of the night sky nor their centroi
 
 def field(pooled: Pooled) -> Table:
     """Set the field experiment beside a simulation with as many stars, its noise such that criterion B has the printed mean."""
-    found = pooled.of("svd-4-23", limit=FIELD_LIMIT)
+    found = pooled.list_records("svd-4-23", limit=FIELD_LIMIT)
     noise_px = NOISES_PX[0] * printed.FIELD["B mean"] / compute_mean(found, "B")
     scale = noise_px / NOISES_PX[0]
     values = {
@@ -354,7 +369,7 @@ CONVERGED = ("unstated setting", "what counts as convergence, and P₀, are not 
 
 def _convergence(pooled: Pooled) -> Row:
     """Images after which all parameters of group 2 rest, where the text finds that 2,400 ensure it."""
-    over = find_interval(pooled.of("svd-4-23"), lambda record: float(max(record["settled"])), least=1.0)
+    over = find_interval(pooled.list_records("svd-4-23"), lambda record: float(max(record["settled"])), least=1.0)
     cell = over.cell("images", "", printed.IMAGES, 100.0, CONVERGED)
     said = f"after {over.mean:.0f} images, mean over the sets."
     return judge("simulation, group 2", [cell], Conclusion(over.mean <= printed.IMAGES, said, *CONVERGED))

@@ -36,7 +36,7 @@ SCHEMA = "boresight.audit-anchor/1"
 
 
 @dataclass(frozen=True)
-class Trust:
+class TrustedKeys:
     """The keys that may sign anchors, their source, and the authorities of time-stamps; `newest` limits how many are read."""
 
     keys: Sequence[PublicKey]
@@ -102,7 +102,7 @@ def keep_time_stamp(session: Session, anchor_id: int, stamp: TimeStamp) -> None:
     anchor.time_stamp, anchor.stamped_utc = stamp.text, stamp.at_utc
 
 
-def verify_anchors(session: Session, trust: Trust) -> AnchorFindings:
+def verify_anchors(session: Session, trust: TrustedKeys) -> AnchorFindings:
     """Verify the anchors against the log, the keys and the authorities; that the log itself is intact is verified beside this."""
     found = AnchorFindings()
     known = {key.text for key in trust.keys}

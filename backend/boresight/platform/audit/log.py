@@ -18,7 +18,7 @@ from boresight.errors import NotFoundError
 from boresight.platform.actors import Actor
 from boresight.platform.audit import chain, verification
 from boresight.platform.audit import queries as rows
-from boresight.platform.audit.anchors import AnchorFindings, Trust, tell_coverage, verify_anchors
+from boresight.platform.audit.anchors import AnchorFindings, TrustedKeys, tell_coverage, verify_anchors
 from boresight.platform.audit.external_head import ExternalHead
 from boresight.platform.audit.tables import AuditAnchor, AuditRecord
 from boresight.platform.audit.verification import RowMismatch, VerificationFindings
@@ -173,7 +173,7 @@ def verify(
     kept: ExternalHead | None = None,
     head_file: Path | None = None,
     again: bool = True,
-    trust: Trust | None = None,
+    trust: TrustedKeys | None = None,
 ) -> ChainReport:
     """Verify the whole chain, every sealed row, journal, anchor and stored file, and report the first that was altered."""
     found = verification.verify(session, expected_head, None if kept is None else kept.hash)

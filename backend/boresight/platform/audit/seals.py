@@ -21,7 +21,7 @@ With `canon` the canonical JSON of a row's lasting columns that are not NULL, ea
 
 The other columns are those that move, and those that came when the chain was there already.
 
-So an edit, a row put in between and a removed row are told by the row itself or the next one. Whoever chains the rest anew meets
+So an edit, a row put in between and a removed row are told by the row itself or the next one. Whoever chains the rest again meets
 the audit log: each of its records carries the newest hash of every journal that has grown since the record before. What came
 after the newest record can be cut unseen, as the end of any log. The one writer at a time numbers the rows.
 """

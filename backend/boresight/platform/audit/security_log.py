@@ -66,7 +66,7 @@ EVENTS: Mapping[str, SecurityEvent] = {
             ("name", "wait_s"),
             by_anybody=True,
         ),
-        _E("authn_confirm_success", "INFO", "The provider confirmed a person anew, for one signature.", ("log_in",)),
+        _E("authn_confirm_success", "INFO", "The provider confirmed a person again, for one signature.", ("log_in",)),
         _E("authn_password_change", "INFO", "A person changed their password.", ("user",)),
         _E("authn_password_reset", "WARN", "An administrator set another person's password.", ("user",)),
         _E("authn_factor_enrolled", "INFO", "A second factor was enrolled.", ("user", "kind", "factor")),

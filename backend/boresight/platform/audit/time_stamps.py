@@ -50,7 +50,7 @@ class TimeStamp:
 
 @dataclass(frozen=True)
 class TimeStampService:
-    """A service and the authorities that vouch for it."""
+    """A service and the certificates that it is verified with."""
 
     url: str
     authorities: tuple[Certificate, ...]

@@ -16,8 +16,8 @@ Comparing the database's triggers with those that the migrations make.
 
 Which there are to be is asked of the migrations themselves, run once a process on an empty database in memory, so no second list
 can go out of date. SQLite keeps the words of a trigger as they were given, and they must be the same. PostgreSQL has the same by
-name, and one more against TRUNCATE beside each that refuses a removal; what it keeps is spelled anew, so their event, their columns
-and literals, the function that they call and its words are compared, and that nobody switched them off.
+name, and one more against TRUNCATE beside each that refuses a removal; what it keeps is spelled again, so their event, their
+columns and literals, the function that they call and its words are compared, and that nobody switched them off.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Blobs in a bucket of an object store, named as in the folder: `prefix/ab/cd/abcd...`.
 
-An object is put once and never changed, so what was fetched stays right for ever. A file is fetched once a machine, into
+An object is put once and never changed, so what was fetched stays right forever. A file is fetched once a machine, into
 a folder in the layout of `FolderBlobStore`: written beside while its SHA-256 is taken, and named only when that is the address,
 so it is there complete and right or not at all. What was asked for longest ago is let go when more lies there than
 allowed, but nothing that was asked for within the last hour: it may be about to be opened. Who has it open keeps it. A
-file here that is not what it was when it was fetched is fetched anew.
+file here that is not what it was when it was fetched is fetched again.
 
 The store checks what is put: requests are signed together with the SHA-256 of their body, and the size is asked for
 after. Credentials come from the environment of each process as the store's own programs read them (AWS_ACCESS_KEY_ID,

@@ -104,7 +104,7 @@ class DataVersionReader:
 
 
 class DataVersionPoller:
-    """The data version for requests on the event loop: read anew for each, so that a client always sees its own commits.
+    """The data version for requests on the event loop: read again for each, so that a client always sees its own commits.
 
     SQLite answers on the spot. PostgreSQL is asked in a thread, one question at a time: who comes while one is under way waits for
     the next, for that one may have been answered before something that they know of was committed; all who wait share the answer.

@@ -66,23 +66,23 @@ class _NumberIn(sa.sql.functions.GenericFunction[float]):
 
 @compiles(_TextIn)
 @compiles(_NumberIn)
-def _of_sqlite(element: _TextIn | _NumberIn, compiler: SQLCompiler, **options: Any) -> str:
+def _compile_for_sqlite(element: _TextIn | _NumberIn, compiler: SQLCompiler, **options: Any) -> str:
     """Extract by a path."""
     column, path = (compiler.process(clause, **options) for clause in element.clauses)
     return f"json_extract({column}, '$.' || {path})"
 
 
 @compiles(_TextIn, "postgresql")
-def _text_of_postgresql(element: _TextIn | _NumberIn, compiler: SQLCompiler, **options: Any) -> str:
+def _compile_text_for_postgresql(element: _TextIn | _NumberIn, compiler: SQLCompiler, **options: Any) -> str:
     """Read the text as JSON."""
     column, path = (compiler.process(clause, **options) for clause in element.clauses)
     return f"(CAST({column} AS JSON) #>> string_to_array({path}, '.'))"
 
 
 @compiles(_NumberIn, "postgresql")
-def _number_of_postgresql(element: _NumberIn, compiler: SQLCompiler, **options: Any) -> str:
+def _compile_number_for_postgresql(element: _NumberIn, compiler: SQLCompiler, **options: Any) -> str:
     """Read the text as JSON, and the member as a number."""
-    return f"CAST({_text_of_postgresql(element, compiler, **options)} AS DOUBLE PRECISION)"
+    return f"CAST({_compile_text_for_postgresql(element, compiler, **options)} AS DOUBLE PRECISION)"
 
 
 def text_in(column: Any, path: str) -> sa.ColumnElement[str]:

@@ -44,7 +44,7 @@ class RequestQueue:
 
     An endpoint and each of its dependencies need a thread, one after the other. Were all let at the threads together, each would
     wait for one again and again, and a writer would hold the store's write lock meanwhile. So a request waits once, for its turn.
-    Nobody waits for ever: what was waited grows until it is the most. Who works longer than `LENT_S` keeps the thread but makes
+    Nobody waits forever: what was waited grows until it is the most. Who works longer than `LENT_S` keeps the thread but makes
     room for the next.
     """
 

@@ -4,7 +4,7 @@ Whoever asks has been found out by then, as for every request (`boresight.consol
 follows from the address and the rows of the store says so, and for whom it is the same (`share`): for all, for people of the same
 roles, or for one person. The answer is then kept, compressed and with its tag, and given again while all of this holds:
 
-1. Nothing was committed since: the data version (`boresight.platform.db.data_version`), looked for anew for this very request, is
+1. Nothing was committed since: the data version (`boresight.platform.db.data_version`), looked for again for this very request, is
    the one that was looked for before the answer was read. So who commits reads their own writes, from whichever server or command.
 2. It is theirs: what is the same for one stands under the person, or the key, and is given to no others. What is the same for roles
    stands under these: where the frame names the person it has gaps, which are filled for whoever gets it. What is the same for all

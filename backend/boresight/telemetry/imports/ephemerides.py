@@ -128,10 +128,10 @@ def is_aem(path: Path) -> bool:
 
 def _read_lines(path: Path, name: str) -> list[str]:
     with expanded(path, name, LIMITS) as place:
-        return _lines_of(place, name)
+        return _read_expanded(place, name)
 
 
-def _lines_of(path: Path, name: str) -> list[str]:
+def _read_expanded(path: Path, name: str) -> list[str]:
     if path.is_file() and path.stat().st_size > MOST_BYTES:
         raise RefusedInputError(f"{name} is over {MOST_BYTES / 1e6:,.0f} MB: give the part that covers the telemetry.")
     lines = read_text(name, read_bytes(path, name)).decode().split("\n")

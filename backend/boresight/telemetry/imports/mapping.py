@@ -314,7 +314,7 @@ def attitudes_of_table(
     moments = _times(table, profile, faults)
     faults.refuse()
     order = _in_order(moments, values)
-    found = _packets(table.name, moments, _of_detector(values, turned, faults), turned.longest_gap_s)
+    found = _packets(table.name, moments, _turn_to_detector(values, turned, faults), turned.longest_gap_s)
     faults.refuse()
     return found, {column: cells[order] for column, cells in further.items()}
 
@@ -331,7 +331,7 @@ def _packets(name: str, moments: TimeArray, quaternion: FloatArray, longest_gap_
     return Attitudes(name, moments[order], quaternion[order], np.zeros(len(order), np.int64), longest_gap_s)
 
 
-def _of_detector(values: FloatArray, turned: Quaternion, faults: Faults | None = None) -> FloatArray:
+def _turn_to_detector(values: FloatArray, turned: Quaternion, faults: Faults | None = None) -> FloatArray:
     """Return (n, 4) quaternions of a file as Hamilton's, ICRS to detector; those that are no rotation become faults."""
     q = values if turned.order == "xyzw" else values[:, [1, 2, 3, 0]]
     length = np.linalg.norm(q, axis=1)
@@ -749,7 +749,7 @@ class _Reading:
             self.faults.add_entries(
                 absent, self.names(turned.columns[0])[0], lambda _: "a quaternion is given in part: give all four"
             )
-            every = _of_detector(
+            every = _turn_to_detector(
                 values, replace(turned, columns=(self.names(turned.columns[0])[0], *turned.columns[1:])), self.faults
             )
             found = every[self.rows]

@@ -391,13 +391,13 @@ def _by_astropy(
         row = data[min(max(int(place.group(1)) - 1, 0), len(data) - 1)] if place else None
         fault = Fault(row, None, "has not as many cells as the header, or none that can be read: check the separator")
         raise RefusedInputError(f"{name}: {fault}.", (fault,)) from error
-    columns = {column: _of_masked(found[column]) for column in found.colnames}
+    columns = {column: _convert_masked(found[column]) for column in found.colnames}
     if not has_header and names is None:
         columns = {str(number): cells for number, cells in enumerate(columns.values(), 1)}
     return columns
 
 
-def _of_masked(values: Any) -> pa.Array:
+def _convert_masked(values: Any) -> pa.Array:
     """Return a column of numbers or texts, null where it is masked."""
     mask = np.ma.getmaskarray(values)
     plain = np.asarray(np.ma.getdata(values))
@@ -663,7 +663,7 @@ def _fits_columns(hdu: Any, limits: Limits, name: str) -> Iterator[tuple[str, pa
         for place in range(flat.shape[1]):
             yield (
                 (f"{column.name}_{place + 1}" if flat.shape[1] > 1 else str(column.name)),
-                _of_masked(_real(flat[:, place])),
+                _convert_masked(_real(flat[:, place])),
             )
 
 
@@ -704,12 +704,13 @@ def _read_votable(path: Path, name: str, layout: Layout, limits: Limits) -> Sour
     for item, key in zip(table.fields, table.array.dtype.names, strict=True):
         values = table.array[key]
         if values.ndim == 1:
-            columns[str(item.name or key)] = _of_masked(_real(values))
+            columns[str(item.name or key)] = _convert_masked(_real(values))
         else:
             flat = values.reshape(rows, -1)
             limits.refuse_columns(name, len(columns) + flat.shape[1])
             columns |= {
-                f"{item.name or key}_{place + 1}": _of_masked(_real(flat[:, place])) for place in range(flat.shape[1])
+                f"{item.name or key}_{place + 1}": _convert_masked(_real(flat[:, place]))
+                for place in range(flat.shape[1])
             }
     return SourceTable(name, columns, np.arange(rows) + 1, np.arange(rows))
 

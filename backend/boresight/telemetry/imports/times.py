@@ -56,7 +56,7 @@ def read_times(cells: pa.Array, week: pa.Array | None, time: Time, faults: Fault
         if week is not None:
             weeks, _ = floats(pa.chunked_array([week]), time.week_column or "", faults)
             values = values + weeks * _WEEK_S * 1e6 / _US.get(time.form, 1e6)
-        clock = _of_numbers(values, time.form, time.system, time.seconds_per_count)
+        clock = _read_numbers(values, time.form, time.system, time.seconds_per_count)
         faults.add_entries(
             np.isnat(clock) & np.isfinite(values),
             name,
@@ -93,7 +93,7 @@ def to_utc(clock: TimeArray, time: Time) -> TimeArray:
     return tai_to_utc(np.asarray(tai)) + offset
 
 
-def _of_numbers(values: FloatArray, form: TimeForm, system: TimeSystem, seconds_per_count: float) -> TimeArray:
+def _read_numbers(values: FloatArray, form: TimeForm, system: TimeSystem, seconds_per_count: float) -> TimeArray:
     """Return numbers as readings of their clock, NaT where none."""
     if form in {"jd", "mjd"}:
         epoch, us = _MJD_ZERO, (values - (_JD_OF_MJD_ZERO if form == "jd" else 0.0)) * 86400e6

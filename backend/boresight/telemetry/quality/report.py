@@ -385,12 +385,12 @@ class QualityParts:
         inputs = QualityInputs(telemetry, self._sensor, self._catalogue, rows)
         found = [finding for finding in list_findings(inputs) if finding.code not in {"GAPS", "OFF_DETECTOR"}]
         of_all = (self._frames.gaps(), off_detector_finding(self._off, self._sensor))
-        found += [self._of_a_part(telemetry), *(finding for finding in of_all if finding is not None)]
+        found += [self._report_part(telemetry), *(finding for finding in of_all if finding is not None)]
         ids = self._unknown_ids
         unknown = {"count": len(ids), "ids": ids[:MOST_LISTED].tolist()} if inputs.index is not None else None
         return make_document(worst_first(found), self._totals, self._frames.document(), unknown, self._off)
 
-    def _of_a_part(self, looked_at: Telemetry) -> Finding:
+    def _report_part(self, looked_at: Telemetry) -> Finding:
         """Say of how much of the set the findings are."""
         frames, of = len(np.unique(looked_at.frame)), 0 if self._totals is None else self._totals["frames"]
         sentence = (

@@ -61,7 +61,7 @@ class DamagedPageError(ValueError):
 
 
 @dataclass(frozen=True)
-class Page:
+class PageHeader:
     """One page: what its header says."""
 
     is_dictionary: bool
@@ -109,7 +109,7 @@ def _structs(value: object) -> list[dict[int, object]]:
     return [_fields(item) for item in value]
 
 
-def iterate_pages(file: mmap.mmap | bytes, start: int, size: int) -> Iterator[Page]:
+def iterate_pages(file: mmap.mmap | bytes, start: int, size: int) -> Iterator[PageHeader]:
     """Yield the pages of a column chunk that lies at these bytes."""
     end = start + size
     if start < 0 or size < 0 or end > len(file):
@@ -124,14 +124,14 @@ def iterate_pages(file: mmap.mmap | bytes, start: int, size: int) -> Iterator[Pa
         yield _page(fields, uncompressed)
 
 
-def _page(fields: dict[int, object], uncompressed: int) -> Page:
+def _page(fields: dict[int, object], uncompressed: int) -> PageHeader:
     """Make a page of the fields of its header."""
     kind = _number(fields, 1)
     inner = fields.get({_DATA: 5, _DICTIONARY: 7, _DATA_V2: 8}.get(kind, 0))
     if not isinstance(inner, dict):
-        return Page(is_dictionary=False, uncompressed_bytes=uncompressed, values=0, encoding=-1)
+        return PageHeader(is_dictionary=False, uncompressed_bytes=uncompressed, values=0, encoding=-1)
     encoding = _number(inner, 4 if kind == _DATA_V2 else 2)
-    return Page(kind == _DICTIONARY, uncompressed, _number(inner, 1), encoding)
+    return PageHeader(kind == _DICTIONARY, uncompressed, _number(inner, 1), encoding)
 
 
 def _number(fields: dict[int, object], key: int) -> int:
@@ -238,7 +238,7 @@ _DEEPEST_SCHEMA = 16
 
 
 @dataclass(frozen=True)
-class Layout:
+class ParquetLayout:
     """What a file's footer and page headers say of how it can be read."""
 
     columns: tuple[str, ...]
@@ -253,7 +253,7 @@ def parquet_tables(path: Path, name: str, limits: Limits = LIMITS) -> Tables:
     return rows_of_file(path, name, layout, range(layout.rows), limits)
 
 
-def rows_of_file(path: Path, name: str, layout: Layout, rows: range, limits: Limits = LIMITS) -> Tables:
+def rows_of_file(path: Path, name: str, layout: ParquetLayout, rows: range, limits: Limits = LIMITS) -> Tables:
     """Open some rows of a file whose layout was looked at."""
     read = partial(_tables, path, name, layout, rows, limits)
     return Tables(columns=layout.columns, first_row=FIRST_ROW + rows.start, read=read, form=FormFaults(name))
@@ -265,7 +265,7 @@ def rows_of_parquet(path: Path, name: str) -> int:
         return int(file.metadata.num_rows)
 
 
-def read_layout(path: Path, name: str, limits: Limits = LIMITS) -> Layout:
+def read_layout(path: Path, name: str, limits: Limits = LIMITS) -> ParquetLayout:
     """Look at footer and page headers, and refuse what is beyond the limits."""
     with open_parquet(path, name) as file:
         metadata, schema = file.metadata, file.schema_arrow
@@ -279,7 +279,7 @@ def read_layout(path: Path, name: str, limits: Limits = LIMITS) -> Layout:
         row_bytes = _look_at_pages(path, name, file, set(texts), limits)
     least = max(_BATCH_CELLS // max(len(schema.names), 1), 1)
     batch_rows = min(_BATCH_ROWS, max(least, int(_BATCH_BYTES / max(row_bytes, 1.0))))
-    return Layout(tuple(schema.names), metadata.num_rows, texts, batch_rows)
+    return ParquetLayout(tuple(schema.names), metadata.num_rows, texts, batch_rows)
 
 
 def _refuse_columns(name: str, file: arrow_parquet.ParquetFile) -> None:
@@ -380,7 +380,7 @@ class _Walk:
                 "MB are: write it in groups of 65,536 rows and pages of about a megabyte."
             )
 
-    def _count(self, page: Page) -> None:
+    def _count(self, page: PageHeader) -> None:
         self._pages += 1
         self._bytes += page.uncompressed_bytes
         if self._pages > self._most_pages:
@@ -390,7 +390,7 @@ class _Walk:
         self._limits.refuse_expansion(self._name, self._bytes, self._size)
 
 
-def _text_width(name: str, column: str, page: Page, limits: Limits) -> float:
+def _text_width(name: str, column: str, page: PageHeader, limits: Limits) -> float:
     """The most bytes that a text of a page takes on average; refuses longer ones than may be."""
     if page.encoding == DELTA_BYTE_ARRAY:
         raise RefusedInputError(
@@ -405,7 +405,7 @@ def _text_width(name: str, column: str, page: Page, limits: Limits) -> float:
     return _NUMBER if page.is_dictionary else width
 
 
-def _tables(path: Path, name: str, layout: Layout, rows: range, limits: Limits) -> Iterator[pa.Table]:
+def _tables(path: Path, name: str, layout: ParquetLayout, rows: range, limits: Limits) -> Iterator[pa.Table]:
     size, texts = path.stat().st_size, 0
     with open_parquet(path, name, layout.texts) as file:
         row = FIRST_ROW + rows.start

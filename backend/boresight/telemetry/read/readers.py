@@ -22,7 +22,7 @@ from boresight.telemetry.read.compression import expanded, is_gzip
 from boresight.telemetry.read.formats import Tables, csv_tables, format_at, json_tables
 from boresight.telemetry.read.limits import LIMITS, Limits
 from boresight.telemetry.read.parquet import (
-    Layout,
+    ParquetLayout,
     open_parquet,
     parquet_tables,
     read_layout,
@@ -208,7 +208,7 @@ class Stretch:
     name: str
     begins: int
     ends: int
-    layout: Layout
+    layout: ParquetLayout
     limits: Limits = LIMITS
 
     def chunks(self, frames: int) -> Iterator[Telemetry]:

@@ -20,16 +20,16 @@ from boresight.verdicts.gates.profile import Profile, parse_profile
 SURE, NOTICED = 1e-4, 1e-2
 
 
-def _pairs(found: Alignment) -> Measurement:
+def _measure_pairs(found: Alignment) -> Measurement:
     return Measurement(float(found.pairs_used), f"{found.pairs_used:,} of {found.pairs:,} pairs take part.")
 
 
-def _removed(found: Alignment) -> Measurement:
+def _measure_removed(found: Alignment) -> Measurement:
     removed = found.pairs - found.pairs_used
     return Measurement(removed / found.pairs, f"{removed:,} of {found.pairs:,} pairs were left out as too far off.")
 
 
-def _chi_square(found: Alignment) -> Measurement:
+def _measure_chi_square(found: Alignment) -> Measurement:
     test = found.test
     if test.ratio is None or test.lower is None or test.upper is None:
         return absent("Too few pairs to compare them with each other: give more.")
@@ -46,17 +46,17 @@ def _worst(sigma: list[float], sentence: str) -> Measurement:
     return Measurement(sigma[worst], f"The worst known angle is that about {AXES[worst]}{sentence}")
 
 
-def _to_load(found: Alignment) -> Measurement:
+def _measure_load(found: Alignment) -> Measurement:
     return _worst(found.to_load.sigma_arcsec, ", with these parameters loaded beside it.")
 
 
-def _of_frames(found: Alignment) -> Measurement:
+def _measure_frames(found: Alignment) -> Measurement:
     return _worst(found.sigma_with_misfit_arcsec, ", with the cameras' own error: what another calibration would move.")
 
 
-def _trend(kind: str, unknown: str) -> Callable[[Alignment], Measurement]:
+def _measure_trend(kind: str, unknown: str) -> Callable[[Alignment], Measurement]:
     def measure(found: Alignment) -> Measurement:
-        beside = [one for one in found.tests if one.name.partition("-")[0] == kind]
+        beside = [one for one in found.tests if one.kind == kind]
         modelled = {one.name for one in found.terms}
         left = [one for one in beside if one.name not in modelled]
         if not left:
@@ -72,7 +72,7 @@ def _trend(kind: str, unknown: str) -> Callable[[Alignment], Measurement]:
     return measure
 
 
-def _cameras(found: Alignment) -> Measurement:
+def _measure_cameras(found: Alignment) -> Measurement:
     for side in (found.a, found.b):
         if side.parameters == "none":
             return answer("FAIL", f"The parameters of {side.name} have no covariance: give a calibration.")
@@ -87,36 +87,38 @@ ALIGNMENT_GATES = {
     for gate in (
         Gate(
             "pairs", "Pairs", "How many pairs of attitudes take part?", "above", "pairs",
-            measure=_pairs, limit=3.0, marginal=20.0,
+            measure=_measure_pairs, limit=3.0, marginal=20.0,
         ),
         Gate(
             "removed-pairs", "Removed pairs", "What share of the pairs was left out as too far off?", "below", "of pairs",
-            highest=1.0, measure=_removed, limit=0.25, marginal=0.05,
+            highest=1.0, measure=_measure_removed, limit=0.25, marginal=0.05,
         ),
         Gate(
             "pair-scatter", "χ² of pairs per degree of freedom", "Do the pairs scatter as much as stars and reference say?",
-            "around", lowest=1.0, measure=_chi_square, limit=9.0, marginal=1.1,
+            "around", lowest=1.0, measure=_measure_chi_square, limit=9.0, marginal=1.1,
         ),
         Gate(
             "angles", "Worst known angle, to load", "How well is the worst of the three angles known, one sigma?",
-            "below", "arcsec", measure=_to_load, limit=60.0, marginal=20.0,
+            "below", "arcsec", measure=_measure_load, limit=60.0, marginal=20.0,
         ),
         Gate(
             "angles-between-frames", "Worst known angle, between frames",
-            "And if the cameras are calibrated again, one sigma?", "below", "arcsec", measure=_of_frames, marginal=300.0,
+            "And if the cameras are calibrated again, one sigma?", "below", "arcsec", measure=_measure_frames, marginal=300.0,
         ),
         Gate(
             "temperature-trend", "Change with temperature", "Is there a change with temperature that the alignment has not?",
             "above", "chance", highest=1.0, limit=SURE, marginal=NOTICED,
-            measure=_trend("temperature", "Temperature is unknown or hardly changed: include passes at other temperatures."),
+            measure=_measure_trend(
+                "temperature", "Temperature is unknown or hardly changed: include passes at other temperatures."
+            ),
         ),
         Gate(
             "time-trend", "Change with time", "Is there a change with time that the alignment has not?",
             "above", "chance", highest=1.0, limit=SURE, marginal=NOTICED,
-            measure=_trend("time", "The pairs lie within half an hour: include a longer time."),
+            measure=_measure_trend("time", "The pairs lie within half an hour: include a longer time."),
         ),
         Gate(
-            "cameras", "Cameras", "Do the covariances of both cameras take part?", "met", measure=_cameras,
+            "cameras", "Cameras", "Do the covariances of both cameras take part?", "met", measure=_measure_cameras,
         ),
     )
 }  # fmt: skip
@@ -129,10 +131,10 @@ def parse_alignment_profile(document: Mapping[str, Any] | None = None) -> Profil
 
 def measure_alignment(found: Alignment) -> dict[str, Measurement]:
     """Measure what the gates ask of an alignment, by gate."""
-    return {gate.name: _measured(gate, found) for gate in ALIGNMENT_GATES.values()}
+    return {gate.name: _measure_gate(gate, found) for gate in ALIGNMENT_GATES.values()}
 
 
-def _measured(gate: Gate, found: Alignment) -> Measurement:
+def _measure_gate(gate: Gate, found: Alignment) -> Measurement:
     try:
         return gate.measure(found)
     except RefusedInputError as refusal:

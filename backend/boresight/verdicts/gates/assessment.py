@@ -17,7 +17,7 @@ independent frames as there are blocks:
     change - sqrt((g - g_low)^2 + (l_high - l)^2)    to    change + sqrt((g_high - g)^2 + (l - l_low)^2).
 
 A run's own validation compares with the parameters that it started from. Where these are the incumbent's nothing needs to be
-seen again, `of_result`; elsewhere the frames are matched under both, `compute_validation_scores`, which takes seconds.
+seen again, `take_scores`; elsewhere the frames are matched under both, `compute_validation_scores`, which takes seconds.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def compute_validation_scores(
     return _scores(evaluation, valid, matched)
 
 
-def of_result(result: Calibration) -> ValidationScores | None:
+def take_scores(result: Calibration) -> ValidationScores | None:
     """Take the scores of a run's own validation, against what it started from.
 
     None where it had none, where an older version wrote less of it, or where it kept some of many frames: those that differ first,
@@ -160,7 +160,7 @@ def assess(
         settings.check()
         validation = compute_validation_scores(frames[0], sensor, frames[1], incumbent, candidate, settings)
     elif started_from(result, incumbent):
-        validation = of_result(result)
+        validation = take_scores(result)
     inputs = GateInputs(
         sensor=sensor,
         candidate=candidate,

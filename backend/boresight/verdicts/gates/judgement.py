@@ -16,7 +16,7 @@ anything, and of very many a value of 1.001 is significant and means nothing. So
 
 No value is NO-DATA. The verdict is the worst answer in the order PASS, MARGINAL, NO-DATA, FAIL, of all gates that are not only
 observed. A gate blocks when it FAILs, or must have data and has none, and nobody waived it. A waiver lets a set pass and stays:
-the verdict says for ever how many gates were waived.
+the verdict says forever how many gates were waived.
 
 A gate report as people read it, on pages and in terminals: one row of words a gate.
 """
@@ -99,6 +99,20 @@ class BoundHashes:
     profile_sha256: str
     incumbent_sha256: str | None
     table_definition_sha256: str | None = None
+
+    def list_moved(self, now: BoundHashes) -> list[str]:
+        """Name what has another hash now."""
+        return [word for name, word in BOUND.items() if getattr(self, name) != getattr(now, name)]
+
+
+#: What each hash is of.
+BOUND = {
+    "set_sha256": "set",
+    "run_result_sha256": "run result",
+    "profile_sha256": "profile",
+    "incumbent_sha256": "incumbent",
+    "table_definition_sha256": "table definition",
+}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -48,9 +48,9 @@ import numpy as np
 from boresight.arrays import FloatArray
 from boresight.calibration.calibration import Calibration, ChiSquareTest, Covariance, InnovationTest, TrustTest
 from boresight.calibration.matching.verification import MANY_REMOVED
-from boresight.calibration.trust.causes import gate_of_cause
+from boresight.calibration.trust.causes import get_cause_gate
 from boresight.calibration.trust.efficiency import field_arc_sigma
-from boresight.calibration.trust.trust_tests import MATTERS, gate_of_test
+from boresight.calibration.trust.trust_tests import MATTERS, get_test_gate
 from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.errors import RefusedInputError
 from boresight.estimation.filters import FILTERS
@@ -169,7 +169,7 @@ def ends(pair: Sequence[float | None] | None) -> Ends | None:
     return None if low is None and high is None else (low, high)
 
 
-def _score(name: str, inputs: GateInputs) -> Measurement:
+def _measure_score(name: str, inputs: GateInputs) -> Measurement:
     if inputs.validation is None:
         return absent(inputs.no_validation)
     score, frames = inputs.validation.of_gate[name], inputs.validation.frames
@@ -180,15 +180,15 @@ def _score(name: str, inputs: GateInputs) -> Measurement:
     )
 
 
-def _against(name: str, inputs: GateInputs) -> Measurement:
+def _measure_against_incumbent(name: str, inputs: GateInputs) -> Measurement:
     if inputs.incumbent is None:
         return absent(IS_INCUMBENT)
-    return _score(name, inputs)
+    return _measure_score(name, inputs)
 
 
-def _rms_in_noise(inputs: GateInputs) -> Measurement:
+def _measure_rms_in_noise(inputs: GateInputs) -> Measurement:
     """Take the RMS in multiples of what the stated centroid noise alone would cause in an arc, sqrt(2) sigmas of a pixel."""
-    measured = _score("validation-rms", inputs)
+    measured = _measure_score("validation-rms", inputs)
     if measured.value is None:
         return measured
     noise = float(np.sqrt(2) * inputs.sensor.centroid_sigma_px * inputs.pixel_rad)
@@ -201,7 +201,7 @@ def _rms_in_noise(inputs: GateInputs) -> Measurement:
     )
 
 
-def finite(inputs: GateInputs) -> Measurement:
+def measure_finite(inputs: GateInputs) -> Measurement:
     """Ask for a plausible number for every parameter, and for a finite one or none for every sigma."""
     try:
         inputs.x  # noqa: B018 - reading it is the check
@@ -218,7 +218,7 @@ def _is_sigma(value: float | None) -> bool:
     return value is None or (math.isfinite(value) and value >= 0)
 
 
-def covariance(inputs: GateInputs) -> Measurement:
+def measure_covariance(inputs: GateInputs) -> Measurement:
     """Ask for a symmetric, positive definite covariance whose roots are the sigmas."""
     stated = inputs.candidate.covariance
     try:
@@ -230,10 +230,10 @@ def covariance(inputs: GateInputs) -> Measurement:
     places = [inputs.names.index(name) for name in stated.names]
     if not places:
         return answer("FAIL", "There is no covariance, so no sigma can be trusted: calibrate again with more frames.")
-    return _of_matrix(inputs, P[np.ix_(places, places)], [inputs.names[place] for place in places])
+    return _measure_matrix(inputs, P[np.ix_(places, places)], [inputs.names[place] for place in places])
 
 
-def _of_matrix(inputs: GateInputs, P: np.ndarray, names: list[str]) -> Measurement:
+def _measure_matrix(inputs: GateInputs, P: np.ndarray, names: list[str]) -> Measurement:
     """Judge the covariance of the free parameters (n_free, n_free)."""
     variance = np.diag(P)
     if not np.isfinite(P).all() or (variance <= 0).any():
@@ -257,7 +257,7 @@ def _differs(sigma: float | None, root: float) -> bool:
     return sigma is not None and sigma != 0 and abs(sigma - root) > 1e-3 * root
 
 
-def sensor(inputs: GateInputs) -> Measurement:
+def measure_sensor(inputs: GateInputs) -> Measurement:
     """Ask whether set, run and sensor speak of one camera."""
     candidate, here = inputs.candidate, inputs.sensor
     if candidate.sensor not in (None, here.name):
@@ -279,7 +279,7 @@ def sensor(inputs: GateInputs) -> Measurement:
     )
 
 
-def parameter_shift(inputs: GateInputs) -> Measurement:
+def measure_parameter_shift(inputs: GateInputs) -> Measurement:
     """Measure the largest shift from the incumbent, in sigmas of the difference."""
     if inputs.incumbent is None:
         return absent("There is no incumbent to compare it with.")
@@ -296,7 +296,7 @@ def parameter_shift(inputs: GateInputs) -> Measurement:
     )
 
 
-def convergence(inputs: GateInputs) -> Measurement:
+def measure_convergence(inputs: GateInputs) -> Measurement:
     """Ask whether the estimate came to rest."""
     status = str(inputs.candidate.status)
     return answer(
@@ -304,7 +304,7 @@ def convergence(inputs: GateInputs) -> Measurement:
     )
 
 
-def chi_square(inputs: GateInputs) -> Measurement:
+def measure_chi_square(inputs: GateInputs) -> Measurement:
     """Measure the residuals against the stated noise."""
     result = inputs.result
     if result is None or result.chi2_per_dof is None or result.chi2 is None:
@@ -312,7 +312,7 @@ def chi_square(inputs: GateInputs) -> Measurement:
     return _around_one(result.chi2_per_dof, result.chi2, "Residuals")
 
 
-def nis(inputs: GateInputs) -> Measurement:
+def measure_nis(inputs: GateInputs) -> Measurement:
     """Measure a filter's innovations against what it expected; a batch has residuals in their place."""
     result = inputs.result
     if result is None or result.nis is None or result.nis.mean is None:
@@ -344,14 +344,14 @@ MOST_REMOVED = 0.1
 NO_TESTS = "The run made no tests of the model: clone it and run it again to get them."
 
 
-def tests_of_model(name: str, inputs: GateInputs) -> Measurement:
+def measure_model_tests(name: str, inputs: GateInputs) -> Measurement:
     """Measure the largest error that the noticed tests of a gate tell of, in claimed sigmas; 0 where none noticed anything.
 
     What a cause explains counts once, for the gate of the cause and with the cause's own size.
     """
     if inputs.result is None or not inputs.result.tests:
         return absent(NO_RUN if inputs.result is None else NO_TESTS)
-    made = sum(gate_of_test(test.name) == name for test in inputs.result.tests)
+    made = sum(get_test_gate(test.name) == name for test in inputs.result.tests)
     found = [(size, sentence) for gate, size, sentence in _findings(inputs.result) if gate == name]
     if not made:
         return absent("The set allows none of these tests: add frames, times or magnitudes.")
@@ -360,9 +360,9 @@ def tests_of_model(name: str, inputs: GateInputs) -> Measurement:
     return Measurement(max(LEAST_SIZE, *(size for size, _ in found)), " ".join(sentence for _, sentence in found))
 
 
-def identities(inputs: GateInputs) -> Measurement:
+def measure_identities(inputs: GateInputs) -> Measurement:
     """Measure what wrong stars or directions do, and how many of the proposed identities were removed."""
-    measured, of = tests_of_model("identities", inputs), inputs.result.removed_of if inputs.result else None
+    measured, of = measure_model_tests("identities", inputs), inputs.result.removed_of if inputs.result else None
     if of is None or of.removed <= MANY_REMOVED * of.proposed:
         return measured
     share = of.removed / of.proposed
@@ -386,10 +386,10 @@ def _findings(result: Calibration) -> Iterator[tuple[str, float, str]]:
         own = [
             noticed[name] for name in (cause.name, *OF_STARS) if name in noticed and name in (cause.name, *cause.tests)
         ]
-        yield gate_of_cause(cause.name), _size(own), cause.sentence
+        yield get_cause_gate(cause.name), _size(own), cause.sentence
     explained = {name for cause in result.causes for name in cause.tests}
     for name in noticed.keys() - explained:
-        yield gate_of_test(name), _size([noticed[name]]), noticed[name].sentence
+        yield get_test_gate(name), _size([noticed[name]]), noticed[name].sentence
 
 
 def _size(tests: Sequence[TrustTest]) -> float:
@@ -397,7 +397,7 @@ def _size(tests: Sequence[TrustTest]) -> float:
     return known[0] if known else UNKNOWN_SIZE
 
 
-def arc_uncertainty(inputs: GateInputs) -> Measurement:
+def measure_arc_uncertainty(inputs: GateInputs) -> Measurement:
     """Measure what the covariance does to an arc at the worst place of the detector."""
     worst, degrees = _worst_arc(inputs, inputs.candidate)
     incumbent = None
@@ -416,7 +416,7 @@ def _worst_arc(inputs: GateInputs, known: AssessedSet) -> tuple[float, float]:
     return float(np.nanmax(sigma)), float(np.degrees(length))
 
 
-def condition_number(inputs: GateInputs) -> Measurement:
+def measure_condition_number(inputs: GateInputs) -> Measurement:
     """Measure how unevenly the data see the parameters."""
     seen = inputs.result.observability if inputs.result else None
     if seen is None or seen.condition_number is None:
@@ -426,7 +426,7 @@ def condition_number(inputs: GateInputs) -> Measurement:
     return Measurement(seen.condition_number, f"Largest over smallest of {len(seen.singular_values)} singular values.")
 
 
-def weak_directions(inputs: GateInputs) -> Measurement:
+def measure_weak_directions(inputs: GateInputs) -> Measurement:
     """Measure how well the weakest direction is known, and name it."""
     seen = inputs.result.observability if inputs.result else None
     if seen is None or not seen.sigma_of_direction:
@@ -437,7 +437,7 @@ def weak_directions(inputs: GateInputs) -> Measurement:
     return Measurement(max(spread), seen.weakest.sentence)
 
 
-def coverage(inputs: GateInputs) -> Measurement:
+def measure_coverage(inputs: GateInputs) -> Measurement:
     """Measure in how many regions of the detector there were stars."""
     seen = inputs.result.coverage if inputs.result else None
     if seen is None:
@@ -451,7 +451,7 @@ def coverage(inputs: GateInputs) -> Measurement:
     )
 
 
-def quantisation(inputs: GateInputs) -> Measurement:
+def measure_quantisation(inputs: GateInputs) -> Measurement:
     """Measure how far directions move when the table's number format rounds the parameters."""
     if inputs.definition is None:
         return absent(NO_DEFINITION)
@@ -468,7 +468,7 @@ def quantisation(inputs: GateInputs) -> Measurement:
     )
 
 
-def assumptions(inputs: GateInputs) -> Measurement:
+def measure_assumptions(inputs: GateInputs) -> Measurement:
     """Ask whether what the data cannot show was declared, and whether any of it was left in."""
     made = inputs.result.assumptions if inputs.result else []
     if not made:
@@ -508,14 +508,21 @@ class Gate:
 GATES = {
     gate.name: gate
     for gate in (
-        Gate("finite", "Finite values", "Is every parameter a plausible number?", "met", critical=True, measure=finite),
+        Gate(
+            "finite",
+            "Finite values",
+            "Is every parameter a plausible number?",
+            "met",
+            critical=True,
+            measure=measure_finite,
+        ),
         Gate(
             "covariance",
             "Covariance",
             "Is the covariance symmetric and positive definite, and are the sigmas its own?",
             "met",
             critical=True,
-            measure=covariance,
+            measure=measure_covariance,
         ),
         Gate(
             "sensor",
@@ -523,16 +530,16 @@ GATES = {
             "Is it of this sensor, camera model and detector?",
             "met",
             critical=True,
-            measure=sensor,
+            measure=measure_sensor,
         ),
-        Gate("convergence", "Convergence", "Did the estimate settle?", "met", measure=convergence),
+        Gate("convergence", "Convergence", "Did the estimate settle?", "met", measure=measure_convergence),
         Gate(
             "validation-rms",
             "Validation RMS",
             "How large are the arc errors on validation frames, in multiples of the stated noise of an arc?",
             "below",
             "× noise",
-            measure=_rms_in_noise,
+            measure=_measure_rms_in_noise,
             limit=3.0,
             marginal=1.5,
         ),
@@ -542,7 +549,7 @@ GATES = {
             "How large are they compared with the incumbent's, on the same arcs?",
             "below",
             "× incumbent",
-            measure=partial(_against, "validation-rms-incumbent"),
+            measure=partial(_measure_against_incumbent, "validation-rms-incumbent"),
             limit=1.05,
             marginal=1.05,
         ),
@@ -553,7 +560,7 @@ GATES = {
             "above",
             "of frames",
             highest=1.0,
-            measure=partial(_score, "availability"),
+            measure=partial(_measure_score, "availability"),
             limit=0.25,
             marginal=0.9,
         ),
@@ -565,7 +572,7 @@ GATES = {
             "of frames",
             lowest=-1.0,
             highest=1.0,
-            measure=partial(_against, "availability-incumbent"),
+            measure=partial(_measure_against_incumbent, "availability-incumbent"),
             limit=-0.02,
             marginal=-0.02,
         ),
@@ -575,7 +582,7 @@ GATES = {
             "How many matches a validation frame would the flight code accept?",
             "above",
             "a frame",
-            measure=partial(_score, "matched-stars"),
+            measure=partial(_measure_score, "matched-stars"),
             limit=2.0,
             marginal=6.0,
         ),
@@ -586,7 +593,7 @@ GATES = {
             "above",
             "a frame",
             lowest=-1000.0,
-            measure=partial(_against, "matched-stars-incumbent"),
+            measure=partial(_measure_against_incumbent, "matched-stars-incumbent"),
             limit=-0.3,
             marginal=-0.3,
         ),
@@ -596,7 +603,7 @@ GATES = {
             "Are the residuals as large as the stated noise?",
             "around",
             lowest=1.0,
-            measure=chi_square,
+            measure=measure_chi_square,
             limit=9.0,
             marginal=1.1,
         ),
@@ -606,7 +613,7 @@ GATES = {
             "How far is the image from the camera model, where a test of lens, skew or readout notices it, in claimed sigmas?",
             "below",
             "σ",
-            measure=partial(tests_of_model, "lens-structure"),
+            measure=partial(measure_model_tests, "lens-structure"),
             limit=MATTERS,
             marginal=0.0,
         ),
@@ -616,7 +623,7 @@ GATES = {
             "How much does the camera change with time or temperature, where a test notices it, in claimed sigmas?",
             "below",
             "σ",
-            measure=partial(tests_of_model, "stability"),
+            measure=partial(measure_model_tests, "stability"),
             limit=MATTERS,
             marginal=0.0,
         ),
@@ -626,7 +633,7 @@ GATES = {
             "How far do noise, pixel phase, brightness and colour pull the parameters, where a test notices it, in claimed sigmas?",
             "below",
             "σ",
-            measure=partial(tests_of_model, "centroid-noise"),
+            measure=partial(measure_model_tests, "centroid-noise"),
             limit=MATTERS,
             marginal=0.0,
         ),
@@ -636,7 +643,7 @@ GATES = {
             "How far do wrong stars or directions pull the parameters, where a test notices it, in claimed sigmas?",
             "below",
             "σ",
-            measure=identities,
+            measure=measure_identities,
             limit=MATTERS,
             marginal=0.0,
         ),
@@ -646,7 +653,7 @@ GATES = {
             "Are a filter's sigmas right?",
             "around",
             lowest=1.0,
-            measure=nis,
+            measure=measure_nis,
             limit=9.0,
             marginal=1.1,
         ),
@@ -656,7 +663,7 @@ GATES = {
             "How far is it from the incumbent, in sigmas of the difference?",
             "below",
             "σ of the difference",
-            measure=parameter_shift,
+            measure=measure_parameter_shift,
             marginal=15.0,  # of the difference's own sigmas, not of typical ones as `FAR_TYPICAL_SIGMAS`
         ),
         Gate(
@@ -665,7 +672,7 @@ GATES = {
             "How wrong may an arc be at the worst place of the detector, by the covariance alone?",
             "below",
             "px",
-            measure=arc_uncertainty,
+            measure=measure_arc_uncertainty,
             marginal=0.5,
         ),
         Gate(
@@ -673,7 +680,7 @@ GATES = {
             "Condition number",
             "How unevenly do the data determine the parameters?",
             "below",
-            measure=condition_number,
+            measure=measure_condition_number,
             marginal=1e5,
         ),
         Gate(
@@ -682,7 +689,7 @@ GATES = {
             "How well is the weakest combination of parameters known, in typical sigmas?",
             "below",
             "typical σ",
-            measure=weak_directions,
+            measure=measure_weak_directions,
             marginal=WEAK,
         ),
         Gate(
@@ -692,7 +699,7 @@ GATES = {
             "above",
             "of regions",
             highest=1.0,
-            measure=coverage,
+            measure=measure_coverage,
             marginal=0.7,
         ),
         Gate(
@@ -701,7 +708,7 @@ GATES = {
             "How much does the number format on board change a direction, anywhere on the detector?",
             "below",
             "px",
-            measure=quantisation,
+            measure=measure_quantisation,
             limit=0.1,
             marginal=0.01,
         ),
@@ -711,7 +718,7 @@ GATES = {
             "Are the properties that no data can show declared: readout, satellite velocity, directions, refraction, lens and "
             "centroids?",
             "met",
-            measure=assumptions,
+            measure=measure_assumptions,
         ),
     )
 }
@@ -719,10 +726,10 @@ GATES = {
 
 def measure(inputs: GateInputs) -> dict[str, Measurement]:
     """Measure everything that the gates ask, by gate."""
-    return {gate.name: _measured(gate.measure, inputs) for gate in GATES.values()}
+    return {gate.name: _measure_gate(gate.measure, inputs) for gate in GATES.values()}
 
 
-def _measured(function: Callable[[GateInputs], Measurement], inputs: GateInputs) -> Measurement:
+def _measure_gate(function: Callable[[GateInputs], Measurement], inputs: GateInputs) -> Measurement:
     """Measure for one gate; what cannot be had is absent, with the reason."""
     try:
         return _finite(function(inputs))

@@ -37,7 +37,7 @@ def _cookie(request: Request) -> ShortCookie:
 
 @router.get("", response_class=HTMLResponse)
 async def go(request: Request, next: str = "/", confirm: bool = False) -> Response:  # noqa: A002 - the name in the address
-    """Send a browser to the provider: to log in, or with `confirm` to have the person who is logged in confirmed anew."""
+    """Send a browser to the provider: to log in, or with `confirm` to have the person who is logged in confirmed again."""
     provider, session_id = _provider(request), None
     if confirm:
         actor = await get_actor(request)

@@ -77,7 +77,7 @@ MEANINGS = {
 
 
 @dataclass(frozen=True)
-class View:
+class SigningView:
     """A figure that is opened before signing: what the run answers in a sentence, and when this reader opened it."""
 
     point: Point
@@ -85,11 +85,11 @@ class View:
     answer: str
 
 
-def make_views(points: Sequence[Point], result: Calibration | None) -> list[View]:
+def make_views(points: Sequence[Point], result: Calibration | None) -> list[SigningView]:
     """Return the figures of a request, each with its answer."""
     said = {} if result is None else {view.figure: view.answer.sentence for view in make_four_views(result)}
     return [
-        View(point, FIGURES[point.name], said.get(point.name, "Open it to see the answer."))
+        SigningView(point, FIGURES[point.name], said.get(point.name, "Open it to see the answer."))
         for point in points
         if point.kind == review.EVIDENCE
     ]
@@ -192,7 +192,7 @@ def request_page(
         remarks=approvals.list_remarks(session, approval_id),
         signatures=approval_queries.list_signatures(session, approval_id),
         pending=proposals.list_open_proposals(session, row.sensor_id) if approval.state in {"OPEN", "APPROVED"} else [],
-        signers=approvals.list_signers_of(session, approval_id, policy=policy) if approval.state == "OPEN" else [],
+        signers=approvals.list_request_signers(session, approval_id, policy=policy) if approval.state == "OPEN" else [],
         blocked=approvals.explain_why_not_sign(session, actor, approval_id, policy=policy),
         decisions=_decisions(approval, row),
         meanings=MEANINGS.values(),

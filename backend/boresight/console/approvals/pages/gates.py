@@ -1,4 +1,4 @@
-"""The gates of a set and the limits of a sensor: what was found, assessing anew, waiving, trying and setting limits.
+"""The gates of a set and the limits of a sensor: what was found, assessing again, waiving, trying and setting limits.
 
 What was typed stays in the form, whether it was tried, refused or lost the race with another's change.
 """

@@ -98,7 +98,7 @@ def _requests(session: Session, where: Mapping[str, Any], level: str, words: str
     return WaitingItems(lists.count(session, "approvals", where), first)
 
 
-def _first_of(told: Iterable[tuple[str, str]], label: str) -> WaitingItems:
+def _count_waiting(told: Iterable[tuple[str, str]], label: str) -> WaitingItems:
     """Count the waiting items that a sentence and an address tell of, and write the first few."""
     every = list(told)
     return WaitingItems(len(every), [WaitingAction("standby", *one, label) for one in every[:MOST_ACTIONS]])
@@ -106,7 +106,7 @@ def _first_of(told: Iterable[tuple[str, str]], label: str) -> WaitingItems:
 
 def _mentions(remarks: Sequence[Remark]) -> WaitingItems:
     """Write where others mentioned a person who has not answered."""
-    return _first_of(
+    return _count_waiting(
         (
             (
                 f"{remark.printed_name} mentions you on request {remark.approval_id}.",
@@ -124,7 +124,7 @@ def _proposals(session: Session, actor: Actor) -> WaitingItems:
         for row in proposals.list_open_proposals(session)
         if proposals.explain_why_not_decide(session, actor, row) is None
     ]
-    return _first_of(
+    return _count_waiting(
         (
             (f"A change of the {proposals.TITLES[row.kind]} waits for a second person.", f"/change-proposals/{row.id}")
             for row in able
@@ -139,7 +139,7 @@ def _alignments(session: Session, actor: Actor, policy: Policy) -> WaitingItems:
         for row in lists.list_newest(session, AlignmentRequest, limit=MOST_ALIGNMENTS, state="OPEN")
         if alignment_approval.explain_why_not_sign(session, actor, row, policy) is None
     ]
-    return _first_of(
+    return _count_waiting(
         (
             (f"Alignment {row.alignment_id} waits for your signature.", f"/alignments/{row.alignment_id}")
             for row in able

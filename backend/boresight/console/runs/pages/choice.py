@@ -11,7 +11,7 @@ from urllib.parse import urlencode
 from fastapi import APIRouter, Depends, Request
 from fastapi.responses import JSONResponse, Response
 
-from boresight.calibration.choice.result import Candidate, Choice, State, Sufficiency, TermTest, shown_p
+from boresight.calibration.choice.result import Candidate, Choice, State, Sufficiency, TermTest, write_p
 from boresight.console.access.dependencies import Reading, Who, csrf, get_server
 from boresight.console.fleet.tables import Sensor
 from boresight.console.pages.rendering import make_change
@@ -96,12 +96,12 @@ def make_choice_part(request: Request, session: Session, actor: Actor, run: Run)
     if asked is None:
         return {"choice": view}
     if asked.state != "SUCCEEDED":
-        return {"choice": _of_state(request, session, view, asked)}
+        return {"choice": _show_state(request, session, view, asked)}
     try:
         found = choices.get_choice(session, get_server(request).blobs, run.id)
     except ConflictError as error:
         return {"choice": replace(view, notices=[StateNotice("serious", str(error))])}
-    return {"choice": _of_answer(session, view, found, run), "held_out": held_out_error}
+    return {"choice": _show_answer(session, view, found, run), "held_out": held_out_error}
 
 
 def _why_not(session: Session, run: Run, actor: Actor, asked: Run | None) -> str | None:
@@ -112,7 +112,7 @@ def _why_not(session: Session, run: Run, actor: Actor, asked: Run | None) -> str
     return None if is_on_its_way else choices.find_obstacle(session, run)
 
 
-def _of_state(request: Request, session: Session, view: ChoiceView, asked: Run) -> ChoiceView:
+def _show_state(request: Request, session: Session, view: ChoiceView, asked: Run) -> ChoiceView:
     log = runs.list_log_lines(session, asked.id)
     if asked.state in TERMINAL_RUN_STATES:
         cause = (asked.reason or "").strip() or "No cause was recorded; see the last lines of its log."
@@ -131,7 +131,7 @@ def _of_state(request: Request, session: Session, view: ChoiceView, asked: Run) 
     )
 
 
-def _of_answer(session: Session, view: ChoiceView, found: Choice, run: Run) -> ChoiceView:
+def _show_answer(session: Session, view: ChoiceView, found: Choice, run: Run) -> ChoiceView:
     level, word = VERDICTS[found.sufficiency]
     return replace(
         view,
@@ -210,7 +210,7 @@ def _list_tests(found: Choice) -> Iterator[TestRow]:
 
 def _p(test: TermTest) -> str:
     """Print a p-value, corrected for the number of tests."""
-    return shown_p(test.log10_p_corrected).removeprefix("= ")
+    return write_p(test.log10_p_corrected)
 
 
 def _with_interval(one: Candidate) -> str:

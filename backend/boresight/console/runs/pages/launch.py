@@ -136,7 +136,7 @@ class TypedForm:
         )
 
     @property
-    def of_one_run(self) -> bool:
+    def differs_for_one_run(self) -> bool:
         """Whether a choice about several sets or a prior differs from the usual."""
         return any(self[name] != DEFAULTS[name] for name in FIELDS if OPTIONS[name].group in OF_ONE_RUN)
 
@@ -337,11 +337,11 @@ def found_alone(offered: OfferedData, address: QueryParams) -> str | None:
     alone = list(choices.names)[-1] if choices.find and choices.found == choices.fitting == 1 else None
     if offered.is_whole or choices.is_all or alone in {None, offered.shown}:
         return None
-    kept = [(name, text) for name, text in address.multi_items() if not _of_sensor(name)]
+    kept = [(name, text) for name, text in address.multi_items() if not _applies_to_one_sensor(name)]
     return urlencode([*kept, ("sensor", alone)])
 
 
-def _of_sensor(name: str) -> bool:
+def _applies_to_one_sensor(name: str) -> bool:
     """Whether a parameter of the address applies to one sensor only."""
     return name in {"sensor", *OF_A_SENSOR} or name.startswith("free-")
 

@@ -56,12 +56,12 @@ def list_notices(
 ) -> list[StateNotice]:
     """Return the notices that explain a run's state."""
     notices_by_state = {
-        "QUEUED": lambda: [StateNotice("standby", _queue_sentence(session, run, workers)), *_of_attempts(log)],
-        "RUNNING": lambda: [*_of_attempts(log), *_of_silence(run)],
+        "QUEUED": lambda: [StateNotice("standby", _queue_sentence(session, run, workers)), *_explain_attempts(log)],
+        "RUNNING": lambda: [*_explain_attempts(log), *_explain_silence(run)],
         "CANCELLING": lambda: [StateNotice("caution", _stopping_sentence(run, log))],
-        "FAILED": lambda: _of_failure(session, run, log),
-        "LOST": lambda: [StateNotice("serious", _lost_sentence(run), links=_again(run)), *_of_partial(run)],
-        "CANCELLED": lambda: [StateNotice("off", _reason(run) or "This run was cancelled."), *_of_partial(run)],
+        "FAILED": lambda: _explain_failure(session, run, log),
+        "LOST": lambda: [StateNotice("serious", _lost_sentence(run), links=_again(run)), *_explain_partial(run)],
+        "CANCELLED": lambda: [StateNotice("off", _reason(run) or "This run was cancelled."), *_explain_partial(run)],
     }
     return notices_by_state.get(run.state, list)()
 
@@ -80,7 +80,7 @@ def _again(run: Run) -> tuple[tuple[str, str], ...]:
     return ((f"/runs/new?clone={run.id}", "Run it again"), (f"/telemetry/{run.telemetry_set_id}", "Quality report"))
 
 
-def _of_failure(session: Session, run: Run, log: Sequence[RunEvent]) -> list[StateNotice]:
+def _explain_failure(session: Session, run: Run, log: Sequence[RunEvent]) -> list[StateNotice]:
     """Explain a failure: its cause, the end of the log, and what to try."""
     cause = _reason(run) or "The run failed and no cause was recorded; see the last lines of its log."
     lines = tuple(line for line in log if line.state != "FAILED")
@@ -91,11 +91,11 @@ def _of_failure(session: Session, run: Run, log: Sequence[RunEvent]) -> list[Sta
     return [
         StateNotice("serious", cause, lines=lines[-LAST_LINES:]),
         StateNotice("off", told, links=links),
-        *_of_partial(run),
+        *_explain_partial(run),
     ]
 
 
-def _of_partial(run: Run) -> list[StateNotice]:
+def _explain_partial(run: Run) -> list[StateNotice]:
     told = parse_progress(run.progress)
     if not told.fraction:
         return []
@@ -103,7 +103,7 @@ def _of_partial(run: Run) -> list[StateNotice]:
     return [StateNotice("off", f"PARTIAL: {so_far}. Its estimate at that point is void and is not shown as a result.")]
 
 
-def _of_attempts(log: Sequence[RunEvent]) -> list[StateNotice]:
+def _explain_attempts(log: Sequence[RunEvent]) -> list[StateNotice]:
     again = [line for line in log if line.state == "QUEUED" and line.cause]
     if not again:
         return []
@@ -111,7 +111,7 @@ def _of_attempts(log: Sequence[RunEvent]) -> list[StateNotice]:
     return [StateNotice("caution", f"{told} It is computed again from the start.")]
 
 
-def _of_silence(run: Run) -> list[StateNotice]:
+def _explain_silence(run: Run) -> list[StateNotice]:
     """Explain that a worker has stopped reporting."""
     silent_s = seconds_since(parse_progress(run.progress).at_utc or run.started_utc)
     if silent_s is None or silent_s < SILENT_S:

@@ -22,7 +22,7 @@ from boresight.console.pages.rendering import RefusalContext, attempt, read_agai
 from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.runs.pages.list import read_names
 from boresight.console.uplinks import table_definitions
-from boresight.console.uplinks.table_definitions import Layout
+from boresight.console.uplinks.table_definitions import FilledTable
 from boresight.console.uplinks.tables import TableDefinition
 from boresight.errors import BoresightError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, Policy
@@ -92,7 +92,7 @@ def awaits_read_back(session: Session, sensor_id: int) -> bool:
     return baseline is not None and baseline.onboard_state in {"SENT", "LOADED"}
 
 
-def list_layout_lines(layout: Layout, *, with_crc: bool = True) -> Sequence[LayoutLine]:
+def list_layout_lines(layout: FilledTable, *, with_crc: bool = True) -> Sequence[LayoutLine]:
     """Lay the fields out, a line each, the stored CRC among them unless it is not to be told."""
     fields = [_make_layout_line(one) for one in layout.decoded.fields]
     stored, crc = layout.definition.crc_field, layout.definition.crc
@@ -159,7 +159,7 @@ def _page(
     )
 
 
-def _laid_out(session: Session, sensor_id: int, text: str) -> tuple[Layout | None, RefusalContext | None]:
+def _laid_out(session: Session, sensor_id: int, text: str) -> tuple[FilledTable | None, RefusalContext | None]:
     """Lay out the baseline by the typed definition, or return why that is not possible."""
     try:
         return table_definitions.lay_out(session, sensor_id, read_document(text)), None

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from boresight.console.fleet.trend import Trend, TrendPoint, make_epoch
-from boresight.console.ingest.judgement import Reference, judge, judge_newest, make_follower, reference_of
-from boresight.console.ingest.rehearsal import rehearse
+from boresight.console.ingest.change_tests import Reference, judge, judge_newest, make_follower, promote_point, rehearse
 from boresight.console.ingest.rules import RULES, PolicyRules, parse_rules
 from boresight.errors import RefusedInputError
 from boresight.platform.db.sessions import utc_text
@@ -105,7 +104,7 @@ def test_what_comes_and_goes_with_the_temperature_is_forecast_and_no_drift():
     rng = np.random.default_rng(9)
     warm = 10.0 * np.sin(np.arange(60) / 5.0)
     season = [point(k, drawn(rng, TRUTH + T * SIGMA), temperature_c=15.0 + T) for k, T in enumerate(warm)]
-    base = reference_of(season[0])
+    base = promote_point(season[0])
     found = judged(season[20:], base, RULE)
     assert (
         sum(one.state == "ASKED" for one in found) <= 8

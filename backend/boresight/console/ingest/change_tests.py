@@ -19,13 +19,16 @@ As long as there are too few calibrations for a forecast, the baseline is the fo
 is that of theta, with P + B. All these tests share the baseline's error, so their false alarms come in bursts, as many on average.
 
 A dry run walks over the calibrations of the past by the same functions. A set that would have been asked as a drift is the next
-reference, as though people had promoted it; of a jump the advice is to wait for the next set, and that is taken.
+reference, as though people had promoted it; of a jump the advice is to wait for the next set, and that is taken. Nothing is
+calibrated again: sets without a calibration that counts are counted, and the gates are not judged.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime
+from typing import Any
 
 import numpy as np
 
@@ -94,28 +97,28 @@ def make_reference(trend: Trend) -> Reference | None:
     """Return a sensor's baseline as a reference; None where it has none."""
     if trend.baseline is None:
         return None
-    own = trend.of_run(trend.baseline.run_id)
+    own = trend.find_run(trend.baseline.run_id)
     names = tuple(trend.baseline.document["covariance"]["names"])
     measured = trend.baseline.run_id is not None
     epoch = make_baseline_epoch(trend.baseline, own, names)
     return Reference(trend.baseline.name, names, epoch, trend.baseline.id, trend.baseline.run_id, measured)
 
 
-def reference_of(point: TrendPoint) -> Reference:
+def promote_point(point: TrendPoint) -> Reference:
     """Return a calibration as a reference, as though it had been promoted."""
     return Reference(f"run {point.run_id}", point.names, make_epoch(point, point.names), None, point.run_id)
 
 
 def judge_newest(trend: Trend, run_id: int, rules: PolicyRules) -> PolicyFinding:
     """Judge the calibration of a run against what those before it forecast, and the baseline."""
-    point, reference = trend.of_run(run_id), make_reference(trend)
+    point, reference = trend.find_run(run_id), make_reference(trend)
     if reference is None:
         return _not_judged("NO BASELINE", "There is no baseline to compare with; register the sensor again.")
     if point is None:
         return _not_judged(
             "NO RESULT", f"Run {run_id} has no calibration of the baseline's camera model; choose another preset."
         )
-    own = trend.of_run(reference.run_id)
+    own = trend.find_run(reference.run_id)
     if own is not None and (point.overlaps(own) or point.at_utc <= own.at_utc):
         return _not_judged(
             "OLDER", f"The data are not newer than those of {reference.name}; nothing is to be decided on them."
@@ -131,7 +134,7 @@ def judge_newest(trend: Trend, run_id: int, rules: PolicyRules) -> PolicyFinding
 
 def agree(trend: Trend, run_id: int | None, other_id: int | None, rules: PolicyRules) -> bool:
     """Whether the calibrations of two runs are of the same camera, for a change that was answered before there is a forecast."""
-    one, other = trend.of_run(run_id), trend.of_run(other_id)
+    one, other = trend.find_run(run_id), trend.find_run(other_id)
     if one is None or other is None or set(one.names) != set(other.names):
         return False
     test = tests.baseline_test(make_epoch(one, one.names), make_epoch(other, one.names), rules.false_alarm_rate)
@@ -266,3 +269,85 @@ def _reasons(point: TrendPoint, found: PolicyFinding, rules: PolicyRules) -> lis
     of = f"of {rules.confirmations} that the policy asks for" if found.in_row < rules.confirmations else "in a row"
     said.append(Reason("IN ROW", f"{found.in_row} set{'s' if found.in_row != 1 else ''} {of} outside it."))
     return said
+
+
+YEAR_D = 365.25
+#: Lines that are kept with a policy, the newest.
+MOST_LINES = 400
+
+
+def rehearse(trend: Trend, rules: PolicyRules) -> dict[str, Any]:
+    """Walk over a sensor's calibrations by the time of their data."""
+    points = [point for point in trend.points if point.timed and (not point.left_out)]
+    walked = list(walk_over(points, trend, rules))
+    counts = {name: sum(found.state == state for _, found in walked) for name, state in STATES.items()}
+    with_runs = {point.telemetry_set_id for point in (*trend.points, *trend.others)}
+    idle = [row for row in trend.telemetry.values() if row.purpose == "calibration" and row.id not in with_runs]
+    busiest = _busiest_day(points)
+    return {
+        "sets": len(walked),
+        **counts,
+        "without_run": len(idle),
+        "left_out": sum(bool(point.left_out) for point in trend.points),
+        "busiest_day_sets": busiest,
+        "would_pause": busiest > rules.sets_per_day,
+        "false_requests_per_year": _per_year(points, rules),
+        "lines": [_line(point, found) for point, found in walked[-MOST_LINES:]],
+    }
+
+
+STATES = {"held": "WITHIN FORECAST", "unconfirmed": "UNCONFIRMED", "asked": "ASKED", "not_judged": "NOT JUDGED"}
+
+
+def walk_over(points: Sequence[TrendPoint], trend: Trend, rules: PolicyRules) -> list[tuple[TrendPoint, PolicyFinding]]:
+    """Judge one calibration after the other, with each that would have been asked as promoted, but for jumps."""
+    reference, since, follower = _first_reference(points, trend), list[Followed](), make_follower(rules)
+    walked: list[tuple[TrendPoint, PolicyFinding]] = []
+    for point in points:
+        own = follower.follow(point)
+        if reference is None or point.run_id == reference.run_id:
+            reference, since = reference or promote_point(point), []
+            continue
+        found = judge(point, own, since, reference, rules)
+        walked.append((point, found))
+        if found.state == "ASKED" and (found.forecast is None or not found.forecast.rejects):
+            reference, since = promote_point(point), []
+        elif own is not None:
+            since.append(own)
+    return walked
+
+
+def _first_reference(points: Sequence[TrendPoint], trend: Trend) -> Reference | None:
+    """Return what the oldest set is held against: the baseline where it is declared, else the oldest set itself."""
+    baseline = make_reference(trend)
+    if baseline is not None and not baseline.measured:
+        return baseline
+    return promote_point(points[0]) if points else None
+
+
+def _busiest_day(points: Sequence[TrendPoint]) -> int:
+    days = [point.at_utc[:10] for point in points]
+    return max((days.count(day) for day in set(days)), default=0)
+
+
+def _per_year(points: Sequence[TrendPoint], rules: PolicyRules) -> float | None:
+    """Return how many requests a year would come of chance alone, at the pace of the past; None where there is none."""
+    if len(points) < 2:
+        return None
+    span_d = (
+        datetime.fromisoformat(points[-1].at_utc) - datetime.fromisoformat(points[0].at_utc)
+    ).total_seconds() / 86400
+    return None if span_d <= 0 else rules.false_alarm_rate * (len(points) - 1) / span_d * YEAR_D
+
+
+def _line(point: TrendPoint, found: PolicyFinding) -> dict[str, Any]:
+    return {
+        "run_id": point.run_id,
+        "telemetry": point.telemetry,
+        "at_utc": point.at_utc,
+        "state": found.state,
+        "against": None if found.reference is None else found.reference.name,
+        "statistic": None if found.holds is None else found.holds.statistic,
+        "limit": None if found.holds is None else found.holds.limit,
+        "sentence": found.sentence,
+    }
