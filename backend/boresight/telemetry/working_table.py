@@ -153,7 +153,8 @@ class WorkingTable:
 
     def _damaged(self) -> RefusedInputError:
         return RefusedInputError(
-            f"The stored table {self.path.name[:12]} is damaged: restore it from a backup, or upload the telemetry again."
+            f"The stored table {self.path.name[:12]} is damaged: restore it from a backup, or upload the telemetry again.",
+            code="damaged-table",
         )
 
 

@@ -201,7 +201,8 @@ def _refuse_unusable(settings: Settings) -> None:
         load_pem_x509_certificates(Path(settings.tls_authority).read_bytes())
     except (OSError, ValueError) as error:
         raise RefusedInputError(
-            f"BORESIGHT_TLS_AUTHORITY={settings.tls_authority!r} contains no readable certificate (PEM): {MAKE_NEW}."
+            f"BORESIGHT_TLS_AUTHORITY={settings.tls_authority!r} contains no readable certificate (PEM): {MAKE_NEW}.",
+            code="unreadable-certificate",
         ) from error
     path = Path(settings.tls_certificate)
     try:

@@ -22,7 +22,7 @@ from boresight.platform.actors import SYSTEM, Policy
 from boresight.platform.audit import chain
 from boresight.platform.audit import log as audit
 from boresight.platform.audit.audit_verifier import canonical, compute_hash, verify
-from boresight.platform.audit.export import verifier, write_export
+from boresight.platform.audit.export import FORMS, verifier, write_export
 from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing
 from tests.stores import drop_triggers, triggers_aside
@@ -131,7 +131,7 @@ def test_many_writers_at_once_keep_one_chain(log):
 
 def test_the_database_itself_refuses_to_change_a_record(log):
     for statement in ("UPDATE audit SET reason = 'x'", "DELETE FROM audit"):
-        with pytest.raises(sa.exc.DBAPIError, match="a record of audit"), open_writing(log) as session:
+        with pytest.raises(sa.exc.DBAPIError, match=r"audit .*never"), open_writing(log) as session:
             session.connection().exec_driver_sql(statement)
     assert _verify(log).ok
 
@@ -216,7 +216,7 @@ def test_an_export_verifies_and_tells_the_head_of_the_log_and_whether_four_eyes_
     assert f"head {_head(small_log)}" in sentence
     for policy in (Policy(), Policy(four_eyes=False)):
         assert json.loads(_export(small_log, policy=policy).splitlines()[-1])["four_eyes"] is policy.four_eyes
-    with pytest.raises(RefusedInputError, match="zip or jsonl"):
+    with pytest.raises(RefusedInputError, match=" or ".join(FORMS)):
         _export(small_log, "xml")
 
 

@@ -33,6 +33,7 @@ from tests.console.uplinks import pages as board
 from tests.console.uplinks.services import advance, define, promote_by_hand
 from tests.effort import effort
 from tests.passwords import approve
+from tests.refusals import has_code
 
 People = Mapping[str, Actor]
 Step = tuple[str, int, str, int]  # what, which set, which state, seconds since the step before
@@ -233,13 +234,13 @@ def test_what_cannot_be_asked_is_refused(engine):
     with open_reading(engine) as session:
         with pytest.raises(RefusedInputError, match="2026-11-21T03:04:05Z"):
             timeline.get_state_at(session, 1, "yesterday")
-        with pytest.raises(RefusedInputError, match="is not a time"):
+        with pytest.raises(RefusedInputError, check=has_code("not-a-time")):
             timeline.get_state_at(session, 1, "0001-01-01T00:00:00+14:00")
         with pytest.raises(NotFoundError, match="77"):
             timeline.get_state_at(session, 77)
         with pytest.raises(NotFoundError, match="77"):
             timeline.list_events(session, 77)
-        with pytest.raises(RefusedInputError, match="start again without a cursor"):
+        with pytest.raises(RefusedInputError, check=has_code("unknown-cursor")):
             timeline.list_events(session, 1, before_id=99999)
 
 

@@ -168,7 +168,10 @@ class Seen:
     def require(self, shape: type[Row], row: Any, name: str = "It") -> None:
         """Refuse a transition by someone who saw an older version of the row."""
         if self.tag is not None and self.tag != shape.etag(row):
-            raise StaleError(f"{name} has changed since you read it; read it again and send its new ETag in If-Match.")
+            raise StaleError(
+                f"{name} has changed since you read it; read it again and send its new ETag in If-Match.",
+                code="changed-since-read",
+            )
 
 
 @refuses(412, 428)

@@ -41,7 +41,9 @@ def known_roles(roles: Collection[str]) -> list[str]:
         named = roles if isinstance(roles, str) else ", ".join(unknown)
         raise RefusedInputError(f"There is no role {named}; choose from {', '.join(ROLES)}.")
     if {"administrator", "approver"} <= set(roles):
-        raise RefusedInputError("An administrator cannot sign; give the role approver to another person.")
+        raise RefusedInputError(
+            "An administrator cannot sign; give the role approver to another person.", code="administrator-cannot-sign"
+        )
     return [role for role in ROLES if role in roles]
 
 
@@ -152,7 +154,9 @@ def get_actor(
 def refuse_password_of_another(user: User) -> None:
     """Refuse a person whose password somebody else knows."""
     if user.must_change_password:
-        raise PasswordDueError("Somebody else set your password: set your own first, then continue.")
+        raise PasswordDueError(
+            "Somebody else set your password: set your own first, then continue.", code="password-due"
+        )
 
 
 def must_change_password(session: Session, actor: Actor) -> bool:

@@ -130,7 +130,9 @@ def save_preset(session: Session, actor: Actor, name: str, sentence: str, settin
         and before.archived_utc is None
         and (before.document, before.sentence) == (document, sentence)
     ):
-        raise ConflictError(f"Version {before.number} of {name} is identical; choose it from the list.")
+        raise ConflictError(
+            f"Version {before.number} of {name} is identical; choose it from the list.", code="identical-version"
+        )
     row = Preset(
         name=name,
         number=1 if before is None else before.number + 1,

@@ -120,7 +120,9 @@ def list_runs(
     """Return a page of runs, newest first; the next page starts before the last one's id."""
     asked = [state] if isinstance(state, str) else list(state or ())
     if strange := [word for word in asked if word not in RUN_STATES]:
-        raise RefusedInputError(f"{', '.join(strange)} is not a state of a run; choose from {', '.join(RUN_STATES)}.")
+        raise RefusedInputError(
+            f"{', '.join(strange)} is not a state of a run; choose from {', '.join(RUN_STATES)}.", code="unknown-state"
+        )
     return lists.list_newest(
         session,
         Run,

@@ -58,7 +58,8 @@ class FolderBlobStore(BlobStore):
         except OSError as error:
             raise StorageError(
                 f"The folder of files {self.folder} cannot be written ({error.strerror or error}): let the server write there, "
-                "make room on its disk, or name another by BORESIGHT_BLOBS."
+                "make room on its disk, or name another by BORESIGHT_BLOBS.",
+                code="folder-not-writable",
             ) from error
 
     def refuse_unusable(self) -> None:

@@ -575,7 +575,9 @@ def _read_fits(path: Path, name: str, layout: Layout, wanted: Sequence[str], lim
     from astropy.io import fits  # noqa: PLC0415 - loaded with the first file that needs it
 
     if not read_head(path).startswith(_FITS):  # astropy would expand what is packed, without a limit
-        raise RefusedInputError(f"{name} is not a FITS file: unpack it, or choose a profile of another format.")
+        raise RefusedInputError(
+            f"{name} is not a FITS file: unpack it, or choose a profile of another format.", code="not-fits"
+        )
     _refuse_size(path, name, MOST_BINARY_BYTES, "a FITS file")
     try:
         with warnings.catch_warnings(action="ignore"), path.open("rb") as raw, fits.open(raw, memmap=False) as file:
