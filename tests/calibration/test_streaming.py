@@ -214,7 +214,8 @@ def test_a_validation_set_that_is_large_is_sampled_evenly(sensor, catalogue, tmp
     validation_set = TelemetryFile(tmp_path / "held-out.parquet", large_rows=0, chunk_frames=10)
     document = in_memory(telemetry(1), sensor, catalogue, match="given", validation=validation_set)
     assert 25 <= document["validation"]["frames"] <= 50
-    assert f"{document['validation']['frames']} of its frames" in document["advice"][-1]
+    assert document["advice_codes"][-1] == "judged_on"
+    assert f" {document['validation']['frames']} " in document["advice"][-1]
 
 
 def test_pieces_are_asked_for_a_stop_before_each():

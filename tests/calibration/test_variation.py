@@ -1,5 +1,6 @@
 """Parameters of a pass, walks and temperatures over several telemetry sets: the stacked problem, and the last pass in its light."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -191,8 +192,7 @@ def test_a_step_is_proposed_with_its_size_and_an_interval_for_its_date(sensor, c
     assert step.p_value < 1e-6
     assert np.datetime64(step.from_utc[:-1]) <= BEGIN + 15 * DAY + DAY // 100
     assert np.datetime64(step.to_utc[:-1]) >= BEGIN + 18 * DAY
-    assert step.sentence.startswith("f stepped by +")
-    assert "ppm between 2026-01-" in step.sentence
+    assert re.match(r"f stepped by \+.* ppm .*2026-01-", step.sentence)
     assert [one.parameters["f_m"] for one in found.states[:6]] == [found.states[0].parameters["f_m"]] * 6
 
 

@@ -1,5 +1,6 @@
 """The watched folder: what is complete, what is never opened, and where files go."""
 
+import errno
 import hashlib
 import os
 import threading
@@ -9,7 +10,6 @@ import pytest
 from boresight.console.ingest.folder import DONE, REFUSED, WatchedFolder
 from boresight.errors import RefusedInputError, UnavailableError
 from tests.refusals import has_code
-import errno
 
 SETTLE_S = 10.0
 LARGE = 1_000_000
