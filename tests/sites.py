@@ -55,6 +55,16 @@ PEOPLE = {
 }
 
 
+def codes(page: str) -> list[str]:
+    """Return which notices, refusals and empty views a page shows, by their codes."""
+    return re.findall(r'data-code="([\w-]+)"', page)
+
+
+def text_of(page: str, place: str) -> str:
+    """Return the text of the element with an id, up to the end of its first line or element."""
+    return words(page.split(f'id="{place}"', 1)[1].partition(">")[2].split("</")[0])
+
+
 def as_shown(sentence: str) -> str:
     """Return a stored sentence as a page has it: with its numbers written as in the tables."""
     return words(show_numbers(f"<main>{html.escape(sentence)}</main>")).strip()

@@ -26,7 +26,7 @@ from boresight.calibration.calibration import (
 from boresight.calibration.estimate import Parameters, robust_view, run_batch
 from boresight.calibration.matching.matched_frames import match_under_states
 from boresight.calibration.options import METHODS, CalibrationSettings, StatedSettings
-from boresight.calibration.problem import build_problem
+from boresight.calibration.problem import COLLINEAR_REASON, build_problem
 from boresight.calibration.result import TrendEntry, trend_entry
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import CancelledError, RefusedInputError
@@ -144,7 +144,7 @@ def test_too_few_stars_and_stars_on_one_line_leave_nothing_estimated_and_are_cou
     line = np.linspace(-0.1, 0.1, len(telemetry))
     document = calibrated(replace(telemetry, ra_rad=line, dec_rad=np.zeros(len(telemetry))), match="given")
     assert document["status"] == "too_few_stars"
-    assert {"what": "exposures", "count": 6, "reason": "all usable stars on one line"} in document["left_out"]
+    assert {"what": "exposures", "count": 6, "reason": COLLINEAR_REASON} in document["left_out"]
 
 
 def test_a_start_or_telemetry_that_is_not_this_sensor_is_said_to_be_so_and_not_called_converged(

@@ -10,6 +10,7 @@ import httpx
 import pytest
 import sqlalchemy as sa
 
+from boresight.console.access.external_identities import NO_ROLE
 from boresight.console.access.openid_connect import ALGORITHMS, read_provider_settings
 from boresight.console.access.tables import ExternalIdentity, LoginSession, User
 from boresight.errors import RefusedInputError
@@ -140,7 +141,7 @@ def test_roles_follow_the_groups_at_every_log_in_and_a_change_ends_the_log_ins_o
     provider.person["groups"] = ["/crew/others"]
     _, answer = _come(house)
     assert answer.status_code == 401
-    assert "None of your groups gives you a role" in _said(answer)
+    assert NO_ROLE in _said(answer)
     assert after.get("/api/v1/runs").status_code == 401
     with open_reading(house.app.state.engine) as session:
         user = session.scalar(sa.select(User).where(User.name == provider.person["preferred_username"]))

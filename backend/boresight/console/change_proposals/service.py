@@ -269,7 +269,7 @@ def _refuse_decider(session: Session, actor: Actor, row: ChangeProposal) -> None
     if user_id == row.proposed_by:
         raise ForbiddenError("You proposed this change; have another person confirm or refuse it.", code="own-proposal")
     if session.get_one(User, user_id).must_change_password:
-        raise ForbiddenError("Somebody else set your password; set your own first, then decide.")
+        raise ForbiddenError("Somebody else set your password; set your own first, then decide.", code="password-due")
 
 
 def _check_document(

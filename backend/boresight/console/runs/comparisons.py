@@ -104,7 +104,7 @@ class UnlikeModelsError(RefusedInputError):
     """The runs have different camera models; `sets` are their parameter sets that could be converted."""
 
     def __init__(self, message: str, sets: Sequence[tuple[int, str]]) -> None:
-        super().__init__(message)
+        super().__init__(message, code="unlike-models")
         self.sets = sets
 
 

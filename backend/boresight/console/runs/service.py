@@ -166,7 +166,9 @@ def get_final_result(session: Session, blobs: BlobStore, run_id: int) -> dict[st
     run = get_run(session, run_id)
     document = find_result(session, blobs, run_id)
     if run.result_sha256 is None or document is None:
-        raise ConflictError(f"Run {run_id} is {run.state} and has no result; wait until it ends, or launch it again.")
+        raise ConflictError(
+            f"Run {run_id} is {run.state} and has no result; wait until it ends, or launch it again.", code="no-result"
+        )
     return document
 
 

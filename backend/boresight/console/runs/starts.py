@@ -55,7 +55,9 @@ def find_start(session: Session, sensor: Sensor, prior_run_id: int | None, prior
     if named is None and queries.find_archived(session, run.id) is not None:
         raise ConflictError(f"{name} is archived; show it again, or start from another calibration.")
     if run.state != "SUCCEEDED" or run.result_sha256 is None:
-        raise ConflictError(f"{name} is {run.state} and has no result; start from a run that SUCCEEDED.")
+        raise ConflictError(
+            f"{name} is {run.state} and has no result; start from a run that SUCCEEDED.", code="no-result"
+        )
     if (status := parse_run_summary(run.summary).status) != USABLE:
         ended = (status or "without an estimate").replace("_", " ")
         raise RefusedInputError(

@@ -335,7 +335,8 @@ def _refuse_other_versions(
         raise ConflictError(
             f"The table definition of {sensor.name} in force, number {definition.number}, is for "
             f"{_listed({key: definition.document[key] for key in wrong})}, not for {_listed({key: asked[key] for key in wrong})}: "
-            "a table laid out for another version overwrites what it was not meant for. Set the definition of that version first."
+            "a table laid out for another version overwrites what it was not meant for. Set the definition of that version first.",
+            code="other-versions",
         )
 
 

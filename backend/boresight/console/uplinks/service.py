@@ -165,7 +165,7 @@ def activate(
     if "administrator" in actor.roles:
         raise ForbiddenError("An administrator cannot sign; ask an operator who is not an administrator.")
     if users.must_change_password(session, actor):
-        raise ForbiddenError("Somebody else set your password; set your own first, then sign.")
+        raise ForbiddenError("Somebody else set your password; set your own first, then sign.", code="password-due")
     row = get_set_for_entry(session, actor, parameter_set_id, source, seen_version)
     require_seen(session, row, seen_version)
     _refuse_step(row, "ACTIVE")

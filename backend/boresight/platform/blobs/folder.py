@@ -111,7 +111,8 @@ class FolderBlobStore(BlobStore):
                 self._opened.refuse_another()
             self.refuse_removed(sha256)
             raise NotFoundError(
-                f"The stored file {sha256[:12]} is missing from {self.folder}; restore it from a backup."
+                f"The stored file {sha256[:12]} is missing from {self.folder}; restore it from a backup.",
+                code="missing-file",
             )
         return location
 
