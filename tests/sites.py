@@ -60,9 +60,15 @@ def codes(page: str) -> list[str]:
     return re.findall(r'data-code="([\w-]+)"', page)
 
 
+def strip_tags(markup: str) -> str:
+    """Return the text of a part of a page."""
+    return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", markup)).split())
+
+
 def text_of(page: str, place: str) -> str:
-    """Return the text of the element with an id, up to the end of its first line or element."""
-    return words(page.split(f'id="{place}"', 1)[1].partition(">")[2].split("</")[0])
+    """Return the text of the element with an id, up to the end of the paragraph, cell or heading that it is."""
+    tag, _, rest = re.split(rf'<(\w+)[^<>]*\bid="{place}"[^<>]*(>)', page, maxsplit=1)[1:]
+    return strip_tags(rest.split(f"</{tag}>")[0])
 
 
 def as_shown(sentence: str) -> str:

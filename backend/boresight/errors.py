@@ -86,7 +86,7 @@ class SingleSignOnError(UnauthenticatedError):
     """The identity provider's answer was refused; `reason` is the word for the security log."""
 
     def __init__(self, sentence: str, reason: str = "refused") -> None:
-        super().__init__(sentence)
+        super().__init__(sentence, code=reason)
         self.reason = reason
 
 

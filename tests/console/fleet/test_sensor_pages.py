@@ -47,7 +47,7 @@ from boresight.platform.db.sessions import Engine, Session, open_reading, open_w
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.telemetry.sensors import parse_sensor
 from tests.refusals import has_code
-from tests.sites import put_documentation
+from tests.sites import codes, put_documentation
 from tests.stores import open_migrated, url_in
 
 
@@ -69,7 +69,7 @@ def test_a_few_numbers_make_a_sensor_file_that_registers_with_its_field_drawn(si
     visitor = site.visitor("ada")
     address = "/sensors?name=Tripod&rows=768&columns=1024&pixel_pitch_um=6.9&focal_length_mm=35&latitude_deg=52.2&longitude_deg=4.4"
     page = visitor.get(f"{address}&parity=-1&describe=1")
-    assert "1024 by 768 pixels" in page
+    assert "1024 by 768" in page
     assert "upright image" in page
     text = html.unescape(re.search(r'<textarea id="document"[^>]*>(.*?)</textarea>', page, re.DOTALL)[1])
     assert json.loads(text)["site"] == {"latitude_deg": 52.2, "longitude_deg": 4.4}
@@ -246,7 +246,7 @@ def test_what_was_baseline_at_a_time_is_answered_and_nonsense_refused(site, read
     visitor = site.visitor("victor")
     assert "Baseline PS-ST16-1-0" in read(visitor.get("/sensors/1?at=2100-01-01T00:00:00Z")).split("What was in use")[1]
     assert "none yet" in read(visitor.get("/sensors/1?at=2000-01-01T00:00:00Z"))
-    assert "is not a time" in read(visitor.get("/sensors/1?at=yesterday"))
+    assert "not-a-time" in codes(visitor.get("/sensors/1?at=yesterday"))
 
 
 def test_an_edit_of_an_older_version_is_refused_and_the_text_kept(site):
@@ -299,7 +299,7 @@ def test_without_a_validation_set_the_calibration_set_is_quoted_and_said_to_be_t
     }
     visitor = site.visitor("ada")
     visitor.post("/sensors", document=EXAMPLE)
-    assert "No finished run yet" in read_panel(visitor.get("/sensors/2"), read)
+    assert "no-run-yet" in codes(visitor.get("/sensors/2"))
     site.add_run("batch", state="SUCCEEDED", result=result, validation_set_id=None, sensor_id=2)
     panel = read_panel(visitor.get("/sensors/2"), read)
     assert "on its calibration set" in panel

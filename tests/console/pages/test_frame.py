@@ -23,11 +23,13 @@ from boresight.console import pages
 from boresight.console.approvals.tables import APPROVAL_STATES
 from boresight.console.fleet.pages.sensors import EXAMPLE
 from boresight.console.fleet.tables import Sensor
+from boresight.console.pages import rendering
 from boresight.console.pages.formats import LEVEL_OF_STATE, LEVELS, get_level, worst
 from boresight.console.pages.frame import (
     FLASH_COOKIE,
     NAVIGATION,
     REST,
+    UNREAD,
     FleetStatusCache,
     find_worst_status,
     read_fleet_status,
@@ -106,12 +108,12 @@ def test_a_flash_is_shown_once_and_escaped(site):
 def test_a_page_that_does_not_exist_says_what_to_do_inside_the_frame(site, read):
     answer = site.visitor("ada").send("GET", "/nothing", headers={"accept": "text/html"})
     assert answer.status_code == 404
-    assert "There is no page at this address." in read(answer.text)
+    assert rendering.SENTENCE[404] in read(answer.text)
     assert answer.headers["x-request-id"] in answer.text
     assert "Ada Analyst" in answer.text
     answer = site.visitor("ada").send("GET", "/sensors/99", headers={"accept": "text/html"})
     assert answer.status_code == 404
-    assert "There is no sensor 99" in read(answer.text)
+    assert "sensor 99" in read(answer.text)
 
 
 def test_nobody_is_sent_to_the_log_in_and_back(site):
@@ -138,7 +140,7 @@ def test_a_frame_stands_where_the_store_cannot_be_read(site, monkeypatch):
 
     monkeypatch.setattr("boresight.console.pages.frame.read_fleet_status", broken)
     page = visitor.get("/audit")
-    assert "The store could not be read." in page
+    assert UNREAD.sentence in page
     assert "disk I/O" not in page
 
 

@@ -13,7 +13,7 @@ from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import open_reading, open_writing
 from boresight.verdicts.gates import parse_report
 from boresight.verdicts.gates.judgement import STATUSES
-from tests.sites import PASSWORD, answer_points, codes, text_of
+from tests.sites import PASSWORD, answer_points, codes, strip_tags, text_of
 
 TURNED = {
     "quaternion": [0.0, 1e-5, 0.0, 1.0],
@@ -184,7 +184,7 @@ def test_the_page_of_a_set_and_of_its_request_show_rotation_uncertainty_and_upda
         text = read(page)
         assert TURNED["sentence"] in text
         assert "10 frames" in text
-        assert read(page.split('data-axis="y"')[1].split("</tr>")[0]).endswith("4.1 0.1 0.7 arcsec")
+        assert strip_tags(page.split('data-axis="y"')[1].split("</tr>")[0]).endswith("4.1 0.1 0.7 arcsec")
         assert "0.000020000" in text
         assert "old C_SD × this matrix" in text
     page = site.visitor("alan").get(address)

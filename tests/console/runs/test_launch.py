@@ -25,7 +25,7 @@ from boresight.telemetry.sensors import sensor_document
 from tests.calibration.conftest import telemetry
 from tests.calibration.sets import st16_sensor
 from tests.estimation.fields import GROUND
-from tests.sites import codes
+from tests.sites import codes, strip_tags
 from tests.test_refusals import says_what_to_do
 
 FORM = {
@@ -271,14 +271,14 @@ def test_a_preset_goes_over_the_settings_and_keeps_data_free_parameters_and_labe
     assert len(re.findall(r'name="free-1" value="\w+" checked', page)) == 2
 
 
-def test_a_clone_shows_what_was_changed_of_its_run(site, read):
+def test_a_clone_shows_what_was_changed_of_its_run(site):
     ada = site.visitor("ada")
     number = ada.post("/runs/new", **FORM, intent="queue").headers["location"].removeprefix("/runs/")
     same = ada.get(f"/runs/new?clone={number}")
     changed = {**FORM, "linearisations": "2", "free-1": ["f_m"], "intent": "check"}
     other = ada.post(f"/runs/new?clone={number}", **changed).text
     assert 'data-changes="0"' in same
-    changes = read(other.split('data-changes="2"')[1].split("</section>")[0])
+    changes = strip_tags(other.split('data-changes="2"')[1].split("</section>")[0])
     assert f"run #{number}" in changes
     assert f"{OPTIONS['linearisations'].title} 4 2" in changes
     assert "f_m, b2_per_m2 f_m" in changes
