@@ -100,7 +100,7 @@ def test_a_model_that_does_not_fit_is_said_before_drift_and_stars(catalogue):
     assert judged.causes[0].name in {"radial", "lens", "tangential"}
     assert judged.causes[0].sentence in advice[0]
     assert "stars" not in {sentence.code for sentence in advice}
-    assert trust["stars_sentence"].endswith("free more parameters first.")
+    assert "camera model" in trust["stars_sentence"]
 
 
 def test_a_fit_that_leaves_a_direction_open_or_diverged_says_which_parts_that_costs(sensor, catalogue):

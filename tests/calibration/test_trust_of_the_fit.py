@@ -45,7 +45,7 @@ def test_halves_of_a_set_with_wrong_matches_in_a_part_of_it_disagree_and_some_ca
     with unverified():
         part = to_plain(two_halves(case(telemetry, sensor, catalogue).ground))
     assert not part["chi2"]["consistent"]
-    assert "disagree by more than their sigmas allow" in part["sentence"]
+    assert "disagree" in part["sentence"]
     one = case(field(2, frames=1, stars=30), sensor, catalogue).ground
     thin = case(field(3, frames=2, stars=4, exposures=1), sensor, catalogue, free=("f_m", "b2_per_m2")).ground
     with pytest.raises(Unavailable, match="One frame"):

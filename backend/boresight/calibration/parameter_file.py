@@ -131,7 +131,10 @@ def _check_names(values: Mapping[str, Any], sensor: Sensor, name: str) -> None:
 
 
 def _no_covariance(name: str) -> RefusedInputError:
-    return RefusedInputError(f"{name} has a covariance that is not names and a square matrix: write the file again.")
+    return RefusedInputError(
+        f"{name} has a covariance that is not names and a square matrix: write the file again.",
+        code="damaged-covariance",
+    )
 
 
 def _spread_covariance(names: Sequence[str], rows: Any, sensor: Sensor, name: str) -> FloatArray | None:

@@ -288,7 +288,7 @@ def test_differences_are_told_in_the_words_of_the_form():
     before, now = {"method": "batch"}, {"method": "svd", "singular_values": [1, 3], "leave_out_doubles": True}
     told = {one.title: (one.before, one.now) for one in differences(before, now)}
     assert told["Method"] == ("Batch", "Singular values")
-    assert told["Singular values"][1] == "σ1 and σ3: the same information"
+    assert told["Singular values"][1] == OPTIONS["singular_values"].words["1,3"]
     assert told[OPTIONS["leave_out_doubles"].title] == ("no", "yes")
     assert differences(now, now) == []
 

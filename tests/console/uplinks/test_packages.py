@@ -150,7 +150,7 @@ def test_signatures_with_meaning_and_who_gave_the_password_travel_with_it(build,
     files = build(approved())[1]
     signature = json.loads(files["MANIFEST.json"])["approval"]["signatures"][0]
     assert (signature["printed_name"], signature["meaning"]) == ("Cy", "I approve")
-    assert signature["password_by"].startswith("given by Command line at")
+    assert signature["password_by"].startswith("given by Command")
     sheet = files["verification_sheet.html"].decode()
     assert "I approve" in sheet
     assert f"Cy<br>Password {signature['password_by']}." in sheet

@@ -110,7 +110,7 @@ def _refuse_taken(session: Session, name: str, printed_name: str) -> None:
     if not ours.isdisjoint({comparison_key(name), comparison_key(printed_name)}):
         raise ConflictError(f"{printed_name!r} is reserved for Boresight's own records; choose another name.")
     if (other := rows.find_user(session, name, comparison_key(name))) is not None:
-        raise ConflictError(f"The log-in name {other.name!r} exists already; choose another.")
+        raise ConflictError(f"The log-in name {other.name!r} exists already; choose another.", code="name-taken")
     if (other := rows.find_user_by_printed_name(session, printed_name, comparison_key(printed_name))) is not None:
         raise ConflictError(f"The printed name {other.printed_name!r} belongs to {other.name!r}; choose another.")
 

@@ -254,7 +254,7 @@ def split_row(line: str, separator: str) -> list[str]:
 def read_head(path: Path) -> bytes:
     """Return a file's first bytes."""
     if not path.exists():
-        raise RefusedInputError(f"{path} does not exist: check the name.")
+        raise RefusedInputError(f"{path} does not exist: check the name.", code="no-such-file")
     if path.is_dir():
         raise RefusedInputError(f"{path} is a folder: name the file inside it.")
     with path.open("rb") as file:
