@@ -20,6 +20,7 @@ from itsdangerous import URLSafeTimedSerializer
 from boresight.console.access import sessions
 from boresight.console.access.credentials import SESSION_COOKIE, LogInCookie, read_secret
 from boresight.console.access.pages.log_in import local_path
+from boresight.console.access.pages.people import WHY_ENDED
 from boresight.console.access.tables import LoginSession
 from boresight.console.jobs.maintenance import Maintenance
 from boresight.errors import SessionEndedError, UnauthenticatedError
@@ -423,7 +424,7 @@ def test_a_person_sees_their_log_ins_and_ends_one_and_all_others(site, read):
     assert here.post("/sessions/end-others").status_code == 303
     assert re.search("1 other .*ended", read(here.get("/sessions")))
     assert there.send("GET", "/audit", headers={"accept": "text/html"}).status_code == 303
-    assert "ended by the user" in read(here.get("/sessions"))
+    assert WHY_ENDED["ended"] in read(here.get("/sessions"))
 
 
 def test_an_administrator_sees_and_ends_anothers_and_nobody_else_does(site):

@@ -283,7 +283,7 @@ def test_of_many_edits_the_oldest_record_is_named_and_the_others_counted(store, 
     report = _verify(store)
     assert report.first_broken_id == first
     others = 1 + len(kept_triggers)
-    assert f", and {others} more are not as they were written" in report.sentence
+    assert f", and {others} more " in report.sentence
 
 
 @pytest.mark.parametrize(

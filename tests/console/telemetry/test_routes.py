@@ -94,7 +94,7 @@ def test_a_request_without_a_file_says_how_to_send_one(house):
     )
     assert [answer.status_code for answer in (wrong, empty, two)] == [422, 422, 422]
     assert "multipart/form-data" in wrong.json()["detail"]
-    assert "Send one telemetry file at a time" in two.json()["detail"]
+    assert two.json()["code"] == "one-file-at-a-time"
 
 
 def test_an_upload_that_breaks_off_is_refused(house):

@@ -142,7 +142,8 @@ async def csrf(request: Request) -> None:
     if not hmac.compare_digest(given.encode(), request.state.csrf_token.encode()):
         tell("malicious_csrf", "failure")
         raise ForbiddenError(
-            f"The {CSRF_HEADER} is missing or belongs to another log-in; reload the page and try again."
+            f"The {CSRF_HEADER} is missing or belongs to another log-in; reload the page and try again.",
+            code="csrf-token",
         )
 
 

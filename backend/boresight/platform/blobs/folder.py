@@ -131,6 +131,7 @@ class FolderBlobStore(BlobStore):
                 f"The stored file {sha256[:12]} was altered on the disk, so it is not used; restore it in "
                 f"{self.folder} from a backup.",
                 sha256,
+                code="altered-file",
             )
         return location
 
