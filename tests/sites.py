@@ -55,6 +55,22 @@ PEOPLE = {
 }
 
 
+def codes(page: str) -> list[str]:
+    """Return which notices, refusals and empty views a page shows, by their codes."""
+    return re.findall(r'data-code="([\w-]+)"', page)
+
+
+def strip_tags(markup: str) -> str:
+    """Return the text of a part of a page."""
+    return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", markup)).split())
+
+
+def text_of(page: str, place: str) -> str:
+    """Return the text of the element with an id, up to the end of the paragraph, cell or heading that it is."""
+    tag, _, rest = re.split(rf'<(\w+)[^<>]*\bid="{place}"[^<>]*(>)', page, maxsplit=1)[1:]
+    return strip_tags(rest.split(f"</{tag}>")[0])
+
+
 def as_shown(sentence: str) -> str:
     """Return a stored sentence as a page has it: with its numbers written as in the tables."""
     return words(show_numbers(f"<main>{html.escape(sentence)}</main>")).strip()

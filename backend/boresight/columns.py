@@ -44,7 +44,8 @@ class Columns:
         if not integrity.is_intact(Path(self.path), self.sha256):
             raise CorruptFileError(
                 f"The working copy {Path(self.path).name} was altered on the disk while the run computed, so it is not used"
-                ": check the disk of the data folder, and launch the run again."
+                ": check the disk of the data folder, and launch the run again.",
+                code="altered-working-copy",
             )
         with Path(self.path).open("rb") as file:
             if not os.fstat(file.fileno()).st_size:

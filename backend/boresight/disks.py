@@ -76,12 +76,14 @@ class Opened:
             found = _identity(self.place)
         except OSError as error:
             raise StorageError(
-                f"{self.place} is gone: mount its disk, or move it back to where it was, and try again."
+                f"{self.place} is gone: mount its disk, or move it back to where it was, and try again.",
+                code="folder-gone",
             ) from error
         if found != self._identity:
             raise StorageError(
                 f"{self.place} is not what this process opened: mount its disk or move it back to where it was and try again; "
-                "restart Boresight if it was replaced on purpose."
+                "restart Boresight if it was replaced on purpose.",
+                code="folder-replaced",
             )
 
 

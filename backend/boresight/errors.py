@@ -23,14 +23,18 @@ class Fault:
 
 
 class BoresightError(Exception):
-    """Any refusal of this package."""
+    """Any refusal of this package; `code` is its reason in a fixed word for programs, where it has one."""
+
+    def __init__(self, sentence: str = "", *, code: str = "") -> None:
+        super().__init__(sentence)
+        self.code = code
 
 
 class RefusedInputError(BoresightError, ValueError):
     """The input cannot be used; the faults say where and what to do."""
 
-    def __init__(self, sentence: str, faults: tuple[Fault, ...] = ()) -> None:
-        super().__init__(sentence)
+    def __init__(self, sentence: str, faults: tuple[Fault, ...] = (), *, code: str = "") -> None:
+        super().__init__(sentence, code=code)
         self.faults = faults
 
 
@@ -45,8 +49,8 @@ class ConflictError(BoresightError):
 class CorruptFileError(ConflictError):
     """A stored file is not what was stored: its bytes do not have the SHA-256 that it is known by."""
 
-    def __init__(self, sentence: str, sha256: str = "") -> None:
-        super().__init__(sentence)
+    def __init__(self, sentence: str, sha256: str = "", *, code: str = "") -> None:
+        super().__init__(sentence, code=code)
         self.sha256 = sha256
 
 
@@ -82,7 +86,7 @@ class SingleSignOnError(UnauthenticatedError):
     """The identity provider's answer was refused; `reason` is the word for the security log."""
 
     def __init__(self, sentence: str, reason: str = "refused") -> None:
-        super().__init__(sentence)
+        super().__init__(sentence, code=reason)
         self.reason = reason
 
 
@@ -101,7 +105,7 @@ class SessionEndedError(UnauthenticatedError):
     }
 
     def __init__(self, because: str) -> None:
-        super().__init__(self.SENTENCES.get(because, "This log-in has ended; log in again."))
+        super().__init__(self.SENTENCES.get(because, "This log-in has ended; log in again."), code=because)
         self.because = because
 
 

@@ -26,7 +26,7 @@ from boresight.calibration.calibration import (
 from boresight.calibration.estimate import Parameters, robust_view, run_batch
 from boresight.calibration.matching.matched_frames import match_under_states
 from boresight.calibration.options import METHODS, CalibrationSettings, StatedSettings
-from boresight.calibration.problem import build_problem
+from boresight.calibration.problem import COLLINEAR_REASON, build_problem
 from boresight.calibration.result import TrendEntry, trend_entry
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import CancelledError, RefusedInputError
@@ -40,6 +40,7 @@ from boresight.verdicts.verdict import make_verdict
 from tests.calibration.conftest import telemetry
 from tests.calibration.sets import described, in_memory, lens_case, same_in_pieces, sky, written
 from tests.estimation.fields import FREE, SCALE, TRUTH
+from tests.refusals import has_code
 
 CONTRACT = {
     "schema", "sensor", "method", "variant", "camera_model", "free", "parameters", "sigma", "covariance", "status", "advice",
@@ -122,11 +123,10 @@ def test_a_history_follows_the_frames_with_bounds_and_both_rms_and_a_long_one_st
 
 
 def test_over_confidence_and_wrong_noise_are_said_with_the_sigma_that_would_fit(calibrated, make_telemetry, sensor):
-    said = " ".join(calibrated(make_telemetry(6, frames=80, stars=5), method="sqrf", linearisations=1)["advice"])
-    assert "as published, makes the filter over-confident" in said
-    assert "times the information that the data contain" in said
+    codes = calibrated(make_telemetry(6, frames=80, stars=5), method="sqrf", linearisations=1)["advice_codes"]
+    assert {"distant_start", "overclaim"} <= set(codes)
     document = calibrated(make_telemetry(10), replace(sensor, centroid_sigma_px=0.2))
-    assert document["advice"][0].startswith("The centroid noise is ")
+    assert document["advice_codes"][0] == "cause_noise"
     assert float(document["advice"][0].split()[4]) == pytest.approx(0.437 / 0.2, rel=0.05)
 
 
@@ -134,14 +134,17 @@ def test_too_few_stars_and_stars_on_one_line_leave_nothing_estimated_and_are_cou
     document = calibrated(make_telemetry(7, stars=3))
     assert document["status"] == "too_few_stars"
     assert set(document["sigma"].values()) == {None}
-    assert any("No exposure has 4 usable matched stars" in sentence for sentence in document["advice"])
+    (sentence,) = (
+        said for said, code in zip(document["advice"], document["advice_codes"], strict=True) if code == "too_few_stars"
+    )
+    assert " 4 " in sentence
     assert set(document) >= CONTRACT
     json.dumps(document, allow_nan=False)
     telemetry = make_telemetry(8, frames=3)
     line = np.linspace(-0.1, 0.1, len(telemetry))
     document = calibrated(replace(telemetry, ra_rad=line, dec_rad=np.zeros(len(telemetry))), match="given")
     assert document["status"] == "too_few_stars"
-    assert {"what": "exposures", "count": 6, "reason": "all usable stars on one line"} in document["left_out"]
+    assert {"what": "exposures", "count": 6, "reason": COLLINEAR_REASON} in document["left_out"]
 
 
 def test_a_start_or_telemetry_that_is_not_this_sensor_is_said_to_be_so_and_not_called_converged(
@@ -155,13 +158,11 @@ def test_a_start_or_telemetry_that_is_not_this_sensor_is_said_to_be_so_and_not_c
     assert document["advice"]
     json.dumps(document, allow_nan=False)
     document = calibrated(make_telemetry(15, truth=TRUTH * np.where(np.arange(8) == 0, 2, 1)))
-    assert document["status"] == "diverged" or any(
-        "Large change from the start" in sentence for sentence in document["advice"]
-    )
+    assert document["status"] == "diverged" or "large_change" in document["advice_codes"]
 
 
 def test_an_unknown_free_parameter_is_refused_with_the_names_there_are(sensor, catalogue, make_telemetry):
-    with pytest.raises(RefusedInputError, match="'k1' is not one of the camera model inverted_wang: choose from f_m"):
+    with pytest.raises(RefusedInputError, match=r"'k1'.*inverted_wang.*f_m", check=has_code("unknown-parameter")):
         calibrate(make_telemetry(11), sensor, catalogue, CalibrationSettings(free=("k1",))).to_dict()
 
 
@@ -264,7 +265,7 @@ def test_on_clean_data_the_view_says_that_least_squares_agrees_and_without_sigma
     assert view["share"] == pytest.approx(view["expected_share"], abs=0.02)
     assert view["downweighted"] == round(view["share"] * estimate.robust.judged)
     assert max(map(abs, view["shift_in_sigma"].values())) < 1
-    assert "least squares agrees" in view["sentence"]
+    assert "agrees" in view["sentence"]
     estimate, sigma = _estimate(make_telemetry(3), sensor, catalogue, robust="huber")
     sigma[0] = np.nan
     assert to_plain(robust_view(estimate.robust, NAMES, sigma))["shift_in_sigma"]["f_m"] is None
@@ -323,7 +324,7 @@ def test_given_matches_give_the_calibration_of_the_set_without_the_row(px, senso
     assert left["left_out"] == [{"what": "stars", "count": 2, "reason": "centroid off the detector"}]
     assert left["stars_off_detector"]["stars"] == 2
     assert [star["row"] for star in left["stars_off_detector"]["rows"]] == [row + 2 for row in MOVED]
-    told = sum("off the detector" in sentence for sentence in left["advice"])
+    told = left["advice_codes"].count("off_detector")
     assert told == (px > 2.0)  # an image that the edge cuts is no fault
 
 
@@ -355,7 +356,7 @@ def test_a_file_in_pieces_leaves_out_the_same_rows(rows_a_group, sensor, catalog
     choices = {"match": "given", "validation": whole}
     one = same_in_pieces(path, whole, sensor, catalogue, 4, **choices)
     assert one["stars_off_detector"]["stars"] == 2
-    assert sum("in the validation set" in sentence for sentence in one["advice"]) == 1
+    assert one["advice_codes"].count("off_detector") == 2  # of the set, and of the validation set
 
 
 RESULT = Calibration(

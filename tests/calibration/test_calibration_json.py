@@ -17,6 +17,7 @@ from boresight.figures import FIGURES
 from boresight.figures.chart import Trace
 from boresight.figures.example_calibration import get_example_calibrations
 from tests.console.operations import OPENAPI
+from tests.refusals import has_code
 
 PUBLISHED = Path(__file__).resolve().parents[2] / "docs" / "calibration.schema.json"
 VALIDATOR = Draft202012Validator(json.loads(PUBLISHED.read_text()))
@@ -167,13 +168,13 @@ def test_members_of_a_later_version_are_passed_over():
     ],
 )
 def test_what_is_no_calibration_is_refused_by_the_path_of_its_fault(change, place):
-    with pytest.raises(RefusedInputError, match="not a complete calibration") as refused:
+    with pytest.raises(RefusedInputError, check=has_code("incomplete-calibration")) as refused:
         parse_calibration(BATCH | change, "cal.json")
     assert f"({place}:" in str(refused.value)
 
 
 def test_text_that_is_no_json_is_refused_with_line_and_column():
-    with pytest.raises(RefusedInputError, match="line 1 column 12"):
+    with pytest.raises(RefusedInputError, match="column 12"):
         parse_calibration('{"schema": oops}', "cal.json")
 
 

@@ -1,5 +1,6 @@
 """Tests of trust as one family, and the causes that explain them: false alarms, first advice, size, coverage."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -103,7 +104,7 @@ def test_a_wrong_sigma_trips_the_test_of_noise_and_no_other_displacement(sensor,
     noticed = {test.name for test in told.tests if test.noticed}
     assert "chi_square" in noticed
     assert not noticed & {"tangential", "radial", "affine", "lens", "phase", "time", "drift", "aberration"}
-    assert told.causes[0].sentence.startswith("The centroid noise is 2.2 times the stated one")
+    assert " 2.2 times " in told.causes[0].sentence
 
 
 def test_what_moves_stars_by_next_to_nothing_is_noticed_in_a_very_large_set_and_fails_nothing():
@@ -131,6 +132,7 @@ def test_stars_in_one_quarter_of_the_detector_are_said_with_the_error_elsewhere_
         "col_edges_px": np.linspace(-0.5, 2591.5, 17).tolist(),
     }
     (sentence,) = trust_advice(trust, Coverage(**edges, counts=counts.tolist()))[:1]
-    assert sentence.startswith("Stars cover 12 of 48 parts of the detector")
-    assert "arcsec off (1 sigma, if the camera model is valid there)" in sentence
+    assert sentence.code == "coverage"
+    assert " 12 of 48 " in sentence
+    assert re.search(r"[\d.]+ arcsec off", sentence)
     assert trust_advice(trust, Coverage(**edges, counts=(counts + 1).tolist())) == trust_advice(trust)

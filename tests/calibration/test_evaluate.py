@@ -1,6 +1,7 @@
 """Two states judged on one set, intervals of resampled frames, frames that one alone has; a forecast that foretells a run."""
 
 import itertools
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -328,7 +329,6 @@ def test_the_counts_of_stars_and_the_lists_of_frames_agree_and_a_state_beside_it
         0,
         1,
     ]
-    assert same["sentence"].startswith("Both parameter sets solve the same frames")
     times = np.datetime64("2026-10-01T00:00:00", "us") + telemetry.frame * np.timedelta64(40, "s")
     timed = to_plain(shadow_view(replace(telemetry, time_utc=times), truth, truth))
     assert timed["frames"][1]["time_utc"] == "2026-10-01T00:00:40.000000Z"
@@ -369,16 +369,14 @@ def test_alike_states_are_told_apart_no_more_often_than_the_test_says():
 @pytest.mark.parametrize(
     ("baseline", "candidate", "words"),
     [
-        ([1, 1, 0, 0], [1, 1, 0, 0], "solve the same frames"),
-        ([0] * 9, [1] * 9, "solves 9 frames that the baseline loses and loses no frame that the baseline solves"),
-        ([1, 1], [0, 1], "loses 1 frame that the baseline solves and solves no frame that the baseline loses"),
-        ([1, 1], [0, 1], "which chance alone explains"),
+        ([1, 1, 0, 0], [1, 1, 0, 0], "solve the same frames; 2 .* 1 lost"),
+        ([0] * 9, [1] * 9, "solves 9 frames .* loses no frame .* 2 .* 1 lost"),
+        ([1, 1], [0, 1], "loses 1 frame .* solves no frame .*, which chance alone explains.* 2 .* 1 lost"),
     ],
 )
 def test_the_summary_says_it_in_a_sentence(baseline, candidate, words):
     found = to_plain(shadow_summary(np.array(baseline, bool), np.array(candidate, bool), 1, 2))
-    assert words in found["sentence"]
-    assert "2 sightings of stars are gained and 1 lost" in found["sentence"]
+    assert re.search(words, found["sentence"])
 
 
 def frames_that_fail(rng, n, correlation, share):
@@ -501,7 +499,7 @@ def test_directions_foretold_to_be_weak_are_those_the_run_names_and_holding_what
     made = calibrate(run.telemetry, sensor, catalogue, CalibrationSettings(match="given")).to_dict()
     weak = [sigma for sigma in made["observability"]["sigma_of_direction"] if sigma > WEAK]
     assert foretold.weak == len(weak) > 0
-    assert foretold.sentence == f"8 parameters, {len(weak)} weakly observable with this coverage."
+    assert re.findall(r"\d+", foretold.sentence) == ["8", str(len(weak))]
     assert foretold.weak_directions[0] == made["observability"]["weakest"]["sentence"]
     held = to_hold(run.estimate.A)
     left = tuple(name for place, name in enumerate(sensor.free) if place not in held)
@@ -510,7 +508,7 @@ def test_directions_foretold_to_be_weak_are_those_the_run_names_and_holding_what
     assert 0 < len(held) < 8
     assert after.weak == 0
     assert after.help == []
-    assert after.sentence == f"{len(left)} parameter{'s' * (len(left) > 1)}, all observable with this coverage."
+    assert re.findall(r"\d+|all", after.sentence) == [str(len(left)), "all"]
 
 
 def test_so_many_frames_as_the_forecast_says_leave_no_weak_direction(sensor, catalogue, tmp_path):
@@ -532,7 +530,7 @@ def test_stars_in_the_middle_alone_are_said_to_be_so(sensor, catalogue, tmp_path
     }
     foretold = forecast_table(replace(telemetry, **kept), sensor, catalogue, tmp_path)
     assert foretold.weak > 0
-    assert any("% of the way to the corner and lie in 16 of 36 parts" in sentence for sentence in foretold.help)
+    assert any(re.search(r"\d %.* 16 of 36 ", sentence) for sentence in foretold.help)
 
 
 def test_a_set_without_enough_stars_foretells_nothing_and_a_fit_that_does_not_rest_the_present_parameters(
@@ -541,7 +539,7 @@ def test_a_set_without_enough_stars_foretells_nothing_and_a_fit_that_does_not_re
     foretold = forecast_table(field(5, frames=3, stars=3), sensor, catalogue, tmp_path)
     assert set(foretold.sigma.values()) == {None}
     assert foretold.weak is None
-    assert "nothing was estimated; match more stars" in foretold.sentence
+    assert foretold.sentence.code == "too_few_stars"
     # more stars than those of which other minima are looked for
     foretold = forecast_table(field(6, frames=150), sensor, catalogue, tmp_path, max_iterations=1)
     assert foretold.at == "present"

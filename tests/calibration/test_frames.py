@@ -1,5 +1,6 @@
 """Single frames of a run, their attitudes and what each reference holds of the bound; the attitude correction of a calibration."""
 
+import re
 import time
 from dataclasses import replace
 
@@ -107,7 +108,7 @@ def test_at_the_true_parameters_residuals_over_their_sigmas_are_the_centroid_noi
     assert np.mean(z**2) == pytest.approx(1, abs=4 * np.sqrt(2 / z.size))
     chi2 = [attitude["old"]["chi2"] for view in views for attitude in (e["attitude"] for e in view["exposures"])]
     assert np.mean(chi2) == pytest.approx(2 * 12 - 3, rel=0.06)
-    assert views[0]["why_no_new"].startswith("The run has no parameters")
+    assert views[0]["why_no_new"]
 
 
 @pytest.mark.parametrize("parity", [1, -1])
@@ -205,7 +206,7 @@ def test_an_exposure_with_one_star_says_why_it_has_no_attitude(sensor, catalogue
     view = make_view(replace(telemetry, star_id=star_id), sensor, catalogue, NOTHING, 1)
     exposure = view["exposures"][0]
     assert exposure["attitude"] == {"old": None, "new": None}
-    assert exposure["why_no_attitude"].startswith("1 of its detections is matched and an attitude needs 2")
+    assert re.findall(r"\d+", exposure["why_no_attitude"]) == ["1", "2"]
     assert [star["fate"] for star in exposure["stars"]] == ["left out"] + ["unmatched"] * 11
 
 
@@ -288,7 +289,7 @@ def test_no_reference_holds_more_than_the_bound_arcs_all_and_the_first_singular_
     assert compute_share(seen, "arcs") == pytest.approx(compute_share(seen, "angular"), abs=0.005)
     assert compute_share(seen, "arcs") > compute_share(seen, "model_4")
     assert compute_share(seen, "sigma_123") == pytest.approx(compute_share(seen, "model_4"), abs=0.005)
-    assert "σ1 adds nothing to them" in seen["sentence"]
+    assert "σ1 adds nothing" in seen["sentence"]
     assert max(compute_share(seen, "sigma_2"), compute_share(seen, "sigma_3")) < compute_share(seen, "model_4")
     names = judged.problem.camera.parameter_names
     for entry in seen["information"]:
@@ -306,7 +307,7 @@ def test_frames_with_fewer_rows_than_parameters_are_gaps_and_sets_that_determine
     problem = build_problem(field(6, frames=1, stars=4, exposures=1), st16(), catalogue)
     seen = to_plain(frame_observability(problem, judged.parameters, judged.estimate))
     assert seen["information"] == []
-    assert "hold a parameter fixed" in seen["sentence"]
+    assert not re.search(r"\d", seen["sentence"])  # no share: there is no bound
 
 
 def test_fixed_parameters_are_left_out_of_all_of_it(judged, seen):
@@ -341,7 +342,8 @@ def test_a_calibration_carries_the_view_whatever_its_method(catalogue, method):
     settings = CalibrationSettings(method=method, match="given")
     found = calibrate(field(3, frames=12), st16(), catalogue, settings).to_dict()
     assert found["frame_observability"]["frames"] == 12
-    assert found["frame_observability"]["sentence"].startswith("Of the information in these centroids arcs keep ")
+    shares = {entry["reference"]: entry["share"] for entry in found["frame_observability"]["information"]}
+    assert f" {100 * shares['arcs']:.0f} %" in found["frame_observability"]["sentence"]
 
 
 KNOWN = np.zeros((8, 8))
@@ -469,7 +471,7 @@ def test_the_view_holds_the_numbers_that_its_sentence_says_and_open_sigmas_where
     assert "multiply C_SD from the right" in view["sentence"]
     view = to_plain(alignment_view(make_frame_problem(10), GROUND, TRUTH, np.full((8, 8), np.nan)))
     assert view["sigma_arcsec"] == [None] * 3
-    assert "another such calibration" not in view["sentence"]
+    assert "(one sigma)" not in view["sentence"]
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from boresight.telemetry.schema import joined
 from tests.calibration.conftest import telemetry
 from tests.calibration.sets import differences, written
 from tests.estimation.fields import FREE, SCALE, whitened, whitened_plainly, whitened_rows
+from tests.refusals import has_code
 
 DAY = np.timedelta64(86_400_000_000, "us")
 BEGIN = np.datetime64("2026-01-01", "us")
@@ -127,7 +128,7 @@ def test_frame_numbers_that_ascend_from_pass_to_pass_are_kept_and_rows_lead_back
 
 
 def test_a_pass_is_counted_once(sensor, catalogue):
-    with pytest.raises(RefusedInputError, match="pass 2 holds the centroids of pass 0: name"):
+    with pytest.raises(RefusedInputError, match=r"pass 2.*pass 0", check=has_code("same-centroids")):
         calibrated(together(a_pass(1), a_pass(2), a_pass(1)), sensor, catalogue)
-    with pytest.raises(RefusedInputError, match=r"b is the file a again: name"):
+    with pytest.raises(RefusedInputError, match=r"^b .* a again", check=has_code("same-file")):
         join_sets([NamedTelemetry(a_pass(1), "a", "ff"), NamedTelemetry(a_pass(2), "b", "ff")])

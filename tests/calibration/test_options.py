@@ -22,6 +22,7 @@ from boresight.errors import RefusedInputError
 from boresight.estimation import filters, singular_values
 from boresight.simulation.sensors import WU_TRUTH, wu_sensor
 from boresight.telemetry.sensors import parse_sensor, sensor_document
+from tests.refusals import has_code
 
 CHOICES = {name: tuple(option.words) for name, option in OPTIONS.items() if option.kind == "word"}
 #: A choice that only some methods have is tried with one of them.
@@ -35,7 +36,7 @@ def test_every_word_of_every_choice_is_accepted_and_kept(name, word):
 
 @pytest.mark.parametrize("name", CHOICES)
 def test_any_other_word_is_refused_with_the_words_there_are(name):
-    with pytest.raises(RefusedInputError, match=f"Setting '{name}' is 'other'; choose from {', '.join(CHOICES[name])}"):
+    with pytest.raises(RefusedInputError, match=f"'{name}'.*'other'.* {', '.join(CHOICES[name])}"):
         CalibrationSettings.parse({name: "other"})
 
 
@@ -173,7 +174,7 @@ def test_the_paper_s_strong_distortion_misses_the_rule_and_what_a_mean_of_stars_
     assert convert(strong, allowed_px=0.005)["conversion"]["misfit_px"]["max"] < 0.005
     sharp = dataclasses.replace(SENSOR, centroid_sigma_px=convert()["conversion"]["misfit_px"]["max"])
     with pytest.raises(
-        RefusedInputError, match=r"1 % of the sensor's centroid_sigma_px.* radial polynomial"
+        RefusedInputError, match=r"1 %.*radial polynomial", check=has_code("not-expressible")
     ) as refused:
         convert(sensor=sharp)
     assert "arcsec" in str(refused.value)
@@ -183,9 +184,9 @@ def test_the_paper_s_strong_distortion_misses_the_rule_and_what_a_mean_of_stars_
 def test_decentring_and_parameters_of_another_model_are_refused():
     there = convert()
     sensor = sensor_under(SENSOR, there)
-    with pytest.raises(RefusedInputError, match=r"no tilt; calibrate the telemetry under pinhole_radial instead"):
+    with pytest.raises(RefusedInputError, match=r"tilt.*pinhole_radial", check=has_code("not-expressible")):
         converted(there["parameters"] | {"a1_rad": 0.01}, sensor, "x.json", "pinhole_radial")
-    with pytest.raises(RefusedInputError, match="uses the camera model inverted_wang"):
+    with pytest.raises(RefusedInputError, match="inverted_wang", check=has_code("other-camera-model")):
         convert({"camera_model": "inverted_wang", "parameters": {}})
 
 

@@ -17,6 +17,7 @@ from boresight.figures.chart import Trace
 from boresight.figures.report import render_report
 from boresight.simulation.scenes import parse_scenario, simulate
 from tests.effort import few_of
+from tests.refusals import has_code
 
 TRUTH = {"s": 1.0, "f_m": 0.016, "u0_px": 970.0, "v0_px": 550.0, "k1": -0.5, "k2": 0.5}
 SENSOR = {
@@ -112,7 +113,7 @@ def test_rows_that_have_no_direction_are_matched_with_nothing(scenario, telemetr
 
 
 def test_a_truth_whose_distortion_turns_back_on_the_detector_is_refused():
-    with pytest.raises(RefusedInputError, match="turns back before a corner"):
+    with pytest.raises(RefusedInputError, check=has_code("distortion-turns-back")):
         parse_scenario({"sensor": SENSOR, "truth": TRUTH | {"k1": -10.0}})
 
 

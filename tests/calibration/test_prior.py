@@ -20,6 +20,7 @@ from boresight.estimation.statistics.consistency import chi_square, nees
 from tests.calibration.conftest import telemetry
 from tests.calibration.test_joint import a_pass, together
 from tests.estimation.fields import FREE, GROUND, SCALE, TRUTH, star_field, whitened
+from tests.refusals import has_code
 
 NOISE = {"prior_covariance": "noise"}
 
@@ -84,7 +85,7 @@ def test_priors_in_a_row_know_as_much_as_all_data_at_once(former, sensor, catalo
     alone = run(together(*sets), sensor, catalogue)
     assert all(found.sigma[name] < alone.sigma[name] for name in found.free)
     assert found.prior.telemetry_sha256s == ["41", "42", "aa"]
-    with pytest.raises(RefusedInputError, match="holds this telemetry already"):
+    with pytest.raises(RefusedInputError, check=has_code("prior-holds-telemetry")):
         run(a_pass(9), sensor, catalogue, PriorSource(found), {"telemetry": "aa"})
 
 
@@ -96,7 +97,7 @@ def test_what_the_prior_holds_counts_once_in_a_joint_run_too(former, first_set, 
     assert found.parameters == alone.parameters
     assert [one.name for one in found.inputs.passes] == ["new.csv"]
     assert any("Left out" in one and "again.csv" in one for one in found.advice)
-    with pytest.raises(RefusedInputError, match="validation set took part"):
+    with pytest.raises(RefusedInputError, check=has_code("prior-used-validation")):
         run(new, sensor, catalogue, PriorSource(former), {"validation": "aa"})
 
 
@@ -124,7 +125,7 @@ def test_a_camera_that_changed_since_is_said_to_contradict_the_prior(former, sen
     moved[0] += 3e-6
     found = run(telemetry(23, truth=moved), sensor, catalogue, PriorSource(former))
     assert found.prior.agreement.p_value < 1e-6
-    assert any("contradict the prior" in sentence for sentence in found.advice)
+    assert "prior_contradicted" in found.advice_codes
     same = run(telemetry(24), sensor, catalogue, PriorSource(former))
     assert same.prior.agreement.p_value > 1e-3
 
@@ -162,7 +163,7 @@ def test_a_prior_that_cannot_be_used_is_refused(former, sensor, catalogue, chang
 def test_an_age_that_nothing_tells_is_asked_for_and_settings_of_a_prior_need_one(former, sensor, catalogue):
     with pytest.raises(RefusedInputError, match="give --prior-age-days"):
         run(a_pass(22), sensor, catalogue, PriorSource(former), prior_drift_sigma=0.1)
-    with pytest.raises(RefusedInputError, match="give --prior, or leave --prior-inflation out"):
+    with pytest.raises(RefusedInputError, match="--prior-inflation"):
         run(a_pass(22), sensor, catalogue, prior_inflation=2.0)
 
 

@@ -18,8 +18,9 @@ from boresight.calibration.trust.field import (
     residual_outliers,
     two_sided,
 )
+from boresight.calibration.trust.fitted_set import probability
 from boresight.calibration.trust.innovations import deviates, worst_frames
-from boresight.calibration.trust.residuals import compute_star_residuals
+from boresight.calibration.trust.residuals import OTHER_PARITY, compute_star_residuals
 from boresight.simulation.sensors import st16_sensor, st16_truth
 from boresight.telemetry.read.readers import read_telemetry
 from boresight.telemetry.sensors import read_sensor
@@ -54,7 +55,7 @@ def test_every_method_is_judged_from_every_side_and_a_clean_set_calls_for_nothin
     assert all(trust["residual_against"][name]["even"] for name in ("radius", "magnitude", "temperature", "time"))
     # singular values leave out a number or two of each exposure, and say so by wider sigmas
     assert 0.97 < trust["efficiency"]["overall_ratio"] < (1.06 if method == "svd" else 1.03)
-    assert [sentence for sentence in advise(trust) if "give no evidence that" not in sentence] == []
+    assert {sentence.code for sentence in advise(trust)} <= {"drop_one"}
 
 
 def test_a_reduced_set_is_judged_by_its_own_parameters_and_the_wrong_parity_found_though_arcs_fit(sensor, catalogue):
@@ -64,7 +65,8 @@ def test_a_reduced_set_is_judged_by_its_own_parameters_and_the_wrong_parity_foun
     assert set(trust["more_data"]["sigma"]) == {"f_m", "b2_per_m2"}
     trust = case(field(4), replace(sensor, parity=-1), catalogue).trust
     assert trust["two_halves"]["chi2"]["consistent"]
-    assert advise(trust)[0].endswith("the sensor's parity is probably wrong; try +1.")
+    assert advise(trust)[0].code == "parity"
+    assert OTHER_PARITY[1] in advise(trust)[0]
     assert trust["residuals"] is trust["stars"] is trust["residual_against"] is None
 
 
@@ -93,14 +95,12 @@ def test_a_model_that_does_not_fit_is_said_before_drift_and_stars(catalogue):
     judged = simulated(catalogue, seed=1, free=("f_m",)).report
     trust = to_plain(judged.trust)
     advice = advise(trust, judged.causes)
-    assert trust["unavailable"] == {
-        "drop_one": "Only one parameter is free, so nothing can be fitted without it: free more parameters."
-    }
+    assert set(trust["unavailable"]) == {"drop_one"}
     assert not trust["residual_against"]["radius"]["even"]
     assert judged.causes[0].name in {"radial", "lens", "tangential"}
     assert judged.causes[0].sentence in advice[0]
-    assert not any("catalogue place" in sentence for sentence in advice)
-    assert trust["stars_sentence"].endswith("free more parameters first.")
+    assert "stars" not in {sentence.code for sentence in advice}
+    assert "camera model" in trust["stars_sentence"]
 
 
 def test_a_fit_that_leaves_a_direction_open_or_diverged_says_which_parts_that_costs(sensor, catalogue):
@@ -117,9 +117,8 @@ def test_a_fit_that_leaves_a_direction_open_or_diverged_says_which_parts_that_co
     trust = Case(**{**vars(fitted), "estimate": replace(fitted.estimate, status="diverged")}).trust
     assert all(trust[part] is None for part in PARTS)
     assert set(trust["unavailable"]) == PARTS
-    assert set(trust["unavailable"].values()) == {
-        "The fit diverged, so there is no estimate to judge: free fewer parameters or start closer."
-    }
+    (why,) = set(trust["unavailable"].values())
+    assert "diverged" in why
     assert advise(trust) == []
 
 
@@ -133,9 +132,9 @@ def test_drawings_stay_small_and_large_sets_are_thinned_and_say_so(sensor, catal
     assert len(trust["nis_over_time"]["frame"]) == 1000
     assert len(trust["stars"]) == 200
     assert trust["residuals"]["frames_used"] == 1500
-    assert "1500 frames spaced evenly" in trust["stars_sentence"]
+    assert " 1500 frames " in trust["stars_sentence"]
     assert trust["efficiency"]["frames_used"] == 400
-    assert "from 400 frames spaced evenly over the set" in trust["efficiency"]["sentence"]
+    assert " 400 frames " in trust["efficiency"]["sentence"]
     assert {entry["frames_used"] for entry in trust["drop_one"]} == {200}
     assert len(json.dumps(trust)) < 300_000
     assert seconds < 3
@@ -213,15 +212,15 @@ def test_causes_come_first_in_their_order_with_their_share_and_what_they_leave_u
 @pytest.mark.parametrize(("likelihood", "is_likely"), [(0.03, False), (0.49, False), (0.5, True), (0.9, True)])
 def test_a_cause_at_less_than_even_odds_is_not_called_the_likeliest(clean, likelihood, is_likely):
     (said,) = advise(clean, [_cause("places", likelihood)])
+    assert said.code == "cause_places"
+    assert f"({likelihood:.0%}): places it is." in said
     assert said.startswith("Most likely cause") == is_likely
-    assert said.startswith("No cause explains well") != is_likely
 
 
 def test_a_start_that_is_the_truth_is_said_to_leave_little_to_estimate(catalogue):
     sensor = replace(st16_sensor(1), initial=st16_truth(1))
     advice = advise(case(simulated(catalogue, frames=40).telemetry, sensor, catalogue).trust)
-    assert advice[-1].startswith("These data give no evidence that")
-    assert advice[-1].endswith("It may be held fixed, one parameter at a time.")
+    assert advice[-1].code == "drop_one"
 
 
 def test_every_sentence_ends_and_names_no_code(sensor, catalogue):
@@ -277,7 +276,7 @@ def test_a_distortion_that_is_not_fitted_is_a_pattern_and_a_good_fit_leaves_none
     ground = simulated(catalogue, 1, 120, free=("f_m",)).ground
     view = to_plain(residual_field(ground, compute_star_residuals(ground)))
     assert not view["even"]
-    assert "pattern over the detector that noise does not explain" in view["sentence"]
+    assert probability(view["after"]["p"]) in view["sentence"]
 
 
 def test_patterns_are_called_so_in_about_one_clean_set_of_a_hundred(sensor, catalogue):
@@ -346,4 +345,4 @@ def test_a_hundredth_of_wrong_centroids_makes_heavy_tails_and_a_set_too_small_sa
     assert view["sentence"].endswith("some stars are wrong; check the outliers.")
     trust = case(field(2, frames=3, stars=4, exposures=1), sensor, catalogue, free=("f_m",)).trust
     assert trust["residual_distribution"] is None
-    assert trust["unavailable"]["residual_distribution"].startswith("A distribution needs 50 residuals")
+    assert " 50 " in trust["unavailable"]["residual_distribution"]

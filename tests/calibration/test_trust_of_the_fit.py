@@ -45,10 +45,10 @@ def test_halves_of_a_set_with_wrong_matches_in_a_part_of_it_disagree_and_some_ca
     with unverified():
         part = to_plain(two_halves(case(telemetry, sensor, catalogue).ground))
     assert not part["chi2"]["consistent"]
-    assert "disagree by more than their sigmas allow" in part["sentence"]
+    assert "disagree" in part["sentence"]
     one = case(field(2, frames=1, stars=30), sensor, catalogue).ground
     thin = case(field(3, frames=2, stars=4, exposures=1), sensor, catalogue, free=("f_m", "b2_per_m2")).ground
-    with pytest.raises(Unavailable, match="One frame has no halves: add frames"):
+    with pytest.raises(Unavailable, match="One frame"):
         to_plain(two_halves(one))
     assert to_plain(two_halves(thin))["chi2"]["dof"] == 2
 
@@ -133,7 +133,10 @@ def test_on_a_large_set_the_increase_of_all_frames_is_told_from_some(sensor, cat
     again = batch.normal_equations(ground.arcs, small.estimate.x, ground.parameters.free, ground.parameters.scale)
     assert thinned["g_y"].frames_used == 200
     assert thinned["g_y"].chi2_increase == pytest.approx(again.chi2 - ground.estimate.chi2, rel=0.1)
-    assert "need every free parameter" in drop_one_sentence(ground, list(thinned.values()))
+    assert all(entry.needed for entry in thinned.values())
+    assert f"{min(entry.chi2_increase for entry in thinned.values()):.3g}" in drop_one_sentence(
+        ground, list(thinned.values())
+    )
 
 
 def test_a_batch_is_efficient_the_printed_cosine_is_not_and_the_bound_from_some_frames_is_that_of_all(
@@ -244,7 +247,7 @@ def test_three_displaced_stars_are_named_without_their_neighbours(catalogue):
     assert set(trust["suspects"]) == set(wrong)
     assert all(entry["suspect"] for entry in trust["stars"][:3])
     assert not any(entry["suspect"] for entry in trust["stars"][3:])
-    assert f"3 of {trust['stars_in_all']} stars are off the catalogue place" in trust["stars_sentence"]
+    assert f"3 of {trust['stars_in_all']} " in trust["stars_sentence"]
 
 
 def test_understated_noise_makes_no_suspect_and_without_star_numbers_there_is_no_table(sensor, catalogue):
@@ -293,7 +296,7 @@ def test_a_focal_length_that_follows_the_temperature_is_detected(number, catalog
     trust = simulated(catalogue, number, 200, changes=DRIFT).trust
     assert not trust["whiteness"]["white"]
     assert trust["whiteness"]["p_of_parameters"]["f_m"] < 1e-3
-    assert trust["whiteness"]["sentence"].startswith("The residuals are not white over")
+    assert "not white" in trust["whiteness"]["sentence"]
     assert trust["whiteness"]["autocorrelation"][0] > trust["whiteness"]["bound"]
 
 

@@ -1,5 +1,6 @@
 """Parameters of a pass, walks and temperatures over several telemetry sets: the stacked problem, and the last pass in its light."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +21,7 @@ from tests.calibration.conftest import telemetry
 from tests.calibration.sets import differences, written
 from tests.calibration.test_joint import BEGIN, DAY, together
 from tests.estimation.fields import FREE, GROUND, SCALE, TRUTH, whitened_plainly, whitened_rows
+from tests.refusals import has_code
 
 NAMES = ("f_m", "m0_px", "n0_px", "b4_per_m4", "b2_per_m2", "a1_rad", "a2_rad", "g_y")
 PARAMETERS = Parameters(FREE, SCALE)
@@ -160,7 +162,7 @@ def test_a_stated_degree_is_kept_and_one_that_the_temperatures_do_not_tell_is_re
     )
     assert found.variation.degree == {"f_m": 3}
     assert found.variation.slope["f_m"] == found.variation.coefficients["f_m"][0]
-    with pytest.raises(RefusedInputError, match="give more passes, or a lower --degree"):
+    with pytest.raises(RefusedInputError, match="--degree", check=has_code("too-few-passes")):
         run(moved([0, 0], warm=[1.0, 5.0]), sensor, catalogue, vary=("f_m",), vary_as="temperature", degree="2")
 
 
@@ -190,8 +192,7 @@ def test_a_step_is_proposed_with_its_size_and_an_interval_for_its_date(sensor, c
     assert step.p_value < 1e-6
     assert np.datetime64(step.from_utc[:-1]) <= BEGIN + 15 * DAY + DAY // 100
     assert np.datetime64(step.to_utc[:-1]) >= BEGIN + 18 * DAY
-    assert step.sentence.startswith("f stepped by +")
-    assert "ppm between 2026-01-" in step.sentence
+    assert re.match(r"f stepped by \+.* ppm .*2026-01-", step.sentence)
     assert [one.parameters["f_m"] for one in found.states[:6]] == [found.states[0].parameters["f_m"]] * 6
 
 
@@ -311,11 +312,11 @@ def test_what_cannot_vary_is_refused(sensor, catalogue, settings, said):
 
 def test_one_set_does_not_vary_and_a_pass_that_sees_too_little_is_named(sensor, catalogue):
     one = moved([0])[0]
-    with pytest.raises(RefusedInputError, match="needs several telemetry sets: name more"):
+    with pytest.raises(RefusedInputError, check=has_code("one-set-cannot-vary")):
         calibrate(one, sensor, catalogue, CalibrationSettings(match="given", vary=("f_m",)))
     thin = moved([0], seed=60)[0]
     thin = replace(thin, ra_rad=np.full(len(thin), np.nan), dec_rad=np.full(len(thin), np.nan), star_id=None)
-    with pytest.raises(RefusedInputError, match=r"fewest frames: pass 1\): choose"):
+    with pytest.raises(RefusedInputError, match="pass 1", check=has_code("pass-too-short")):
         run([one, thin], sensor, catalogue, vary=("f_m",))
 
 

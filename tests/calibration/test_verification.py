@@ -74,7 +74,8 @@ def test_one_wrong_identity_is_named_and_the_estimate_is_that_without_it(catalog
     assert removed.star_id == telemetry.star_id[row]
     assert removed.probability < 1e-6
     assert (found.removed_of.proposed, found.removed_of.removed) == (len(telemetry), 1)
-    assert found.advice[0].startswith("1 of 1,440 proposed stars was removed")
+    assert found.advice_codes[0] == "removed"
+    assert found.advice[0].startswith("1 of 1,440 ")
     assert f"row {removed.row:,} (frame {removed.frame}, HIP {removed.star_id})" in found.advice[0]
     assert sum(item.count for item in found.left_out if item.what == "stars") == 1
     blank = replace(right, star_id=np.where(wrong, 0, right.star_id), ra_rad=np.where(wrong, np.nan, right.ra_rad))

@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from boresight.cli import main
+from boresight.errors import BoresightError
 from tests.stores import environment_in, url_in
 
 FRAMES = 40
@@ -19,8 +20,17 @@ def accepted(done):
     return done
 
 
-def assert_refused(done, *words, lines=None):
+def find_refusal(done):
+    """Return the refusal that a command ended with, which the exit of the command was raised for."""
+    error = done.exception
+    while error is not None and not isinstance(error, BoresightError):
+        error = error.__context__
+    return error
+
+
+def assert_refused(done, *words, code=None, lines=None):
     assert done.exit_code == 1
+    assert code is None or find_refusal(done).code == code
     assert [word for word in words if word not in done.stderr] == [], done.stderr
     assert lines in {None, done.stderr.count("\n")}
 

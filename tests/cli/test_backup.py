@@ -35,7 +35,7 @@ def filled(boresight, monkeypatch, tmp_path) -> Any:
     accepted(boresight(*ADD, stdin=f"{PASSWORD}\n"))
     sha256 = FolderBlobStore(tmp_path / "first" / "blobs").put(b"telemetry")
     done = accepted(boresight("backup", "--out", tmp_path / "all.zip"))
-    assert "the database and 1 files" in done.stdout
+    assert " 1 files" in done.stdout
     return boresight, tmp_path / "all.zip", sha256
 
 
@@ -54,14 +54,13 @@ def test_what_was_backed_up_comes_back_and_its_audit_log_holds(filled, monkeypat
     assert FolderBlobStore(folder / "blobs").read(sha256) == b"telemetry"
     assert on_postgresql() or stat.S_IMODE((folder / "boresight.sqlite3").stat().st_mode) == 0o600
     accepted(boresight("audit", "verify"))
-    again = boresight(*ADD, stdin=f"{PASSWORD}\n")
-    assert "The log-in name 'ana' exists already" in again.stderr
+    assert_refused(boresight(*ADD, stdin=f"{PASSWORD}\n"), "'ana'", code="name-taken")
 
 
 def test_nothing_is_written_over(filled):
     boresight, archive, _ = filled
-    assert_refused(boresight("restore", archive), "already; restore into an empty")
-    assert_refused(boresight("backup", "--out", archive), "a backup is never overwritten")
+    assert_refused(boresight("restore", archive), code="not-empty")
+    assert_refused(boresight("backup", "--out", archive), code="backup-exists")
 
 
 @pytest.mark.parametrize("name", ["boresight.sqlite3", "blobs"])
@@ -73,7 +72,7 @@ def test_a_file_that_is_not_as_it_was_backed_up_is_refused_and_no_database_appea
             content = source.read(member)
             target.writestr(member, content[:-1] + b"?" if member.startswith(name) else content)
     folder = _into(monkeypatch, tmp_path / "third")
-    assert_refused(boresight("restore", altered), "is not as it was backed up")
+    assert_refused(boresight("restore", altered), code="altered-backup")
     assert not (folder / "boresight.sqlite3").exists()
     assert boresight(*ADD, stdin=f"{PASSWORD}\n").exit_code == 0  # nobody of the backup is there
 
@@ -84,13 +83,13 @@ def test_another_zip_is_no_backup(boresight, monkeypatch, tmp_path, manifest):
         if manifest is not None:
             archive.writestr("MANIFEST.json", manifest)
     _into(monkeypatch, tmp_path / "fourth")
-    assert_refused(boresight("restore", tmp_path / "a.zip"), "is not a backup")
+    assert_refused(boresight("restore", tmp_path / "a.zip"), code="no-backup")
 
 
 def test_what_is_no_zip_is_refused_in_one_sentence(boresight, monkeypatch, tmp_path):
     (tmp_path / "a.zip").write_text("no zip")
     _into(monkeypatch, tmp_path / "fifth")
-    assert_refused(boresight("restore", tmp_path / "a.zip"), "cannot be read as a backup")
+    assert_refused(boresight("restore", tmp_path / "a.zip"), code="unreadable-backup")
 
 
 def test_an_installation_moves_to_postgresql_and_back_with_its_log(filled, monkeypatch, tmp_path, postgresql):
@@ -104,7 +103,7 @@ def test_an_installation_moves_to_postgresql_and_back_with_its_log(filled, monke
     )  # numbered after those that came over
     assert added.exit_code == 0, added.stderr
     again = boresight("restore", archive)
-    assert (again.exit_code, "rows in the database already" in again.stderr) == (1, True)
+    assert_refused(again, code="not-empty")
     saved = accepted(boresight("backup", "--out", tmp_path / "moved.zip"))
     folder = _into(monkeypatch, tmp_path / "third")
     monkeypatch.setenv("BORESIGHT_DATABASE_URL", f"sqlite:///{folder}/own.sqlite3")
@@ -113,10 +112,8 @@ def test_an_installation_moves_to_postgresql_and_back_with_its_log(filled, monke
     heads = [line.split()[-1] for line in saved.stdout.splitlines() if line.startswith("audit head")]
     accepted(boresight("audit", "verify", "--head", *heads))
     for name in ("ana", "bo"):
-        assert (
-            f"The log-in name '{name}' exists already"
-            in boresight(*ADD[:2], name, *ADD[3:], stdin=f"{PASSWORD}\n").stderr
-        )
+        again = boresight(*ADD[:2], name, *ADD[3:], stdin=f"{PASSWORD}\n")
+        assert_refused(again, f"'{name}'", code="name-taken")
 
 
 def test_files_of_an_object_store_stay_there_and_are_named(filled, monkeypatch, tmp_path):
@@ -124,10 +121,10 @@ def test_files_of_an_object_store_stay_there_and_are_named(filled, monkeypatch, 
     monkeypatch.setenv("BORESIGHT_BLOBS", "memory:///flight")
     saved = boresight("backup", "--out", tmp_path / "rows.zip")
     assert "0 files" in saved.stdout
-    assert "stay in memory:///flight" in saved.stdout
+    assert "in memory:///flight" in saved.stdout
     _into(monkeypatch, tmp_path / "sixth")
     monkeypatch.setenv("BORESIGHT_BLOBS", "")
-    assert "Its stored files are in memory:///flight" in boresight("restore", tmp_path / "rows.zip").stdout
+    assert "in memory:///flight" in boresight("restore", tmp_path / "rows.zip").stdout
 
 
 def test_the_log_is_exported_with_its_verifier_or_alone(filled, tmp_path):
@@ -163,7 +160,7 @@ def test_a_backup_holds_no_secret_of_a_webhook_and_without_the_key_a_restore_say
     assert "paused: Mission chat. Copy the key file" in restored.stderr
     folder.joinpath("webhooks.key").write_bytes(tmp_path.joinpath("first", "webhooks.key").read_bytes())
     rotated = accepted(boresight("webhook", "rotate-key", "--forget-old"))
-    assert "1 older keys were removed" in rotated.stdout
+    assert "1 older " in rotated.stdout
     assert rotated.stderr == ""
 
 

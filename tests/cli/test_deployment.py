@@ -291,7 +291,7 @@ def test_docker_itself_accepts_the_compose_file():
 
 def test_a_worker_for_nobody_is_refused(boresight, monkeypatch):
     monkeypatch.setenv("BORESIGHT_SCHEDULER", "")
-    assert_refused(boresight("worker"), "There is no scheduler to work for: give --scheduler tcp://host:port.")
+    assert_refused(boresight("worker"), "--scheduler tcp://host:port", code="no-scheduler")
 
 
 @pytest.mark.parametrize("command", ["worker", "scheduler", "serve"])
@@ -303,20 +303,20 @@ def test_what_is_no_address_of_a_scheduler_is_refused_by_all_who_use_one(boresig
     monkeypatch.setenv("BORESIGHT_SCHEDULER", address)
     done = boresight(command, "--port", free_port()) if command != "worker" else boresight(command)
 
-    assert_refused(done, f"BORESIGHT_SCHEDULER={address!r} is not the address of a scheduler: write tcp://host:port")
+    assert_refused(done, f"BORESIGHT_SCHEDULER={address!r} ", "tcp://host:port", code="not-an-address")
 
 
 def test_a_scheduler_that_is_to_be_encrypted_does_not_open_a_plain_link(boresight, monkeypatch):
     monkeypatch.setenv("BORESIGHT_SCHEDULER", "tls://127.0.0.1:8786")
     done = boresight("scheduler", "--port", free_port())
 
-    assert_refused(done, "name them by BORESIGHT_TLS_AUTHORITY and BORESIGHT_TLS_CERTIFICATE")
+    assert_refused(done, "BORESIGHT_TLS_AUTHORITY", "BORESIGHT_TLS_CERTIFICATE", code="no-certificates")
 
 
 def test_a_worker_on_an_encrypted_link_without_certificates_is_refused(boresight):
     done = boresight("worker", "--scheduler", "tls://127.0.0.1:8786")
 
-    assert_refused(done, "name them by BORESIGHT_TLS_AUTHORITY and BORESIGHT_TLS_CERTIFICATE")
+    assert_refused(done, "BORESIGHT_TLS_AUTHORITY", "BORESIGHT_TLS_CERTIFICATE", code="no-certificates")
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "10.1.2.3"])  # noqa: S104 - what is to be refused
@@ -343,7 +343,7 @@ def test_a_plain_scheduler_beyond_this_machine_is_refused_by_all_who_use_one(bor
 
     assert_refused(
         done,
-        "BORESIGHT_SCHEDULER=tcp://10.1.2.3:8786 is a plain link to another machine",
+        "BORESIGHT_SCHEDULER=tcp://10.1.2.3:8786 ",
         "BORESIGHT_CLUSTER_NETWORK_CLOSED=1",
     )
 
@@ -370,7 +370,7 @@ def test_a_scheduler_on_a_port_in_use_is_refused():
         done = subprocess.run(words, capture_output=True, text=True, check=False)
 
     assert done.returncode == 1
-    assert f"127.0.0.1:{port} is in use or not available" in done.stderr
+    assert f"boresight: 127.0.0.1:{port} " in done.stderr
     assert "--port" in done.stderr
 
 
@@ -381,7 +381,7 @@ def test_a_port_in_use_is_told_however_deep_it_is_wrapped(boresight, monkeypatch
     monkeypatch.setattr("boresight.workers.service._scheduler", fail)
     done = boresight("scheduler", "--port", "8786")
 
-    assert_refused(done, "127.0.0.1:8786 is in use or not available (Address already in use)")
+    assert_refused(done, "127.0.0.1:8786 ", "(Address already in use)", code="port-in-use")
 
 
 @pytest.mark.parametrize("words", [("--processes", "0"), ("--memory-gb", "0"), ("--port", "1")])
@@ -396,5 +396,5 @@ def test_a_server_whose_files_have_no_place_is_refused_before_it_says_that_it_is
     monkeypatch.setenv("BORESIGHT_BLOBS", f"{tmp_path}/file/blobs")
     done = boresight("serve", "--port", free_port())
 
-    assert_refused(done, f"The folder of files {tmp_path}/file/blobs cannot be written")
+    assert_refused(done, f"{tmp_path}/file/blobs ", code="folder-not-writable")
     assert "Boresight on" not in done.output

@@ -135,11 +135,11 @@ def test_a_file_that_holds_no_parameters_is_refused_in_one_line(written, documen
 @pytest.mark.parametrize("covariance", [{"names": ["f_m"], "matrix": [[-1.0]]}, {"names": ["f_m"], "matrix": 3}, 7])
 def test_a_covariance_that_is_none_is_refused(written, calibration_result, covariance):
     done = written({"parameters": calibration_result["parameters"], "covariance": covariance})
-    assert_refused(done, "covariance that is not names and a square matrix")
+    assert_refused(done, code="damaged-covariance")
 
 
 def test_a_missing_file_is_refused_in_one_line(evaluate, tmp_path):
-    assert_refused(evaluate("--parameters", tmp_path / "absent.json"), "absent.json does not exist")
+    assert_refused(evaluate("--parameters", tmp_path / "absent.json"), "absent.json", code="no-such-file")
 
 
 @pytest.fixture
@@ -227,4 +227,4 @@ def test_what_cannot_be_used_is_refused_in_one_line(assess, stored, option, docu
 
 def test_what_is_no_calibration_is_refused(boresight, simulated):
     done = boresight("assess", simulated / "truth.json", "--sensor", simulated / "sensor.json")
-    assert_refused(done, "truth.json is not a complete calibration (status")
+    assert_refused(done, "truth.json", "(status", code="incomplete-calibration")

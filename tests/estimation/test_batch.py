@@ -105,7 +105,7 @@ def test_costs_never_rise_and_a_fit_says_when_it_diverged_had_too_few_iterations
     assert all(after <= before * (1 + 1e-12) for before, after in pairwise(costs))
     assert batch.fit(field, absurd, FREE, SCALE).status == "diverged"
     assert batch.fit(field, GROUND, FREE, SCALE, max_iterations=1).status == "max_iterations"
-    with pytest.raises(CancelledError, match="Stopped on request"):
+    with pytest.raises(CancelledError):
         batch.fit(field, GROUND, FREE, SCALE, cancelled=lambda: True)
 
 
@@ -513,5 +513,5 @@ def test_arcs_that_are_not_whitened_are_refused_where_compiled_loops_would_run_b
         lambda: batch.compute_chi2(field, GROUND),
         lambda: batch.fit(field, GROUND, FREE, SCALE),
     ):
-        with pytest.raises(ValueError, match="whiten the set first"):
+        with pytest.raises(ValueError, match="whiten"):
             evaluated()

@@ -89,7 +89,6 @@ def test_the_lowest_minimum_is_taken_up_and_it_is_said():
     assert estimate.chi2 < before.chi2 - 1
     told = describe_minima(problem, estimate.searched, estimate.x, SCALE * np.sqrt(np.diag(estimate.P)))
     assert told.taken_from
-    assert "did not end in the lowest minimum" in told.sentence
     assert told.found[1].chi2_above_best == pytest.approx(before.chi2 - estimate.chi2, abs=0.3)
 
 

@@ -41,9 +41,9 @@ def test_the_bounds_are_the_quantiles_of_chi_square(dof):
 
 
 def test_no_degrees_of_freedom_and_more_lags_than_values_are_programming_errors():
-    with pytest.raises(ValueError, match="Expected positive degrees of freedom, received 0"):
+    with pytest.raises(ValueError, match="received 0"):
         chi_square(1.0, 0)
-    with pytest.raises(ValueError, match="Expected fewer lags than values, at least one; received 5 lags of 5 values"):
+    with pytest.raises(ValueError, match=r"5 lags .*5 values"):
         ljung_box(np.ones(5), 5)
 
 

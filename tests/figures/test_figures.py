@@ -18,6 +18,7 @@ from boresight.figures.example_calibration import PLACE, get_example_calibration
 from boresight.figures.notebook import TEMPLATES, draw, table
 from boresight.figures.style.theme import DARK_TEMPLATE, LIGHT_TEMPLATE, TOKENS, UI_REVISION
 from tests.effort import effort
+from tests.refusals import has_code
 
 EVERY_FIGURE = pytest.mark.parametrize("figure", FIGURES.values(), ids=FIGURES.keys())
 MAPS = {"coverage", "arc-uncertainty", "residual-rms"}  # one colour scale for all runs, each in a map of its own
@@ -229,7 +230,7 @@ def test_what_cannot_be_drawn_is_refused_in_a_sentence(arguments, sentence):
 
 def test_what_is_no_json_and_what_is_no_theme_are_refused(tmp_path, file):
     (tmp_path / "words.json").write_text("words")
-    with pytest.raises(RefusedInputError, match="is not a complete calibration"):
+    with pytest.raises(RefusedInputError, check=has_code("incomplete-calibration")):
         draw(tmp_path / "words.json", "rms")
-    with pytest.raises(RefusedInputError, match="choose from light, dark, contrast"):
+    with pytest.raises(RefusedInputError, match=r"light.*dark.*contrast", check=has_code("unknown-theme")):
         draw(file, "rms", theme="pink")

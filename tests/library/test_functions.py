@@ -15,6 +15,7 @@ from boresight.calibration.options import OPTIONS, CalibrationSettings
 from boresight.figures import FIGURES
 from boresight.sky import catalogue
 from boresight.waiting import tell
+from tests.refusals import has_code
 
 
 def test_a_calibration_is_near_the_truth(cal, simulated):
@@ -151,9 +152,9 @@ def test_a_list_of_sets_is_one_calibration_whatever_holds_them(simulated, tmp_pa
     found = bs.calibrate([simulated.telemetry, tmp_path / "validation.csv"], simulated.sensor, progress=False)
     assert [one.name for one in found.inputs.passes] == ["set 1", "validation.csv"]
     assert list(found.inputs.sha256s) == ["telemetry_2"]
-    with pytest.raises(bs.RefusedInputError, match=r"holds the centroids of set 1: name"):
+    with pytest.raises(bs.RefusedInputError, match="set 1", check=has_code("same-centroids")):
         bs.calibrate([simulated.telemetry, tmp_path / "calibration.csv"], simulated.sensor, progress=False)
-    with pytest.raises(bs.RefusedInputError, match="name at least one"):
+    with pytest.raises(bs.RefusedInputError, check=has_code("no-telemetry")):
         bs.calibrate([], simulated.sensor)
 
 
@@ -254,7 +255,7 @@ def test_a_simulation_repeats_by_its_seed(simulated):
 
 def test_what_cannot_be_written_or_changed_is_refused_in_a_sentence(cal, tmp_path):
     for save in (cal.save, cal.report):
-        with pytest.raises(bs.BoresightError, match="choose another place"):
+        with pytest.raises(bs.BoresightError, check=has_code("no-such-folder")):
             save(tmp_path / "none" / "cal.json")
     with pytest.raises(AttributeError, match="not changed"):
         cal.parameters.f_m = 3.0

@@ -16,6 +16,7 @@ from boresight.sky.apparent import aberrated, apparent_directions, days_since_j2
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.directions import star_directions
 from tests.effort import effort
+from tests.refusals import has_code
 from tests.strategies import unit_vectors
 
 ARCSEC = np.pi / 180 / 3600
@@ -211,7 +212,7 @@ def test_the_satellites_velocity_is_that_of_the_row(catalogue):
 
 @pytest.mark.parametrize("times", [None, np.full(4, np.datetime64("NaT", "us"))], ids=["no column", "no cell"])
 def test_catalogue_directions_without_any_time_or_any_star_are_refused(catalogue, times):
-    with pytest.raises(RefusedInputError, match=r"2 matched stars .* add a time_utc column .* --times"):
+    with pytest.raises(RefusedInputError, match=r"2 matched.*time_utc.*--times"):
         star_directions(IDS, None, None, times, None, catalogue)
-    with pytest.raises(RefusedInputError, match="give a star_id column"):
+    with pytest.raises(RefusedInputError, check=has_code("no-star-numbers")):
         star_directions(None, None, None, TIME, None, catalogue)

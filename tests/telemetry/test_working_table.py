@@ -39,6 +39,7 @@ from boresight.telemetry.working_table import (
 )
 from tests.calibration.conftest import telemetry as simulated
 from tests.effort import effort
+from tests.refusals import has_code
 from tests.strategies import telemetry_tables
 from tests.telemetry.files import GOOD, MINIMAL, assert_same, parquet_bytes
 
@@ -96,18 +97,18 @@ def test_the_index_knows_frames_stars_and_how_many_an_exposure_has(stored_in_par
 
 @pytest.mark.parametrize("frame", [9, 11, 10_000])
 def test_a_frame_that_is_not_there_is_refused_with_those_that_are(stored_in_parts, frame):
-    with pytest.raises(NotFoundError, match="numbered from 10 to 187"):
+    with pytest.raises(NotFoundError, match="10 to 187", check=has_code("no-such-frame")):
         frame_index(stored_in_parts).find_place(frame)
 
 
 def test_a_damaged_table_is_refused_with_what_to_do_by_index_sample_and_marks(tmp_path):
     path = tmp_path / "damaged"
     path.write_bytes(b"PAR1 and then nothing of the kind")
-    with pytest.raises(RefusedInputError, match="is damaged: restore it from a backup"):
+    with pytest.raises(RefusedInputError, check=has_code("damaged-table")):
         frame_index(path)
     damaged = tmp_path / "table"
     damaged.write_bytes(b"PAR1 and then nothing")
-    with pytest.raises(RefusedInputError, match="upload the telemetry again"):
+    with pytest.raises(RefusedInputError, check=has_code("damaged-table")):
         read_sample(damaged, 10, 100)
     (tmp_path / "broken").write_bytes(b"no table")
     with pytest.raises(RefusedInputError, match="damaged"):
@@ -213,7 +214,7 @@ def test_writing_into_mapped_arrays_leaves_the_file_alone_and_other_bytes_than_i
 def test_what_is_no_such_table_is_refused(tmp_path, content):
     (tmp_path / "table").write_bytes(content)
     assert is_working_table(tmp_path / "table") is content.startswith(b"ARROW1")
-    with pytest.raises(RefusedInputError, match="is damaged: restore it"):
+    with pytest.raises(RefusedInputError, check=has_code("damaged-table")):
         WorkingTable(tmp_path / "table").read()
 
 
@@ -400,7 +401,7 @@ def test_nothing_comes_out_after_the_first_fault_and_all_faults_are_counted(tmp_
     rows = [f"{k},0,{'x' if k % 10 == 9 else k},2" for k in range(500)]
     (tmp_path / "pass.csv").write_text("\n".join(["frame,exposure,row_px,col_px", *rows]))
     seen = []
-    with pytest.raises(RefusedInputError, match=r"row 11, column row_px: 'x' is not a number.*and 49 more"):
+    with pytest.raises(RefusedInputError, match=r"row 11\b.*row_px.*'x'.* 49"):
         seen.extend(read_chunks(tmp_path / "pass.csv", frames=2))
     assert all(part.frame[-1] < 9 for part in seen)
 
@@ -422,14 +423,14 @@ def test_a_frame_without_end_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(readers, "MOST_ROWS", 10)
     n = np.arange(64)
     write_parquet(Telemetry(frame=0 * n, exposure=n, row_px=n * 1.0, col_px=n * 1.0), tmp_path / "pass.parquet")
-    with pytest.raises(RefusedInputError, match="frame 0 has over 10 rows: give every reading"):
+    with pytest.raises(RefusedInputError, match=r"frame 0 .*10 rows", check=has_code("frame-too-large")):
         list(read_chunks(tmp_path / "pass.parquet"))
 
 
 @pytest.mark.usefixtures("in_small_pieces")
 def test_a_line_without_end_is_refused(tmp_path):
     (tmp_path / "pass.csv").write_text(GOOD + "1,0,9,9," + "9" * 5000)
-    with pytest.raises(RefusedInputError, match="row 6: is over 700 bytes long"):
+    with pytest.raises(RefusedInputError, match=r"row 6.*700 bytes"):
         list(read_chunks(tmp_path / "pass.csv", limits=Limits(line_bytes=700)))
 
 
@@ -502,10 +503,10 @@ def test_a_stretch_refuses_its_own_faults_by_the_rows_of_the_file_and_a_damaged_
     *sound, torn, _ = stretches(path, "a.parquet", 1)
     assert torn.begins <= 33 < torn.ends
     assert sum(len(part) for one in sound for part in one.chunks(1)) == torn.begins
-    with pytest.raises(RefusedInputError, match="row 34, column row_px"):
+    with pytest.raises(RefusedInputError, match=r"row 34\b.*row_px"):
         list(torn.chunks(1))
     path.write_bytes(path.read_bytes()[:-9] + b"PAR1")
-    with pytest.raises(RefusedInputError, match="truncated or damaged"):
+    with pytest.raises(RefusedInputError, check=has_code("damaged-parquet")):
         stretches(path, "a.parquet", 1)
 
 

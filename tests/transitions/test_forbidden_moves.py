@@ -264,7 +264,7 @@ def test_what_is_allowed_is_not_without_the_version_that_was_seen(board: Board, 
     unsaid, older = board.try_move(move, {}), board.try_move(move, tag(0))
     assert (unsaid.status_code, older.status_code) == (428, 412)
     assert "If-Match" in unsaid.json()["detail"]
-    assert re.search(r"\(you saw v0, it is now v\d+\): .+ it at 20\d\d-", older.json()["detail"])  # who, what and when
+    assert re.search(r"v0, .* v\d+\): .+ 20\d\d-", older.json()["detail"])  # who, what and when
     assert board.digest() == before
 
 

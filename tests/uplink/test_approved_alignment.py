@@ -7,6 +7,7 @@ import pytest
 from boresight.errors import RefusedInputError
 from boresight.uplink.package import make_files
 from boresight.uplink.table_definition import decode, parse_definition
+from boresight.verdicts.gates.measurements import NO_DEFINITION
 from tests.uplink.packages import make_definition, make_inputs, make_sensor
 
 APPROVED = {
@@ -40,7 +41,7 @@ def test_a_package_lays_the_approved_alignment_into_the_table_and_is_refused_wit
     assert sheet.index("Keep the image on board") < sheet.index("inactive image")  # before anything is loaded
     assert "kept in step 2" in sheet
     assert "table_missing.txt" in of_backout
-    assert "no table definition" not in of_backout
+    assert NO_DEFINITION not in of_backout
     inputs["backout"]["alignment"] = APPROVED
     files = make_files(inputs, signed=False)
     assert "backout/table.bin" in files

@@ -24,7 +24,9 @@ from boresight.figures.example_calibration import get_example_calibrations
 from boresight.telemetry.sensors import parse_sensor
 from boresight.uplink.comparison import FILL, compare
 from boresight.uplink.package import build_package
+from boresight.uplink.parameter_service import ATOMICITY
 from boresight.uplink.table_definition import encode, parse_definition
+from tests.refusals import has_code
 from tests.uplink.packages import GATE, INITIAL, make_definition, make_inputs, make_set
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -160,7 +162,7 @@ def test_without_a_definition_nothing_is_made_up_and_a_way_back_that_does_not_fi
     assert json.loads(files["MANIFEST.json"])["flight_software_version"] is None
     document = make_definition()
     document["fields"][2] |= {"type": "uint16", "scale": 1e-9, "offset": 0.05}
-    with pytest.raises(RefusedInputError, match="PS-FM1-1 does not fit into the table STR_CAM"):
+    with pytest.raises(RefusedInputError, match=r"PS-FM1-1.*STR_CAM", check=has_code("does-not-fit")):
         build_package(make_inputs(definition=document) | {"backout": make_set("pinhole_radial", 1, -1e-3)})
 
 
@@ -168,7 +170,7 @@ def test_pus_is_listed_only_where_it_is_configured(files):
     assert "pus_st20.csv" not in files
     listed = _rows(_files(make_inputs(definition=make_definition(pus={"parameter_ids": IDS})))["pus_st20.csv"])
     assert [row["parameter_id"] for row in listed[:-1]] == [f"0x{number:04X}" for number in IDS.values()]
-    assert "decided by the on-board software" in listed[-1]["note"]
+    assert ATOMICITY in listed[-1]["note"]
 
 
 def test_a_simulated_sensor_is_said_to_be_one_and_the_way_back_is_named_with_its_crc(files):

@@ -30,6 +30,7 @@ from boresight.uplink.table_definition import (
 )
 from boresight.uplink.table_files import table_files
 from tests.effort import effort
+from tests.refusals import has_code
 from tests.uplink.packages import INITIAL, definitions, make_definition, make_sensor, make_set
 
 PINHOLE = INITIAL["pinhole_radial"]
@@ -108,7 +109,7 @@ def test_a_number_that_does_not_fit_and_an_image_of_another_length_are_refused()
     document["fields"][2] |= {"type": "int16", "scale": 1e-9}
     with pytest.raises(RefusedInputError, match=r"F_M cannot hold 0\.05: a int16 of scale 1e-09.* to 3\.2767e-05"):
         encode(_definition(document), PINHOLE)
-    with pytest.raises(RefusedInputError, match="has 3 bytes and the table STR_CAM has 32"):
+    with pytest.raises(RefusedInputError, match=r"3 bytes.*32", check=has_code("wrong-image-size")):
         decode(_definition(make_definition()), b"abc")
 
 
@@ -258,7 +259,7 @@ def test_what_is_no_object_another_camera_s_table_or_a_type_without_a_pus_code_i
     for given_document, sentence in (*refused, (document | {"pus": {"parameter_ids": IDS}}, whole)):
         with pytest.raises(RefusedInputError, match=sentence):
             parse_definition(given_document, make_sensor())
-    with pytest.raises(RefusedInputError, match="parameter is 's': choose f_m"):
+    with pytest.raises(RefusedInputError, match=r"'s': .*f_m"):
         parse_definition(make_definition(), make_sensor("inverted_wang"))
 
 

@@ -32,7 +32,7 @@ from boresight.verdicts.gates.assessment import (
     started_from,
     take_scores,
 )
-from boresight.verdicts.gates.measurements import Measurement, Score, ValidationScores
+from boresight.verdicts.gates.measurements import NO_RUN, NO_TESTS, Measurement, Score, ValidationScores
 from boresight.verdicts.numbers import (
     MINUS,
     QUANTITIES,
@@ -208,14 +208,14 @@ def test_what_any_test_notices_reaches_its_gate_and_fails_it_by_its_size(kind):
 
 def test_a_run_without_tests_has_no_data_for_their_gates():
     for gate in {kind.gate for kind in TRUST_TESTS}:
-        assert "run it again to get them" in found(gate, result=a_result(tests=[])).sentence
+        assert NO_TESTS in found(gate, result=a_result(tests=[])).sentence
 
 
 @pytest.mark.parametrize(
     "name", ["chi-square", "nis", "condition-number", "weak-directions", "coverage", "assumptions"]
 )
 def test_what_no_run_measured_has_no_data(name):
-    assert found(name, result=None).sentence == "The set was declared with the sensor; no run measured this."
+    assert found(name, result=None).sentence == NO_RUN
     nothing = Calibration(status="converged")
     assert (
         "run it again" in found(name, result=nothing).sentence

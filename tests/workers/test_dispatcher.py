@@ -11,6 +11,7 @@ import dask
 import pytest
 from dask.utils import parse_timedelta
 
+from boresight.workers.cluster import DIED
 from boresight.workers.dispatcher import TURN_S, RunDispatcher
 from tests.effort import effort
 
@@ -111,7 +112,7 @@ def test_a_run_that_kills_its_worker_every_time_fails_with_its_cause_and_harms_n
     (poison, *others) = store.launch("poison") + store.launch("quick", 10)
     assert store.wait_until_ended([poison, *others]) == ["FAILED"] + ["SUCCEEDED"] * 10
     assert store.ends(poison) == ["FAILED"]
-    assert "worker process died" in store.run(poison).reason
+    assert DIED in store.run(poison).reason
     assert "3 lost attempts" in store.run(poison).reason
     assert len(store.log(poison, "lost")) == 3
     assert [store.log(run_id, "lost") for run_id in others] == [[]] * 10

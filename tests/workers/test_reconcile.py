@@ -1,5 +1,6 @@
 """The rows stay true under leases, attempts and fences, and what finished runs found is looked at beside the queue."""
 
+import re
 from dataclasses import replace
 from itertools import count
 
@@ -103,7 +104,7 @@ def test_a_run_lost_in_company_is_not_charged_but_one_lost_alone_is(store, make_
     (alone,) = take_one(rows, first)
     rows.give_up([alone], "its worker process died")
     assert store.states([first]) == ["FAILED"]
-    assert store.run(first).reason == "Given up after 1 lost attempt, the last because its worker process died."
+    assert re.search(" 1 lost attempt, .* its worker process died", store.run(first).reason)
 
 
 def test_a_run_whose_worker_was_gone_beforehand_is_not_charged_until_it_goes_on_so(store, make_rows):

@@ -112,13 +112,13 @@ def test_a_run_asked_to_stop_ends_while_pieces_are_under_way(start):
     begun_s = time.monotonic()
     run = start(piecework.spread, start.folder, stop_after_s=0.5, seconds=10.0)
 
-    with pytest.raises(CancelledError, match="of 24 pieces"):
+    with pytest.raises(CancelledError, match="of 24"):
         run.result(60)
     assert time.monotonic() - begun_s < 10.0
 
 
 def test_what_the_first_failing_piece_raised_is_raised_in_the_run(start):
-    with pytest.raises(RefusedInputError, match="piece 5 is refused"):
+    with pytest.raises(RefusedInputError, match="piece 5"):
         start(piecework.spread, start.folder, piecework.refuse).result(60)
 
 

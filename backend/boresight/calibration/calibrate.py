@@ -626,7 +626,8 @@ def select_free_parameters(sensor: Sensor, settings: CalibrationSettings) -> Par
     for name in wanted:
         if name not in names:
             raise RefusedInputError(
-                f"Parameter {name!r} is not one of the camera model {sensor.camera_model}: choose from {', '.join(names)}."
+                f"Parameter {name!r} is not one of the camera model {sensor.camera_model}: choose from {', '.join(names)}.",
+                code="unknown-parameter",
             )
     free = np.array([place for place, name in enumerate(names) if name in wanted], dtype=np.int64)
     return Parameters(free, sensor.typical_sigma[free])

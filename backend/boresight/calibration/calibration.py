@@ -1465,7 +1465,9 @@ def parse_calibration(document: str | bytes | Mapping[str, Any], name: str = "Th
 
 def _make_refusal(name: str, fault: str) -> RefusedInputError:
     return RefusedInputError(
-        f"{name} is not a complete calibration ({fault}): give the file that `boresight calibrate --json` wrote, as it was written."
+        f"{name} is not a complete calibration ({fault}): give the file that `boresight calibrate --json` wrote, "
+        "as it was written.",
+        code="incomplete-calibration",
     )
 
 

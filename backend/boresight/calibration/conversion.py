@@ -213,7 +213,10 @@ def converted(
     detector = (sensor.rows, sensor.columns, sensor.pixel_pitch_m)
     found = convert(x, sensor.camera_model, target, detector, P=P, residual=residual)
     if not found.misfit_px <= allowed:
-        raise RefusedInputError(_refusal(name, sensor.camera_model, target, found, allowed, by_rule=allowed_px is None))
+        raise RefusedInputError(
+            _refusal(name, sensor.camera_model, target, found, allowed, by_rule=allowed_px is None),
+            code="not-expressible",
+        )
     camera = CAMERA_MODELS[target]
     names = list(camera.parameter_names)
     sigma = [None] * len(names) if found.P is None else np.sqrt(np.maximum(np.diag(found.P), 0.0)).tolist()

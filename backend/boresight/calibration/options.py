@@ -532,7 +532,9 @@ class CalibrationSettings:
         """Read settings from a JSON document, absent keys taking their defaults."""
         for key in document:
             if key not in OPTIONS:
-                raise RefusedInputError(f"Setting {key!r} is unknown; choose from {', '.join(sorted(OPTIONS))}.")
+                raise RefusedInputError(
+                    f"Setting {key!r} is unknown; choose from {', '.join(sorted(OPTIONS))}.", code="unknown-setting"
+                )
         for name, value in document.items():
             OPTIONS[name].check(value)
         settings = cls(**{name: _kept(OPTIONS[name], value) for name, value in document.items()})

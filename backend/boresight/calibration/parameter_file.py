@@ -92,7 +92,8 @@ def _check_parameters(
     """Return (n_parameters,) in the camera model's order; refuse what is no set of this sensor's."""
     if model != sensor.camera_model:
         raise RefusedInputError(
-            f"{name} uses the camera model {model}, the sensor {sensor.camera_model}: choose parameters of this sensor."
+            f"{name} uses the camera model {model}, the sensor {sensor.camera_model}: choose parameters of this sensor.",
+            code="other-camera-model",
         )
     if status in FAILED:
         raise RefusedInputError(f"{name} is a calibration that {_ended(status)}: choose one that converged.")
@@ -130,7 +131,10 @@ def _check_names(values: Mapping[str, Any], sensor: Sensor, name: str) -> None:
 
 
 def _no_covariance(name: str) -> RefusedInputError:
-    return RefusedInputError(f"{name} has a covariance that is not names and a square matrix: write the file again.")
+    return RefusedInputError(
+        f"{name} has a covariance that is not names and a square matrix: write the file again.",
+        code="damaged-covariance",
+    )
 
 
 def _spread_covariance(names: Sequence[str], rows: Any, sensor: Sensor, name: str) -> FloatArray | None:

@@ -60,6 +60,7 @@ def parse_parameter_set(document: Mapping[str, Any]) -> ParameterSetDocument:
         ParameterSetDocument,
         document,
         lambda fault: RefusedInputError(
-            f"A parameter set's document is damaged ({fault}): restore the store from a backup."
+            f"A parameter set's document is damaged ({fault}): restore the store from a backup.",
+            code="damaged-document",
         ),
     )

@@ -186,7 +186,8 @@ def require_in(document: Mapping[str, Any], name: str) -> ResidualSplineFit:
     if spline is None:
         raise RefusedInputError(
             f"{name} has no residual spline beyond its noise: leave out --residual, or give the calibration that "
-            "`boresight calibrate --json` wrote."
+            "`boresight calibrate --json` wrote.",
+            code="no-residual-spline",
         )
     return spline
 

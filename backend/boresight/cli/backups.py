@@ -127,7 +127,9 @@ def _write_now(file: str, *, encrypt: bool, keep_going: bool) -> None:
     if not encrypt:
         check_writable(file, "ZIP")
     if Path(file).exists():
-        raise RefusedInputError(f"{file} exists already; name another file, a backup is never overwritten.")
+        raise RefusedInputError(
+            f"{file} exists already; name another file, a backup is never overwritten.", code="backup-exists"
+        )
     from boresight.console.webhooks.secrets import encrypt_all
     from boresight.platform.audit import log as audit
     from boresight.platform.blobs.opening import open_blobs

@@ -60,7 +60,8 @@ def choose(
         check_writable(place)
     if out_file is not None and sensor_file.exists() and Path(out_file).exists() and sensor_file.samefile(out_file):
         raise RefusedInputError(
-            f"{out_file} is the sensor file that is read and is not overwritten: choose another name."
+            f"{out_file} is the sensor file that is read and is not overwritten: choose another name.",
+            code="would-overwrite",
         )
     refuse_site_on_server(site, server_url)
     settings = chosen(choices)

@@ -186,7 +186,8 @@ def _check_kept(place: str | None, *inputs: Path) -> None:
             and path.samefile(str(place))
         ):
             raise RefusedInputError(
-                f"{place} is the file that is converted and is not overwritten: choose another name."
+                f"{place} is the file that is converted and is not overwritten: choose another name.",
+                code="would-overwrite",
             )
 
 

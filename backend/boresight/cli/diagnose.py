@@ -82,4 +82,6 @@ def _check_kept(place: str | Path | None, read: Path, what: str) -> None:
     if place is None or str(place) == STANDARD_OUTPUT:
         return
     if read.exists() and Path(place).exists() and read.samefile(place):
-        raise RefusedInputError(f"{place} is {what} and is not overwritten: choose another name.")
+        raise RefusedInputError(
+            f"{place} is {what} and is not overwritten: choose another name.", code="would-overwrite"
+        )

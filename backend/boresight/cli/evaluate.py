@@ -114,7 +114,9 @@ def _check_out(telemetry: Path, out: Path) -> None:
     if out.suffix.lower() not in {".csv", ".jsonl", ".ndjson", ".parquet"}:
         raise RefusedInputError(f"{out.name} has no known format: end the name with .csv, .jsonl or .parquet.")
     if out.exists() and telemetry.exists() and out.samefile(telemetry):
-        raise RefusedInputError(f"{out} is the telemetry itself, which is never overwritten: choose another name.")
+        raise RefusedInputError(
+            f"{out} is the telemetry itself, which is never overwritten: choose another name.", code="would-overwrite"
+        )
 
 
 def _write_rows(telemetry: Any, star_id: Any, out: Path) -> None:

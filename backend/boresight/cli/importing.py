@@ -166,7 +166,9 @@ def _check_out(out: Path | None, json_file: str | None, inputs: tuple[Path, ...]
         if place is not None and str(place) != STANDARD_OUTPUT and Path(place).exists():
             for path in inputs:
                 if path.exists() and path.samefile(place):
-                    raise RefusedInputError(f"{place} is read and is not overwritten: choose another name.")
+                    raise RefusedInputError(
+                        f"{place} is read and is not overwritten: choose another name.", code="would-overwrite"
+                    )
     if out is None or str(out) == STANDARD_OUTPUT:
         return
     check_writable(out, FORMATS.get(out.suffix.lower(), ""))

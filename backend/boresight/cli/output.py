@@ -69,7 +69,9 @@ def check_writable(
     if path.is_dir():
         raise RefusedInputError(f"{path} is a folder: name the file to write in it.")
     if not path.absolute().parent.is_dir():
-        raise RefusedInputError(f"The folder {path.parent} does not exist: make it first, or choose another place.")
+        raise RefusedInputError(
+            f"The folder {path.parent} does not exist: make it first, or choose another place.", code="no-such-folder"
+        )
     ending = path.suffix.lower()
     if forms and ending not in forms:
         raise RefusedInputError(

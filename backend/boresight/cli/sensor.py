@@ -171,7 +171,10 @@ def new(
     if site is not None:
         known["site"] = split_site(site)
     if out_file != STANDARD_OUTPUT and Path(out_file).exists():
-        raise RefusedInputError(f"{out_file} exists and is not overwritten: choose another name, or remove it first.")
+        raise RefusedInputError(
+            f"{out_file} exists and is not overwritten: choose another name, or remove it first.",
+            code="would-overwrite",
+        )
     pictures = [*images, *further_images]
     if others := [path.name for path in pictures if not is_image(path)]:
         raise RefusedInputError(

@@ -88,7 +88,8 @@ def _claim_port(settings: Settings) -> None:
     except OSError as error:
         raise RefusedInputError(
             f"{settings.host}:{settings.port} is in use or not available ({error.strerror}): stop the program that uses it, "
-            "or choose another with --port."
+            "or choose another with --port.",
+            code="port-in-use",
         ) from error
 
 

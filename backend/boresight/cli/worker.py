@@ -60,7 +60,8 @@ def scheduler(host: str, port: int) -> None:
     except OSError as error:
         raise RefusedInputError(
             f"{host}:{port} is in use or not available ({error.strerror or error}): stop the program that uses it, "
-            "or choose another with --port."
+            "or choose another with --port.",
+            code="port-in-use",
         ) from error
 
 
@@ -69,7 +70,9 @@ def _settings(address: str | None, data: Path | None) -> Settings:
     given = {name: str(value) for name, value in (("SCHEDULER", address), ("DATA_FOLDER", data)) if value is not None}
     settings = read_settings({**os.environ, **{f"BORESIGHT_{name}": value for name, value in given.items()}})
     if not settings.scheduler:
-        raise RefusedInputError("There is no scheduler to work for: give --scheduler tcp://host:port.")
+        raise RefusedInputError(
+            "There is no scheduler to work for: give --scheduler tcp://host:port.", code="no-scheduler"
+        )
     return settings
 
 

@@ -83,7 +83,8 @@ def require_seen(session: Session, row: Versioned, seen_version: int | None) -> 
     if seen_version != row.version:
         raise StaleError(
             f"{make_label(row)} has changed since you read it (you saw v{seen_version}, it is now v{row.version}): "
-            f"{describe_last_change(session, row)}. Reload, check it and decide again."
+            f"{describe_last_change(session, row)}. Reload, check it and decide again.",
+            code="changed-since-read",
         )
 
 
@@ -98,17 +99,19 @@ def require_seen_document(session: Session, current: DocumentInForce, seen_numbe
         by = "" if record is None else f": {record.actor} {record.action} it at {record.at_utc}"
         raise StaleError(
             f"The {current.title} has changed since you read it (you saw v{seen_number}, it is now v{current.number}){by}. "
-            "Reload, check it and decide again."
+            "Reload, check it and decide again.",
+            code="changed-since-read",
         )
 
 
 def require_change(current: DocumentInForce, document: Mapping[str, Any], reason: str) -> None:
     """Refuse a document without a reason, and the one that is in force already."""
     if not reason.strip():
-        raise RefusedInputError(f"Give the reason why the {current.title} changes.")
+        raise RefusedInputError(f"Give the reason why the {current.title} changes.", code="reason-missing")
     if compute_sha256(dict(document)) == current.sha256:
         raise RefusedInputError(
-            f"This is version {current.number} of the {current.title}, in force already: change something."
+            f"This is version {current.number} of the {current.title}, in force already: change something.",
+            code="already-in-force",
         )
 
 

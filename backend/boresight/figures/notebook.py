@@ -45,7 +45,7 @@ def draw(source: Source | Mapping[str, Source], name: str, *, theme: str = "ligh
         When a file cannot be read, is no calibration, or there is no such figure or theme.
     """
     if theme not in TEMPLATES:
-        raise RefusedInputError(f"There is no theme {theme}; choose from {', '.join(TEMPLATES)}.")
+        raise RefusedInputError(f"There is no theme {theme}; choose from {', '.join(TEMPLATES)}.", code="unknown-theme")
     return on_paper(_figure(name).draw(_traces(source)), theme)
 
 

@@ -614,6 +614,7 @@ def cause_rows(result: Calibration) -> list[CauseRow]:
 class UnseenRow:
     """What the tests may miss of one kind of displacement, in words; `numbers` are what its cells sort by."""
 
+    name: str
     kind: str
     parameter: str
     cells: tuple[str, ...]
@@ -626,6 +627,7 @@ def unseen_rows(result: Calibration) -> list[UnseenRow]:
     found.sort(key=lambda one: (one.sigmas is not None, -(one.sigmas or 0.0)))
     return [
         UnseenRow(
+            one.name,
             get_test_title(one.name),
             one.parameter,
             (number(one.size_px, 2), number(one.sigmas, 2)),

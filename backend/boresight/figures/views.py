@@ -35,7 +35,9 @@ NO_TIMES = "A batch run stores no frame times: align by frame to see its innovat
 def aligned(traces: Sequence[Trace], along: str) -> list[Trace]:
     """Give every run the axis that is asked for in place of its frame numbers."""
     if along not in ALIGNMENTS:
-        raise RefusedInputError(f"{along!r} is not an alignment; choose from {', '.join(ALIGNMENTS)}.")
+        raise RefusedInputError(
+            f"{along!r} is not an alignment; choose from {', '.join(ALIGNMENTS)}.", code="unknown-alignment"
+        )
     if along == "frame":
         return list(traces)
     move = {"time": _by_time, "update": _by_update}[along]
@@ -66,7 +68,9 @@ def _by_time(trace: Trace) -> Calibration:
     if history is None or not history.frame:
         return replace(result, trust=_without_innovations(trust)) if trust else result
     if not history.time_utc:
-        raise RefusedInputError(f"{trace.label} has no times in its telemetry: align by frame or by update.")
+        raise RefusedInputError(
+            f"{trace.label} has no times in its telemetry: align by frame or by update.", code="no-times"
+        )
     times = parse_times(history.time_utc)
     hours = (times - times[0]) / np.timedelta64(3600, "s")
     series = _innovations(result)

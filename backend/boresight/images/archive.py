@@ -150,6 +150,7 @@ def draw_image(
             f"{image.name} is not the image that the stars of frame {frame} were extracted from (SHA-256 {found[:12]}, expected "
             f"{image.sha256[:12]}), so it is not drawn: restore the set from a backup, or upload the images again.",
             image.sha256,
+            code="altered-file",
         )
     return make_picture(read_image(place, sensor, name=image.name, limits=limits).dn)
 

@@ -206,7 +206,8 @@ def _refuse_set(sources: Sequence[ImageSource], times: Mapping[str, np.datetime6
         raise RefusedInputError(f"Two images are called {twice}: name each once, or give them different names.")
     if times is not None and (absent := [name for name in names if name not in times]):
         raise RefusedInputError(
-            f"The list of times has no {absent[0]}, and {len(absent) - 1} others: add a row for each image."
+            f"The list of times has no {absent[0]}, and {len(absent) - 1} others: add a row for each image.",
+            code="times-missing",
         )
 
 

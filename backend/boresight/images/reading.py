@@ -179,7 +179,8 @@ def _check_size(image: Image, sensor: Sensor) -> None:
     )
     raise RefusedInputError(
         f"{image.name} has {rows:,} rows and {columns:,} columns, the detector of {sensor.name} {sensor.rows:,} and "
-        f"{sensor.columns:,}: {remedy}."
+        f"{sensor.columns:,}: {remedy}.",
+        code="rows-and-columns-exchanged" if turned else "other-size",
     )
 
 
@@ -280,7 +281,8 @@ def _expand(content: bytes, name: str, limits: ImageLimits) -> bytes:
         raise RefusedInputError(f"{name} is damaged gzip ({_short(error)}): copy it again.") from error
     if len(expanded) > most:
         raise RefusedInputError(
-            f"{name} expands to over {most / 1e6:,.0f} MB, more than an image may have: bin or cut it."
+            f"{name} expands to over {most / 1e6:,.0f} MB, more than an image may have: bin or cut it.",
+            code="expands-too-far",
         )
     return expanded
 

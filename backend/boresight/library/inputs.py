@@ -101,7 +101,7 @@ def list_sources(sources: TelemetrySources) -> list[TelemetrySource]:
     """Return the telemetry sets that are meant, one or several."""
     several = list(sources) if isinstance(sources, list | tuple) else [sources]
     if not several:
-        raise RefusedInputError("No telemetry was given: name at least one set.")
+        raise RefusedInputError("No telemetry was given: name at least one set.", code="no-telemetry")
     return several
 
 

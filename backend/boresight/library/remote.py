@@ -297,11 +297,14 @@ def raise_problem(answer: ServerAnswer, address: str) -> None:
         ) from None
     error = PROBLEMS.get(kind, errors.UnavailableError)
     if issubclass(error, RefusedInputError):
-        raise error(sentence, tuple(_faults(problem)))
-    if issubclass(error, errors.TooManyAttemptsError | errors.OverloadedError):
+        refusal: BoresightError = error(sentence, tuple(_faults(problem)))
+    elif issubclass(error, errors.TooManyAttemptsError | errors.OverloadedError):
         wait_s = answer.headers.get("retry-after", "")
-        raise error(sentence, int(wait_s) if wait_s.isdecimal() else 1)
-    raise error(sentence)
+        refusal = error(sentence, int(wait_s) if wait_s.isdecimal() else 1)
+    else:
+        refusal = error(sentence)
+    refusal.code = one_line(str(problem.get("code") or ""))
+    raise refusal
 
 
 def _faults(problem: Mapping[str, Any]) -> Iterator[Fault]:
@@ -565,7 +568,9 @@ def choose(
     """Choose a camera for a run's data; telemetry is calibrated first."""
     if isinstance(telemetry, Run | int):
         if sensor is not None or validate is not None or label or settings:
-            raise RefusedInputError("A run has its sensor, validation set and settings: give the run alone.")
+            raise RefusedInputError(
+                "A run has its sensor, validation set and settings: give the run alone.", code="run-alone"
+            )
         run = telemetry
     else:
         run = yield from launch_files(telemetry, sensor, validate, label, report, settings)

@@ -85,33 +85,38 @@ def require_role(actor: Actor, *roles: str) -> None:
     if not actor.roles.intersection(roles):
         held = ", ".join(sorted(actor.roles)) or "no role"
         raise ForbiddenError(
-            f"This needs the role {' or '.join(roles)}; {actor.printed_name} has {held}: ask somebody who has it."
+            f"This needs the role {' or '.join(roles)}; {actor.printed_name} has {held}: ask somebody who has it.",
+            code="role-missing",
         )
 
 
 def require_scope(actor: Actor, scope: str) -> None:
     """Refuse a key without the scope for this noun."""
     if actor.scopes is not None and scope not in actor.scopes:
-        raise ForbiddenError(f"This API key lacks the scope {scope}; make a key that has it.")
+        raise ForbiddenError(f"This API key lacks the scope {scope}; make a key that has it.", code="scope-missing")
 
 
 def require_person(actor: Actor, what: str) -> int:
     """Return the person's row; refuse keys, the command line and the system."""
     if actor.user_id is None or actor.credential != "session":
-        raise ForbiddenError(f"Only a person who is logged in may {what}, not {actor.credential}; log in to do it.")
+        raise ForbiddenError(
+            f"Only a person who is logged in may {what}, not {actor.credential}; log in to do it.", code="not-a-person"
+        )
     return actor.user_id
 
 
 def refuse_key(actor: Actor, what: str) -> None:
     """Refuse keys: people and keys are managed by people, or on the command line, whatever scopes a key has."""
     if actor.is_key:
-        raise ForbiddenError(f"An API key may not {what}; have a person who is logged in do it.")
+        raise ForbiddenError(
+            f"An API key may not {what}; have a person who is logged in do it.", code="key-not-allowed"
+        )
 
 
 def require_user(actor: Actor, what: str) -> int:
     """Return the user id of the person, or of the owner of the key."""
     if actor.user_id is None:
-        raise ForbiddenError(f"This needs a person or an API key: log in or use an API key to {what}.")
+        raise ForbiddenError(f"This needs a person or an API key: log in or use an API key to {what}.", code="no-user")
     return actor.user_id
 
 

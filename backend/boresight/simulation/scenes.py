@@ -279,7 +279,8 @@ def _parse_truth(truth: Any, base: Scenario) -> FloatArray:
     ):
         raise RefusedInputError(
             "A scenario's `truth` must give all of the detector a direction: correct its distortion, which turns back before "
-            "a corner."
+            "a corner.",
+            code="distortion-turns-back",
         )
     return x
 

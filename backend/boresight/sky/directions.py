@@ -67,7 +67,8 @@ def star_directions(
     if star_id is None:
         if given is None:
             raise RefusedInputError(
-                "The telemetry gives no star numbers: give a star_id column (Hipparcos numbers) or ra_deg and dec_deg."
+                "The telemetry gives no star numbers: give a star_id column (Hipparcos numbers) or ra_deg and dec_deg.",
+                code="no-star-numbers",
             )
         return given
     directions = np.full((len(star_id), 3), np.nan) if given is None else np.where(star_id[:, None] > 0, given, np.nan)

@@ -140,6 +140,7 @@ class WorkingTable:
             raise CorruptFileError(
                 f"The stored file {self.sha256[:12]} was altered on the disk, so it is not used; restore it from a backup.",
                 self.sha256,
+                code="altered-file",
             )
         try:
             with self.path.open("rb") as file:
@@ -153,7 +154,8 @@ class WorkingTable:
 
     def _damaged(self) -> RefusedInputError:
         return RefusedInputError(
-            f"The stored table {self.path.name[:12]} is damaged: restore it from a backup, or upload the telemetry again."
+            f"The stored table {self.path.name[:12]} is damaged: restore it from a backup, or upload the telemetry again.",
+            code="damaged-table",
         )
 
 

@@ -124,7 +124,9 @@ def _tables(definition: TableDefinition | None, sensor: Sensor, subject: Mapping
         files = table_files(definition, parameters, name, numbers)
         rounding = _quantisation(definition, sensor, parameters)
     except RefusedInputError as refusal:
-        raise RefusedInputError(f"{name} does not fit into the table {definition.table_id}: {refusal}") from refusal
+        raise RefusedInputError(
+            f"{name} does not fit into the table {definition.table_id}: {refusal}", code="does-not-fit"
+        ) from refusal
     return _Tables(files | {"quantisation.json": json_bytes(rounding)}, table_facts(definition, files), rounding)
 
 

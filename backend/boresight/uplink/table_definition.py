@@ -346,7 +346,8 @@ def decode(definition: TableDefinition, content: bytes) -> Decoded:
     if len(content) != definition.length_bytes:
         raise RefusedInputError(
             f"The image has {len(content)} bytes and the table {definition.table_id} has {definition.length_bytes}: "
-            "give the whole table and nothing else."
+            "give the whole table and nothing else.",
+            code="wrong-image-size",
         )
     fields = tuple(_decoded(definition, content, field) for field in definition.fields)
     crc = table_crc(definition, content)

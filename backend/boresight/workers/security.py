@@ -130,7 +130,8 @@ def refuse_unless_address(text: str) -> None:
         is_address = False
     if not is_address:
         raise RefusedInputError(
-            f"BORESIGHT_SCHEDULER={text!r} is not the address of a scheduler: write tcp://host:port, or tls://host:port."
+            f"BORESIGHT_SCHEDULER={text!r} is not the address of a scheduler: write tcp://host:port, or tls://host:port.",
+            code="not-an-address",
         )
 
 
@@ -154,7 +155,8 @@ def refuse_open_link(settings: Settings, host: str, given: str) -> None:
     raise RefusedInputError(
         f"{given} is a plain link to another machine, and whoever reaches it can run programs on the server and on every worker: "
         f"make certificates and use {PROTOCOL} (BORESIGHT_TLS_AUTHORITY and BORESIGHT_TLS_CERTIFICATE), or, where nobody else is "
-        "on that network, set BORESIGHT_CLUSTER_NETWORK_CLOSED=1."
+        "on that network, set BORESIGHT_CLUSTER_NETWORK_CLOSED=1.",
+        code="plain-link",
     )
 
 
@@ -174,7 +176,8 @@ def make_security(settings: Settings) -> Security | None:
     if not any(files.values()):
         if settings.scheduler.startswith(PROTOCOL):
             raise RefusedInputError(
-                f"{settings.scheduler} needs certificates: name them by BORESIGHT_TLS_AUTHORITY and BORESIGHT_TLS_CERTIFICATE."
+                f"{settings.scheduler} needs certificates: name them by BORESIGHT_TLS_AUTHORITY and BORESIGHT_TLS_CERTIFICATE.",
+                code="no-certificates",
             )
         if settings.scheduler:
             host = urlsplit(settings.scheduler).hostname or ""
@@ -201,7 +204,8 @@ def _refuse_unusable(settings: Settings) -> None:
         load_pem_x509_certificates(Path(settings.tls_authority).read_bytes())
     except (OSError, ValueError) as error:
         raise RefusedInputError(
-            f"BORESIGHT_TLS_AUTHORITY={settings.tls_authority!r} contains no readable certificate (PEM): {MAKE_NEW}."
+            f"BORESIGHT_TLS_AUTHORITY={settings.tls_authority!r} contains no readable certificate (PEM): {MAKE_NEW}.",
+            code="unreadable-certificate",
         ) from error
     path = Path(settings.tls_certificate)
     try:

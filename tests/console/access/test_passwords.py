@@ -20,6 +20,7 @@ from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import Engine, open_reading, open_writing
 from tests.console.conftest import PASSWORD
 from tests.passwords import add_person, approve, new_password, proved
+from tests.refusals import has_code
 
 GIVEN, OWN = "given by the administrator", "known to nobody else"
 
@@ -40,7 +41,7 @@ def test_a_reset_is_on_record_as_a_reset(engine, cy):
 
 
 def test_whoever_comes_with_a_given_password_may_only_set_their_own(engine, cy):
-    with open_reading(engine) as session, pytest.raises(PasswordDueError, match="set your own first"):
+    with open_reading(engine) as session, pytest.raises(PasswordDueError, check=has_code("password-due")):
         users.get_actor(session, cy.user_id)
     with open_reading(engine) as session, pytest.raises(PasswordDueError):
         confirmations.require(session, cy, proved(session, cy, GIVEN))
@@ -60,7 +61,7 @@ def test_a_given_password_signs_nothing_and_ones_own_does(engine, cy, submitted)
         with open_writing(engine) as session:
             approve(session, cy, approval, password=password)
 
-    with pytest.raises(ForbiddenError, match="set your own first"):
+    with pytest.raises(ForbiddenError, check=has_code("password-due")):
         sign(GIVEN)
     with open_writing(engine) as session:
         users.change_password(session, cy, cy.user_id, new_password(OWN), proved(session, cy, GIVEN))

@@ -10,6 +10,7 @@ import httpx
 import pytest
 import sqlalchemy as sa
 
+from boresight.console.access.external_identities import NO_ROLE
 from boresight.console.access.openid_connect import ALGORITHMS, read_provider_settings
 from boresight.console.access.tables import ExternalIdentity, LoginSession, User
 from boresight.errors import RefusedInputError
@@ -26,6 +27,7 @@ from tests.console.access.provider import (
     symmetric_key,
 )
 from tests.served import PASSWORD, PLAIN, House, add_people, serving, settings_in
+from tests.sites import codes
 
 ROLES = "/crew/approvers=approver; /crew/operators=operator; cn=analysts,ou=crew=analyst; /crew/roots=administrator"
 APPROVERS, OPERATORS, ANALYSTS, ROOTS = "/crew/approvers", "/crew/operators", "cn=analysts,ou=crew", "/crew/roots"
@@ -94,7 +96,6 @@ def test_the_log_in_page_has_the_button_and_keeps_the_form_of_local_accounts(rig
     house, _ = right
     page = house.anybody().get("/login?next=/runs").text
     assert 'href="/login/single-sign-on?next=%2Fruns"' in page
-    assert "Log in with the mission&#39;s account" in page
     assert 'name="password"' in page
     assert house.log_in("ada").get("/api/v1/runs").status_code == 200
 
@@ -140,7 +141,7 @@ def test_roles_follow_the_groups_at_every_log_in_and_a_change_ends_the_log_ins_o
     provider.person["groups"] = ["/crew/others"]
     _, answer = _come(house)
     assert answer.status_code == 401
-    assert "None of your groups gives you a role" in _said(answer)
+    assert NO_ROLE in _said(answer)
     assert after.get("/api/v1/runs").status_code == 401
     with open_reading(house.app.state.engine) as session:
         user = session.scalar(sa.select(User).where(User.name == provider.person["preferred_username"]))
@@ -155,6 +156,10 @@ def _refused(right: tuple[House, Provider]) -> str:
     assert client.get("/api/v1/runs").status_code == 401
     assert "boresight_session" not in client.cookies
     return _said(answer)
+
+
+def _refused_for(right: tuple[House, Provider]) -> list[str]:
+    return codes(_come(right[0])[1].text)
 
 
 @pytest.mark.parametrize(
@@ -187,13 +192,13 @@ def test_a_token_that_does_not_fit_logs_nobody_in(right, claims, says):
 def test_a_token_signed_by_another_key_or_by_no_key_is_refused(right):
     _, provider = right
     provider.key = other_key()
-    assert "not signed by a key of the provider" in _refused(right)
+    assert _refused_for(right) == ["signature"]
     provider.key = other_key("never published")
-    assert "not signed by a key of the provider" in _refused(right)
+    assert _refused_for(right) == ["signature"]
     provider.key, provider.algorithm = symmetric_key(provider.published[0]), "HS256"
-    assert "not signed by a key of the provider" in _refused(right)
+    assert _refused_for(right) == ["signature"]
     provider.token_answer = {"id_token": "eyJhbGciOiJub25lIn0.e30."}
-    assert "not signed by a key of the provider" in _refused(right)
+    assert _refused_for(right) == ["signature"]
     assert not any(name.startswith(("HS", "none")) for name in ALGORITHMS)
 
 
@@ -202,9 +207,9 @@ def test_a_code_is_taken_once_and_only_in_the_browser_that_began(right):
     client = house.anybody()
     back = _go(client)
     thief = house.anybody()
-    assert "not begun in this browser" in _said(thief.get(back))
+    assert codes(thief.get(back).text) == ["state"]
     _go(thief)
-    assert "not begun in this browser" in _said(thief.get(back))  # with the cookie of an attempt of their own
+    assert codes(thief.get(back).text) == ["state"]  # with the cookie of an attempt of their own
     kept = client.cookies["boresight_single_sign_on"]
     assert client.get(back).status_code == 303
     assert "boresight_single_sign_on" not in client.cookies
@@ -220,9 +225,9 @@ def test_an_answer_of_another_provider_or_a_refusal_logs_nobody_in(right):
     client = house.anybody()
     back = _go(client)
     mixed = re.sub("iss=[^&]+", "iss=https%3A%2F%2Fevil.example", back)
-    assert "came from another provider" in _said(client.get(mixed))
+    assert codes(client.get(mixed).text) == ["issuer"]
     provider.error = "access_denied"
-    assert "did not log you in" in _refused(right)
+    assert _refused_for(right) == ["denied"]
 
 
 def test_a_provider_that_is_away_or_strange_is_told_and_local_accounts_go_on(right):
@@ -259,7 +264,7 @@ def test_a_disabled_account_stays_out_and_no_password_opens_one_of_single_sign_o
     name = provider.person["preferred_username"]
     for password in ("", PASSWORD):
         assert house.anybody().post("/api/v1/sessions", json={"name": name, "password": password}).status_code == 401
-    assert "by groups at the provider" in root.get("/users").text
+    assert f'data-external="{number}"' in root.get("/users").text
     tag = root.get(f"/api/v1/users/{number}").headers["etag"]
     for act, body in (
         ("change-password", {"password": "kestrel over the moor 41"}),
@@ -268,7 +273,7 @@ def test_a_disabled_account_stays_out_and_no_password_opens_one_of_single_sign_o
         assert root.post(f"/api/v1/users/{number}:{act}", json=body, headers={"If-Match": tag}).status_code == 409
     assert root.post(f"/api/v1/users/{number}:disable", headers={"If-Match": tag}).status_code == 200
     assert client.get("/api/v1/runs").status_code == 401
-    assert "This account is disabled" in _refused(right)
+    assert _refused_for(right) == ["disabled"]
 
 
 def test_a_signature_needs_the_provider_to_confirm_the_person_anew_for_each_one(right):
@@ -398,7 +403,7 @@ def test_a_log_out_token_that_names_only_a_session_is_refused_and_says_what_to_c
     house, provider = right
     client, _ = _come(house)
     answer = house.anybody().post(BACK_CHANNEL, data={"logout_token": provider.make_log_out_token(sub=None)})
-    assert (answer.status_code, "put sub into its log-out tokens" in answer.json()["error_description"]) == (400, True)
+    assert (answer.status_code, "sub into" in answer.json()["error_description"]) == (400, True)
     assert client.get("/api/v1/runs").status_code == 200
 
 

@@ -32,6 +32,7 @@ from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.platform.blobs.store import BlobStore, register_blob
 from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing, utc_after
 from tests.missions import add_run, add_set, make_baseline
+from tests.refusals import has_code
 from tests.stores import open_migrated, url_in
 
 BROKEN = check_chain("broken", "Record 7 is not as it was written.")
@@ -88,7 +89,7 @@ def test_one_that_comes_back_before_it_was_seen_is_the_same_alarm_again(session,
 
 def test_a_shelved_alarm_counts_for_nobody_until_its_time(session, alarm, people):
     alarms.shelve(session, people["ana"], alarm.id, utc_after(3600), "The pass is in an hour.", alarm.version)
-    assert alarms.get_alarm_state(alarm).startswith("unacknowledged, active, shelved until")
+    assert alarms.get_alarm_state(alarm).startswith("unacknowledged, active, shelved")
     assert alarms.count_unacknowledged(session) == 0
     assert [row.id for row in alarms.list_alarms(session, alarms.AlarmFilter(state="shelved"))] == [alarm.id]
     alarm.shelved_until_utc = utc_after(-1)
@@ -120,7 +121,7 @@ def test_a_person_is_asked_and_asked_no_more_and_what_they_say_is_on_record(sess
         alarms.comment(session, people["dee"], alarm.id, "  ", alarm.version)
     record = audit.find_last_change(session, f"alarms/{alarm.id}")
     assert (record.action, record.actor, record.reason) == ("alarm commented", "Dee", "A pass is asked for.")
-    with pytest.raises(RefusedInputError, match="choose from unacknowledged"):
+    with pytest.raises(RefusedInputError, match="unacknowledged"):
         alarms.list_alarms(session, alarms.AlarmFilter(state="loud"))
 
 
@@ -142,7 +143,7 @@ def test_every_step_asks_who_acts_what_was_seen_and_whether_it_is_open(session, 
             act(session, nobody, alarm.id, seen)
     with pytest.raises(PreconditionRequiredError):
         act(session, people["ana"], alarm.id, None)
-    with pytest.raises(StaleError, match="has changed since"):
+    with pytest.raises(StaleError, check=has_code("changed-since-read")):
         act(session, people["ana"], alarm.id, seen - 1)
     with pytest.raises(NotFoundError):
         act(session, people["ana"], 99, seen)
@@ -173,7 +174,7 @@ def test_a_drift_raises_an_alarm_and_a_promotion_lets_it_return(session):
     assert (row.level, row.evidence["run_id"]) == ("serious", moved.id)
     make_baseline(session, moved)
     rules.update_alarms(session, [1])
-    assert alarms.get_alarm_state(row) == "unacknowledged, returned to normal"
+    assert (bool(row.active), bool(row.acknowledged)) == (False, False)
 
 
 def test_a_ground_calibration_that_does_not_hold_raises_no_alarm_and_is_a_caution_of_the_fleet(session):

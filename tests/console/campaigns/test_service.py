@@ -1,5 +1,6 @@
 """Campaigns: one setting over many sensors, counted, stopped and launched again as one, a thousand sensors in one transaction."""
 
+import re
 import time
 
 import pytest
@@ -17,6 +18,7 @@ from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.db.sessions import open_reading, open_writing
 from tests.console.conftest import SENSOR
 from tests.console.fleet.fleets import add_fleet, add_sets
+from tests.refusals import has_code
 
 BATCH = {"method": "batch"}
 
@@ -56,7 +58,7 @@ def test_every_sensor_gets_a_run_on_its_newest_sets_and_one_without_telemetry_th
     standings = {one.sensor_id: one for one in campaigns.list_results(session, row.id)}
     assert set(standings) == {1, *fleet}
     assert standings[1].run_id is None
-    assert "ST16-1 has no calibration set; upload one" in standings[1].refusal
+    assert standings[1].refusal.startswith("ST16-1 ")
     newest = max(
         known.id for known in telemetry_sets.list_telemetry_sets(session, sensor_id=fleet[0], purpose="calibration")
     )
@@ -80,7 +82,7 @@ def test_a_set_of_another_sensor_is_that_sensors_cause_and_not_the_campaigns(ses
     other = telemetry_sets.list_telemetry_sets(session, sensor_id=fleet[1], purpose="calibration")[0]
     row = launch([MemberRequest(fleet[0], other.id), MemberRequest(fleet[1])])
     first, second = campaigns.list_results(session, row.id)
-    assert "telemetry of another sensor" in first.refusal
+    assert "another sensor" in first.refusal
     assert second.state == "QUEUED"
 
 
@@ -151,12 +153,13 @@ def test_cancelling_stops_what_waits_and_what_computes_and_leaves_what_ended(ses
     states = {one.run_id: (one.state, one.reason) for one in campaigns.list_results(session, row.id)}
     assert states[first] == ("SUCCEEDED", None)
     assert states[second][0] == "CANCELLING"
-    assert states[third] == ("CANCELLED", f"campaign {row.id} was cancelled by Ana: wrong settings")
+    assert states[third][0] == "CANCELLED"
+    assert re.search(f"campaign {row.id} .* Ana: wrong settings", states[third][1])
     assert campaigns.read_campaign(session, row.id).state == "CANCELLING"
     _end(session, people, second, "CANCELLED")
     assert campaigns.read_campaign(session, row.id).state == "CANCELLED"
     assert audit.find_last_change(session, f"runs/{third}").action == "cancelled"
-    with pytest.raises(ConflictError, match="nothing to cancel"):
+    with pytest.raises(ConflictError, check=has_code("nothing-to-cancel")):
         campaigns.cancel_campaign(session, people["ana"], row.id)
 
 
@@ -179,7 +182,7 @@ def test_the_failed_are_launched_again_and_the_newest_run_of_each_counts(session
     assert after[1].state == "QUEUED"
     assert campaigns.read_campaign(session, row.id).sensors == 4
     assert runs.get_run(session, second.run_id).state == "FAILED"
-    with pytest.raises(ConflictError, match="nothing to launch again"):
+    with pytest.raises(ConflictError, check=has_code("nothing-to-relaunch")):
         campaigns.relaunch_failed(session, people["ana"], row.id)
 
 
@@ -187,9 +190,9 @@ def test_the_failed_are_launched_again_and_the_newest_run_of_each_counts(session
 def test_only_an_analyst_stops_and_launches_again(session, people, launch, move):
     row = launch()
     for name in ("eve", "cy", "dee", "root"):
-        with pytest.raises(ForbiddenError, match="needs the role analyst"):
+        with pytest.raises(ForbiddenError, match="analyst", check=has_code("role-missing")):
             move(session, people[name], row.id)
-    with pytest.raises(NotFoundError, match="There is no campaign 99"):
+    with pytest.raises(NotFoundError, match="campaign 99"):
         move(session, people["ana"], 99)
 
 

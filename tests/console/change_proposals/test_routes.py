@@ -12,7 +12,7 @@ from tests.console.approvals.test_pages import EDITOR, fields
 from tests.console.change_proposals.proposals import TIGHT
 from tests.passwords import add_person
 from tests.served import House
-from tests.sites import PEOPLE
+from tests.sites import PEOPLE, codes
 
 
 @pytest.fixture
@@ -103,7 +103,7 @@ def test_what_was_proposed_waits_on_every_page_that_it_touches_until_another_con
     assert answer.status_code == 303
     assert _in_force(asking_site) == 1
     assert f'href="{page}"' in asking_site.visitor("adele").get(EDITOR)  # beside the version that it became
-    assert "No proposal waits" in read(asking_site.visitor("adele").get("/change-proposals"))
+    assert codes(asking_site.visitor("adele").get("/change-proposals")) == ["no-proposal"]
     assert "CONFIRMED" in read(asking_site.visitor("adele").get("/change-proposals?show=all"))
 
 

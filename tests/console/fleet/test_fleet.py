@@ -28,7 +28,7 @@ from boresight.console.fleet.status import (
     list_fleet_tiles,
     list_sensor_statuses,
 )
-from boresight.console.fleet.trend import read_trend
+from boresight.console.fleet.trend import GROUND_SHIFTED, read_trend
 from boresight.console.fleet.trend_document import make_trend_document
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
@@ -144,18 +144,18 @@ def test_age_a_waiting_request_and_a_mismatch_speak_louder_than_an_older_run(
     with open_writing(engine) as session:
         approvals.submit(session, people["ana"], blobs, row.id, "better", row.version)
     tile = find_tile(engine)
-    assert (tile.status, tile.sentence) == ("caution", f"{row.name} waits for a signature.")
+    assert (tile.status, tile.sentence.startswith(f"{row.name} waits")) == ("caution", True)
     with open_writing(engine) as session:
         approvals.withdraw(session, people["ana"], row.id, row.version + 1)
         session.get_one(ParameterSet, 1).baseline_from_utc = utc_after(-200 * 86400.0)
     tile = find_tile(engine)
-    assert (tile.status, "200 days old; recalibrate" in tile.sentence) == ("caution", True)
+    assert (tile.status, "200 days" in tile.sentence) == ("caution", True)
     with open_writing(engine) as session:
         finished_run(session, state="FAILED")
         for state in ("SENT", "MISMATCH"):
             uplinks.record(session, people["dee"], 1, state, "pass 4711")
     tile = find_tile(engine)
-    assert (tile.status, "PS-ST16-1-0 does not match" in tile.sentence) == ("critical", True)
+    assert (tile.status, "PS-ST16-1-0" in tile.sentence) == ("critical", True)
     with open_reading(engine) as session:
         stand, tiles = list_sensor_statuses(session), list_fleet_tiles(session)
         told = [(tile.sensor.id, tile.sensor.name, tile.status, tile.sentence) for tile in tiles]
@@ -183,7 +183,7 @@ def test_every_finding_is_one_of_the_words_and_there_always_is_one(session, fini
             assert all(word in STATUS_WORDS and sentence.endswith(".") for word, sentence in found)
     assert [word for word, _ in list_findings(NOTHING)] == ["serious", "off"]
     known = replace(NOTHING, baseline=ParameterSet(name="PS-X-0", run_id=None), telemetry_sets=1, days=1.0)
-    assert dict(list_findings(known)) == {"standby": "There is telemetry but no calibration yet; launch a run."}
+    assert [word for word, _ in list_findings(known)] == ["standby"]
 
 
 def test_a_ground_shift_beyond_what_a_look_asks_anew_is_said_once_it_is_known(session, monkeypatch):
@@ -213,7 +213,7 @@ def submitted(site):
 def test_a_sensor_shows_its_status_baseline_and_rms_before_and_after(site, read, results):
     page = read(site.visitor("victor").get("/"))
     rms = results["sqrf"]["rms_arc_rad"]
-    assert "The ground calibration is no longer valid: promote a calibration made on orbit." in page
+    assert GROUND_SHIFTED in page
     assert "PS-ST16-1-0" in page
     assert "ground calibration" in page
     assert f"{rms['final'] * 1e6:.2f} from {rms['initial'] * 1e6:.1f}" in page
@@ -234,29 +234,36 @@ def test_names_of_sensors_and_sets_may_wrap(site):
 def test_a_failed_run_is_serious_for_the_fleet_on_every_page(site, read):
     site.add_run(state="FAILED", reason="No usable frame.")
     visitor = site.visitor("ada")
-    assert "Run 3 failed: No usable frame." in read(visitor.get("/"))
+    assert re.search("Run 3 .*: No usable frame.", read(visitor.get("/")))
     assert "status-serious" in visitor.get("/audit").split("<main")[0]
     assert "run 3 FAILED" in read(visitor.get("/"))
 
 
-def test_the_approver_and_nobody_else_is_asked_to_sign_and_none_but_an_analyst_offered_a_launch(site, read):
+def to_do(page, address):
+    """Return the sentences of the actions that a person is asked for at an address."""
+    asked = page.split('<ul class="todo">')[1].split("</ul>")[0] if '<ul class="todo">' in page else ""
+    return [one for one in asked.split("<li>")[1:] if f'href="{address}"' in one]
+
+
+def test_the_approver_and_nobody_else_is_asked_to_sign_and_none_but_an_analyst_offered_a_launch(site):
     name = submitted(site)
-    assert f"{name} waits for your signature." in read(site.visitor("alan").get("/"))
+    (sentence,) = to_do(site.visitor("alan").get("/"), "/approvals/1")
+    assert name in sentence
     waiting = site.visitor("alan").send("GET", "/waiting").json()
     assert (waiting["count"], [one["address"] for one in waiting["first"]]) == (1, ["/approvals/1"])
     for other in ("ada", "victor", "adele"):
         page = site.visitor(other).get("/")
-        assert "waits for your signature" not in read(page)
+        assert to_do(page, "/approvals/1") == []
         assert 'class="badge badge-some">1<' in page.split("<main")[0]
         assert ("New run" in page) == (other == "ada")
 
 
-def test_an_analyst_is_asked_to_judge_a_converged_run_until_a_set_is_made_of_it(site, read):
+def test_an_analyst_is_asked_to_judge_a_converged_run_until_a_set_is_made_of_it(site):
     visitor = site.visitor("ada")
-    assert "Review run 2 of" in read(visitor.get("/"))
+    assert to_do(visitor.get("/"), "/runs/2")
     with open_writing(site.engine) as session:
         parameter_sets.create_from_run(session, site.actor("ada"), site.blobs, 2)
-    assert "Review run 2 of" not in read(visitor.get("/"))
+    assert not to_do(visitor.get("/"), "/runs/2")
 
 
 def test_what_happened_is_listed_with_the_ends_of_runs(site, read):
@@ -275,21 +282,19 @@ def test_of_a_large_fleet_those_that_stand_worst_are_drawn_and_the_page_says_so(
     assert "show all" not in read(site.visitor("ada").get("/"))
     monkeypatch.setattr(overview, "MOST_TILES", 0)
     page = site.visitor("ada").get("/")
-    assert "The 0 worst of 1; show all" in page
+    assert "The 0 worst of 1" in page
     assert '<th scope="row">' not in page
 
 
-def test_what_the_page_counts_and_what_it_draws_are_one_look_and_it_says_what_is_not_judged_yet(
-    site, read, monkeypatch
-):
+def test_what_the_page_counts_and_what_it_draws_are_one_look_and_it_says_what_is_not_judged_yet(site, monkeypatch):
     monkeypatch.setattr("boresight.console.fleet.status._known", WeakKeyDictionary())
     monkeypatch.setattr("boresight.console.fleet.status.MOST_JUDGED", 0)
     page = site.visitor("ada").get("/?view=tiles")
-    assert "for 1 of them the ground calibration has not been checked yet" in read(page)
+    assert 'data-unjudged="1"' in page
     assert '<a href="/sensors?status=normal">1</a>' in page
     assert '<li class="tile tile-normal">' in page
     monkeypatch.setattr("boresight.console.fleet.status.MOST_JUDGED", 1)
-    assert "not known yet" not in read(site.visitor("victor").get("/?again=1"))
+    assert "data-unjudged" not in site.visitor("victor").get("/?again=1")
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])

@@ -23,6 +23,7 @@ from boresight.platform.audit.external_head import ExternalHead, read_head, writ
 from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.platform.db.sessions import Engine, open_engine, open_reading, open_writing, utc_now
 from boresight.settings import read_settings
+from tests.refusals import has_code
 from tests.stores import open_migrated, url_in
 
 LIMITS = SessionLimits(age_s=12 * 3600.0, idle_s=3600.0)
@@ -201,13 +202,13 @@ def test_a_torn_line_is_passed_over_and_not_written_into(tmp_path):
     write_head(file, heads[1])
     assert read_head(file) == heads[1]
     (tmp_path / "other").write_text("no head\n")
-    with pytest.raises(RefusedInputError, match="contains no head"):
+    with pytest.raises(RefusedInputError, check=has_code("no-audit-head")):
         read_head(tmp_path / "other")
 
 
 def test_a_file_in_the_data_folder_is_refused(tmp_path):
     inside = {"BORESIGHT_DATA_FOLDER": str(tmp_path), "BORESIGHT_AUDIT_HEAD_FILE": str(tmp_path / "x" / "heads")}
-    with pytest.raises(RefusedInputError, match="in the data folder"):
+    with pytest.raises(RefusedInputError, check=has_code("head-in-data-folder")):
         _ = read_settings(inside).kept_head_file
 
 

@@ -67,7 +67,7 @@ def test_an_edit_by_hand_turns_the_light(store, caplog):
         maintenance.verify()
     light = maintenance.light()
     assert light.state == "broken"
-    assert "users/1 was changed outside Boresight" in light.sentence
+    assert "users/1 was changed" in light.sentence
     assert caplog.text.count("The audit log is broken") == 1  # said when it is found, not every minute
 
 
@@ -120,14 +120,14 @@ def test_a_round_raises_the_alarm_of_a_broken_log_once_and_a_good_walk_lets_it_r
     with open_reading(store) as session:
         (raised,) = alarms.list_alarms(session)
     assert (raised.kind, raised.level, raised.version) == ("CHAIN", "critical", 1)
-    assert "users/1 was changed outside Boresight" in raised.sentence
+    assert "users/1 was changed" in raised.sentence
     with store.begin() as connection:
         connection.execute(sa.text("UPDATE users SET roles = :roles"), {"roles": before})
     maintenance.verify()
     maintenance.apply_alarm_rules()
     with open_reading(store) as session:
         (over,) = alarms.list_alarms(session)
-        assert alarms.get_alarm_state(over) == "unacknowledged, returned to normal"
+        assert (bool(over.active), bool(over.acknowledged)) == (False, False)
 
 
 def test_a_server_that_stops_does_not_wait_for_a_long_look(store, monkeypatch):

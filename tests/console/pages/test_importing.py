@@ -4,6 +4,8 @@ import html
 import json
 import re
 
+from tests.sites import codes
+
 PROFILE = {
     "name": "pages",
     "frames": {"column": "F"},
@@ -29,7 +31,7 @@ def test_a_file_is_seen_before_it_is_stored(site):
     before = ada.get("/telemetry").count("/telemetry/")
     shown = ada.send("POST", "/telemetry", data=data, files=files, headers={"Accept": "text/html"})
     assert shown.status_code == 200
-    assert "First rows, and what they mean" in shown.text
+    assert 'id="preview-title"' in shown.text
     assert "the number of the first pixel" in shown.text
     assert ada.get("/telemetry").count("/telemetry/") == before
 
@@ -44,7 +46,8 @@ def test_a_preview_recognises_the_profile_and_the_form_keeps_it_to_be_changed(si
         return ada.send("POST", "/telemetry", data=data, files=files, headers={"Accept": "text/html"}).text
 
     shown = preview(b"F,X,Y\n1,11,21\n1,51,61\n")
-    assert "by the profile seen, version 1; it was recognised" in shown
+    assert codes(shown) == ["previewed"]
+    assert "seen, version 1; " in shown
     assert re.search(r'<option value="\d+" selected>seen, version 1</option>', shown)
     own = preview(b"frame,exposure,row_px,col_px\n0,0,20,10\n0,0,60,50\n")
     assert '<option value="contract" selected>' in own
@@ -56,7 +59,7 @@ def test_a_preview_drafts_a_profile_that_is_saved_and_chosen(site):
     data = {"csrf_token": ada.csrf_token, "sensor_id": "1", "purpose": "calibration", "profile": "", "preview": "1"}
     files = {"file": ("stars.txt", b"# frame x y\n0 255.5 475.25\n0 72.0 474.5\n1 155.75 211.5\n")}
     shown = ada.send("POST", "/telemetry", data=data, files=files, headers={"Accept": "text/html"}).text
-    assert "one was drafted from the file" in shown
+    assert codes(shown)[:1] == ["drafted"]
     assert "that its comment names the columns rightly: frame, x, y" in shown
     assert "475.25" in shown
     draft = html.unescape(re.search(r"<textarea id=\"document\"[^>]*>(.*?)</textarea>", shown, re.DOTALL).group(1))

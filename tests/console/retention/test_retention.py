@@ -26,6 +26,7 @@ from boresight.platform.blobs.store import register_blob
 from boresight.platform.blobs.tables import Blob
 from boresight.platform.db import backup as backups
 from boresight.platform.db.sessions import open_reading, open_writing
+from tests.refusals import has_code
 from tests.stores import triggers_aside
 
 OLD = "2020-01-01T00:00:00.000000Z"
@@ -230,7 +231,7 @@ def test_the_thread_follows_the_policy_and_a_backup_of_what_is_left_is_whole(wor
     RetentionThread(world.engine, world.blobs, DAYS, lambda: None).work()
     assert [world.file(number).exists() for number in (world.first, world.second, world.newest)] == [False, False, True]
     world.blobs.find_removed = lambda sha256: OLD if sha256 == world.file(world.first).name else None
-    with pytest.raises(NotFoundError, match="2020-01-01, as the retention"):
+    with pytest.raises(NotFoundError, match="2020-01-01", check=has_code("removed-by-retention")):
         world.blobs.path(world.file(world.first).name)
     maintenance = Maintenance(world.engine, SessionLimits(3600, 3600), world.blobs)
     maintenance.suspect(world.file(world.first).name)

@@ -18,7 +18,8 @@ from boresight.figures import held_out_error
 from boresight.platform.db.sessions import open_reading, open_writing
 from boresight.telemetry.sensors import parse_sensor
 from tests.choices import candidate, made_choice
-from tests.sites import as_shown
+from tests.refusals import has_code
+from tests.sites import as_shown, codes, text_of
 
 
 def ask(site, run_id, name="ada"):
@@ -58,7 +59,10 @@ def test_a_choice_is_queued_with_the_data_of_its_run_and_is_the_same_when_asked_
 def test_a_choice_that_failed_is_made_anew(site, state):
     first = ask(site, 1)
     answer(site, first, None, state, reason="The disk is full.")
-    with open_reading(site.engine) as session, pytest.raises(ConflictError, match=rf"ended {state} \(The disk is full"):
+    with (
+        open_reading(site.engine) as session,
+        pytest.raises(ConflictError, match=rf"{state}.*disk", check=has_code("choice-failed")),
+    ):
         choices.get_choice(session, site.blobs, 1)
     assert ask(site, 1) > first
 
@@ -66,9 +70,9 @@ def test_a_choice_that_failed_is_made_anew(site, state):
 def test_a_choice_that_cannot_be_read_is_refused_and_made_anew(site):
     first = ask(site, 1)
     answer(site, first, {"schema": "boresight.choice/1"})
-    with open_reading(site.engine) as session, pytest.raises(ConflictError, match="cannot be read as a choice"):
+    with open_reading(site.engine) as session, pytest.raises(ConflictError, check=has_code("unreadable-choice")):
         choices.get_choice(session, site.blobs, 1)
-    assert "cannot be read as a choice" in site.visitor("ada").get("/runs/1?part=distortion")
+    assert "unreadable-choice" in codes(site.visitor("ada").get("/runs/1?part=distortion"))
     assert ask(site, 1) > first
 
 
@@ -87,7 +91,7 @@ def test_a_choice_that_contradicts_itself_is_refused_on_every_door_and_made_anew
     damage(document)
     first, ada = ask(site, 1), site.visitor("ada")
     answer(site, first, document)
-    assert "cannot be read as a choice" in ada.get("/runs/1?part=distortion")
+    assert "unreadable-choice" in codes(ada.get("/runs/1?part=distortion"))
     for place in ("", "/figure", "/data"):
         assert ada.send("GET", f"/api/v1/runs/1/choice{place}").status_code == 409
     assert ask(site, 1) > first
@@ -115,7 +119,7 @@ def test_a_choice_whose_file_is_missing_is_made_anew(site):
     assert ask(site, 1) > first
 
 
-def test_nothing_is_chosen_for_an_archived_set_but_what_is_on_its_way_can_be_stopped(site, read):
+def test_nothing_is_chosen_for_an_archived_set_but_what_is_on_its_way_can_be_stopped(site):
     first, ada = ask(site, 1), site.visitor("ada")
     with open_writing(site.engine) as session:
         telemetry_sets.archive_telemetry_set(session, site.actor("ada"), runs.get_run(session, 1).telemetry_set_id)
@@ -123,8 +127,8 @@ def test_nothing_is_chosen_for_an_archived_set_but_what_is_on_its_way_can_be_sto
     stop = re.search(rf'action="/runs/{first}/cancel">.*?</form>', ada.get("/runs/1?part=distortion"))
     assert "disabled" not in stop[0]
     answer(site, first, None, "FAILED", reason="The disk is full.")
-    assert "was archived on" in read(ada.get("/runs/1?part=distortion"))
-    with pytest.raises(ConflictError, match="was archived on"):
+    assert "archived" in text_of(ada.get("/runs/1?part=distortion"), "why-no-choice")
+    with pytest.raises(ConflictError, match="archived", check=has_code("no-choice-possible")):
         ask(site, 1)
 
 
@@ -134,7 +138,7 @@ def test_only_an_analyst_asks_and_only_for_a_calibration_that_has_ended(site, ch
     for state in set(RUN_STATES) - set(TERMINAL_RUN_STATES):
         with pytest.raises(ConflictError, match=state):
             ask(site, site.add_run(state=state))
-    with pytest.raises(ConflictError, match="is itself the choice of a camera"):
+    with pytest.raises(ConflictError, match="itself", check=has_code("no-choice-possible")):
         ask(site, chosen)
     with open_reading(site.engine) as session, pytest.raises(NotFoundError):
         choices.get_choice(session, site.blobs, 2)
@@ -145,26 +149,25 @@ def test_a_choice_is_no_calibration_to_lists_the_fleet_and_parameter_sets(site, 
         assert chosen not in [run.id for run in runs.list_runs(session)]
         assert chosen not in [run.id for run in run_queries.iterate_newest_finished(session, 1)]
         assert run_queries.read_neighbours(session, 2) == (1, None)
-        with pytest.raises(ConflictError, match="read the choice of run 1"):
+        with pytest.raises(ConflictError, match="run 1", check=has_code("run-is-a-choice")):
             runs.find_result(session, site.blobs, chosen)
     ada = site.visitor("ada")
     assert f"/runs/{chosen}" not in ada.get("/runs")
     assert ada.send("GET", f"/runs/{chosen}").headers["location"] == "/runs/1?part=distortion#choice"
     ada.post(f"/runs/{chosen}/parameter-set")
-    assert "has no calibration" in ada.get("/runs/1")
+    assert "run-is-a-choice" in codes(ada.get("/runs/1"))
 
 
-def test_the_tab_offers_a_choice_and_says_why_it_may_not_be_asked_for(site, read):
+def test_the_tab_offers_a_choice_and_says_why_it_may_not_be_asked_for(site):
     page = site.visitor("ada").get("/runs/1?part=distortion")
-    assert "Which camera model these data need has not been tested yet" in read(page)
+    assert "no-choice-yet" in codes(page)
     assert '<button class="button-primary" title="Fit every' in page
     page = site.visitor("victor").get("/runs/1?part=distortion")
     assert '<button class="button-primary" disabled' in page
-    assert "Only an analyst may choose a camera" in read(page)
+    assert "analyst" in text_of(page, "why-no-choice")
     waiting = site.add_run()
-    assert f"Run {waiting} is QUEUED; choose its camera" in read(
-        site.visitor("ada").get(f"/runs/{waiting}?part=distortion")
-    )
+    why = text_of(site.visitor("ada").get(f"/runs/{waiting}?part=distortion"), "why-no-choice")
+    assert f"Run {waiting} is QUEUED" in why
 
 
 def test_asked_on_the_page_it_is_followed_there_until_it_ends(site, read):
@@ -217,7 +220,7 @@ def test_the_choice_stands_on_the_tab_sentence_first_with_every_number(site, rea
     assert ticked == ["f_m", "b2_per_m2"]
 
 
-def test_another_camera_than_the_sensors_is_no_launch_but_a_sensor_file(site, read):
+def test_another_camera_than_the_sensors_is_no_launch_but_a_sensor_file(site):
     found = made_choice(sentence="brown_conrady suffices.")
     document = found.to_dict()
     document["chosen"] |= {"camera_model": "brown_conrady", "place": 2, "parameters": BROWN}
@@ -225,8 +228,8 @@ def test_another_camera_than_the_sensors_is_no_launch_but_a_sensor_file(site, re
     document["sufficiency"] = Sufficiency.SOMETHING_LEFT
     answer(site, ask(site, 1), document)
     page = site.visitor("victor").get("/runs/1?part=distortion")
-    assert "Calibrate with it" not in page
-    assert "own camera is inverted_wang" in read(page)
+    assert 'id="calibrate-with-choice"' not in page
+    assert "inverted_wang" in text_of(page, "choice-facts")
     sent = site.visitor("victor").send("GET", "/runs/1/choice/sensor.json")
     sensor = parse_sensor(json.loads(sent.text))
     assert (sensor.camera_model, sensor.free) == ("brown_conrady", ("f_m", "k1"))

@@ -14,6 +14,7 @@ from boresight.console.runs.queries import Line, write_event
 from boresight.console.runs.tables import RUN_STATES, RunEvent
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.figures import CHAPTERS, FIGURES
+from boresight.figures.charts.matching import GIVEN
 from boresight.figures.example_calibration import get_example_calibrations
 from boresight.figures.report import render_report
 from boresight.figures.tables import parameter_rows
@@ -22,9 +23,17 @@ from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import open_writing, utc_after, utc_now
 from boresight.platform.web import static_files
 from boresight.verdicts.answers import make_four_views, make_headline
-from boresight.verdicts.verdict import PART_JUDGES, PartVerdict, judge_parts, make_verdict_marks
+from boresight.verdicts.verdict import (
+    NEVER,
+    NOT_YET,
+    PART_JUDGES,
+    WORD_OF_LEVEL,
+    PartVerdict,
+    judge_parts,
+    make_verdict_marks,
+)
 from tests.figures.examined import matching, shadow, trust
-from tests.sites import as_shown
+from tests.sites import as_shown, codes, strip_tags
 
 EXAMPLES = get_example_calibrations()
 
@@ -100,11 +109,11 @@ def test_a_running_run_shows_its_partial_estimate_marked_partial_and_follows_the
     page = site.visitor("victor").get(f"/runs/{run_id}")
     assert "PARTIAL" in read(page)
     assert "frame 16 of 40" in read(page)
-    assert re.search(r"as of frame \d+ \d+ of \d+ frames so far", " ".join(read(page).split()))
+    assert re.search(r"frame \d+ \d+ of \d+ ", " ".join(read(page).split()))
     assert "live-run.js" in page
     assert "data-follows" in page
     page = site.visitor("victor").get(f"/runs/{run_id}?part=evidence")
-    assert "trust is examined when the run ends" in read(page)
+    assert NOT_YET in read(page)
     assert not list_figures(page) & {figure.name for figure in CHAPTERS["trust"] + CHAPTERS["matching"]}
 
 
@@ -122,7 +131,7 @@ def test_a_run_without_a_result_says_what_happened_and_offers_no_parameter_set(s
     page = site.visitor("ada").get(f"/runs/{run_id}")
     assert said in read(page)
     assert "No verdict" in read(page)
-    assert "Create parameter set" not in page
+    assert f'action="/runs/{run_id}/parameter-set"' not in page
     page = site.visitor("victor").get(f"/runs/{run_id}?part=evidence")
     for words in ("No examination: the run", "No matching: the run"):
         assert state == "CANCELLING" or f"{words} ended as {state}" in read(page)
@@ -143,16 +152,16 @@ def test_an_analyst_cancels_a_queued_run_and_it_says_who_did_and_why(site, read)
     assert 'name="reason" form="cancel-run"' in ada.get(f"/runs/{run_id}")
     assert ada.post(f"/runs/{run_id}/cancel", reason="Wrong set.").headers["location"] == f"/runs/{run_id}"
     text = read(ada.get(f"/runs/{run_id}"))
-    assert "Cancelled by Ada Analyst: Wrong set." in text
+    assert re.search("Ada Analyst: Wrong set.", text)
     assert "was requested" in text
 
 
-def test_a_viewer_sees_the_cancel_button_disabled_with_the_reason_and_is_refused(site, read):
+def test_a_viewer_sees_the_cancel_button_disabled_with_the_reason_and_is_refused(site):
     run_id = site.add_run()
     victor = site.visitor("victor")
     assert 'class="button-danger" disabled' in victor.get(f"/runs/{run_id}")
     victor.post(f"/runs/{run_id}/cancel")
-    assert "This needs the role analyst" in read(victor.get(f"/runs/{run_id}"))
+    assert "role-missing" in codes(victor.get(f"/runs/{run_id}"))
 
 
 def find_mark(result, name):
@@ -169,10 +178,10 @@ def test_a_filter_on_its_way_counts_the_frames_so_far_and_no_star_that_is_still_
     history = {**partial["history"], "frame": [7, 11]}
     on_its_way = parse_calibration({**partial, "frames": 200, "frames_done": 12, "history": history})
     fit = make_verdict_marks(on_its_way)[0]
-    assert (fit.word, fit.value, fit.detail) == ("running", "as of frame 11", "12 of 200 frames so far")
+    assert (fit.word, *re.findall(r"\d+", f"{fit.value} {fit.detail}")) == ("running", "11", "12", "200")
     batch = {**results["batch"], "status": "running", "frames_done": None, "frames": 200, "iterations": 3}
     fit = make_verdict_marks(parse_calibration(batch))[0]
-    assert (fit.value, fit.detail) == ("as of iteration 3", "200 frames in all")
+    assert re.findall(r"\d+", f"{fit.value} {fit.detail}") == ["3", "200"]
     assert "stars" in make_verdict_marks(parse_calibration(results["sqrf"]))[0].detail
 
 
@@ -298,7 +307,7 @@ def test_each_sentence_of_advice_leads_to_its_section_of_the_guide(site, results
     run_id = site.add_run(state="SUCCEEDED", result={**results["batch"], **said})
     page = site.visitor("victor").get(f"/runs/{run_id}")
     for sentence, anchor in (("One.", "advice-few-frames"), ("Two.", "advice-cause-flaw")):
-        assert f'<span>{sentence} <a href="/docs/how-to/respond-to-advice.html#{anchor}">What to do</a>' in page
+        assert f'<span>{sentence} <a href="/docs/how-to/respond-to-advice.html#{anchor}">' in page
     assert "<span>Of before.</span>" in page
 
 
@@ -322,16 +331,16 @@ def test_the_view_of_a_part_is_in_its_address_and_goes_to_its_figures(site, read
     victor = site.visitor("victor")
     page = victor.get("/runs/2?part=convergence&tail_from=20")
     assert "/figures/rms?tail_from=20" in page
-    assert "frame 20 to 39" in read(page)
+    assert re.search("20 to 39", read(page))
     assert 'scale="linear"' in victor.get("/runs/2?part=convergence&scale=linear")
     assert "choose from" in victor.get("/runs/1?part=nonsense", status=404)
 
 
-def test_the_tabs_say_how_their_parts_stand(site, read, examined):
-    text = read(site.visitor("victor").get(f"/runs/{examined[1]}"))
-    assert "Evidence 2 doubts" in text
-    assert "Convergence and RMS settled" in text
-    assert "Observability known" in text
+def test_the_tabs_say_how_their_parts_stand(site, examined):
+    page = site.visitor("victor").get(f"/runs/{examined[1]}")
+    told = {part: strip_tags(tab) for part, tab in re.findall(r'data-tab="(\w+)"[^>]*>(.*?)</a>', page, re.DOTALL)}
+    ends = {"evidence": "2 doubts", "convergence": "settled", "observability": "known"}
+    assert all(told[part].strip().endswith(end) for part, end in ends.items())
 
 
 def test_a_tab_is_no_better_than_its_validation_set_however_much_better_the_fit_is(results):
@@ -371,17 +380,19 @@ def test_every_test_of_the_model_and_every_cause_is_on_the_page_with_its_gate_an
         {"name": "lens", "size_px": 0.22, "parameter": "f_m", "sigmas": 33.4},
     ]
     made = {**examined_result(results["batch"], unseen=unseen), "tests": [sound, noticed], "causes": [cause]}
-    text = read(site.visitor("victor").get(f"/runs/{site.add_run(state='SUCCEEDED', result=made)}?part=evidence"))
-    assert "2 tests of one family" in text
+    page = site.visitor("victor").get(f"/runs/{site.add_run(state='SUCCEEDED', result=made)}?part=evidence")
+    text = read(page)
     assert "phase 97" in text
-    assert "Drawn. Defocus. Pixel phase" in text
+    row = strip_tags(page.split('data-cause="phase"')[1].split("</tr>")[0])
+    assert row.index("Drawn.") < row.index("Defocus.") < row.index("Pixel phase")
     assert text.index(noticed["sentence"]) < text.index(sound["sentence"])
     assert re.search(r"Pixel phase \S* ?noticed .*centroid-noise", text)
-    assert "Tests of the model departs 1 of 2 noticed" in text
-    assert (
-        "Tangential distortion 1.6 m0_px – Smooth residual of the lens 0.22 f_m 33 Seam between readout halves 0.25 g_y 19"
-        in text
-    )
+    assert re.search("departs 1 of 2", text)
+    assert 'data-tests="2"' in page
+    rows = re.findall(r'data-unseen="(\w+)">(.*?)</tr>', page, re.DOTALL)
+    assert [name for name, _ in rows] == ["tangential", "lens", "seam"]
+    cells = [strip_tags(row).split()[-3:] for _, row in rows]
+    assert cells == [["1.6", "m0_px", "–"], ["0.22", "f_m", "33"], ["0.25", "g_y", "19"]]
 
 
 def test_suspect_stars_are_marked_by_shape_and_word_and_can_be_copied(site, examined):
@@ -395,10 +406,11 @@ def test_suspect_stars_are_marked_by_shape_and_word_and_can_be_copied(site, exam
 def test_a_part_that_could_not_be_made_is_no_data_with_its_reason(site, read, results):
     why = {"two_halves": "Two halves of 3 frames are too few: use 20.", "stars": "No star has a number."}
     result = examined_result(results["batch"], two_halves=None, stars=None, suspects=[], unavailable=why)
-    text = read(site.visitor("victor").get(f"/runs/{site.add_run(state='SUCCEEDED', result=result)}?part=evidence"))
-    assert re.search(f"Two halves NOT TESTED – {why['two_halves']}", text)
+    page = site.visitor("victor").get(f"/runs/{site.add_run(state='SUCCEEDED', result=result)}?part=evidence")
+    text = read(page)
+    assert re.search(f" NOT TESTED – {why['two_halves']}", text)
     assert text.count(why["stars"]) == 2
-    assert "Copy the stars to flag" not in text
+    assert "to-flag" not in page
 
 
 def test_matching_shows_both_counts_starts_reasons_flags_and_the_view_of_flight(site, read, examined):
@@ -419,12 +431,12 @@ def test_removed_stars_are_a_table_with_reason_and_probability_and_a_file(site, 
     result = {**results["batch"], "removed": removed, "removed_of": {"proposed": 5000, "removed": 2}}
     run_id, victor = site.add_run("batch", state="SUCCEEDED", result=result), site.visitor("victor")
     text = read(victor.get(f"/runs/{run_id}?part=evidence"))
-    assert re.search(r"2 of 5\W?000 proposed stars were removed", text)
-    assert re.search("345 12 1 4567 it lies too far (<|&lt;) 1·10⁻¹²", text)
-    assert "346 12 1 – it lies too far –" in text
+    assert re.search(r"2 of 5\W?000 ", text)
+    assert re.search(f"345 12 1 4567 {one['reason']} (<|&lt;) 1·10⁻¹²", text)
+    assert f"346 12 1 – {one['reason']} –" in text
     lines = victor.get(f"/api/v1/runs/{run_id}/removed/data").splitlines()
     assert lines[0] == "row,frame,exposure,star_id,reason,probability"
-    assert lines[1].startswith("345,12,1,4567,it lies too far,1e-30")
+    assert lines[1].startswith(f"345,12,1,4567,{one['reason']},1e-30")
     assert len(lines) == 3
 
 
@@ -432,12 +444,17 @@ def test_a_result_from_before_the_examination_says_how_to_have_one(site, read, r
     old = {name: said for name, said in results["batch"].items() if name not in ("trust", "matching", "shadow")}
     run_id = site.add_run("batch", state="SUCCEEDED", result=old)
     victor = site.visitor("victor")
-    assert "clone its run and run it again" in read(victor.get(f"/runs/{run_id}?part=evidence"))
-    assert "used the given matches" in read(victor.get(f"/runs/{run_id}?part=evidence"))
+    assert NEVER in read(victor.get(f"/runs/{run_id}?part=evidence"))
+    assert GIVEN in read(victor.get(f"/runs/{run_id}?part=evidence"))
 
 
 FREE = {"turns": True, "connected": True, "threads": 2, "tasks": 1}
 HALF = {"fraction": 0.43, "message": "frame 17: 17 of 40 frames", "elapsed_s": 8.6}
+
+
+def said_by(page, code):
+    """Return the text of the notice with a code."""
+    return strip_tags(page.split(f'data-code="{code}"', 1)[1].partition(">")[2].split("</div>")[0])
 
 
 @pytest.fixture
@@ -450,32 +467,31 @@ def tell(site):
 
 
 @pytest.mark.parametrize(
-    ("workers", "said"),
+    ("workers", "code", "numbers"),
     [
-        ({}, "This server has no workers"),
-        (FREE | {"turns": False}, "This server has no workers"),
-        (FREE | {"connected": False}, "No worker is connected yet"),
-        (FREE | {"threads": 0}, "No worker is connected yet"),
-        (FREE, "A worker is free: the run starts at once."),
-        (FREE | {"tasks": 2}, "All 2 workers are busy with run #{busy}; the run starts when one is free."),
-        (FREE | {"tasks": 1, "threads": 1}, "The only worker is busy with run #{busy}"),
+        ({}, "no-workers", []),
+        (FREE | {"turns": False}, "no-workers", []),
+        (FREE | {"connected": False}, "no-worker-connected", []),
+        (FREE | {"threads": 0}, "no-worker-connected", []),
+        (FREE, "worker-free", []),
+        (FREE | {"tasks": 2}, "workers-busy", ["2", "{busy}"]),
+        (FREE | {"tasks": 1, "threads": 1}, "workers-busy", ["{busy}"]),
     ],
 )
-def test_a_queued_run_says_its_position_and_what_it_waits_for(site, read, workers, said):
+def test_a_queued_run_says_its_position_and_what_it_waits_for(site, workers, code, numbers):
     busy = site.add_run(state="RUNNING", started_utc=utc_now())
-    run_id = site.add_run()
+    first, second = site.add_run(), site.add_run()
     site.app.state.workers.state = lambda: workers
-    text = read(site.visitor("victor").get(f"/runs/{run_id}"))
-    assert "Next in the queue." in text
-    assert "Position 2 in the queue." in read(site.visitor("victor").get(f"/runs/{site.add_run()}"))
-    assert said.format(busy=busy) in text
+    shown = [said_by(site.visitor("victor").get(f"/runs/{run_id}"), code) for run_id in (first, second)]
+    waits = [number.format(busy=busy) for number in numbers]
+    assert [re.findall(r"\d+", sentence) for sentence in shown] == [waits, ["2", *waits]]
 
 
 def test_a_run_that_is_computed_again_says_why(site, read, tell):
     run_id = site.add_run(state="RUNNING", attempt=2, started_utc=utc_now())
     tell(run_id, replace(Line.queued_again("its server host/1 stopped reporting"), message="in other words"))
     text = read(site.visitor("victor").get(f"/runs/{run_id}"))
-    assert "Attempt 1 ended without a result: its server host/1 stopped reporting." in text
+    assert re.search("Attempt 1 .*: its server host/1 stopped", text)
     assert "attempt 2" in text
 
 
@@ -483,35 +499,34 @@ def test_a_filter_says_its_pace_and_what_is_left_and_a_batch_only_its_time(site,
     columns = {"state": "RUNNING", "progress": HALF | {"at_utc": utc_now()}, "attempt": 1, "started_utc": utc_now()}
     filtered, batch = (site.add_run(method, **columns) for method in ("sqrf", "batch"))
     victor = site.visitor("victor")
-    assert "2.0 frames/s, about 11 s left" in read(victor.get(f"/runs/{filtered}"))
+    pace = re.search("data-run-pace>([^<]*)", victor.get(f"/runs/{filtered}"))[1]
+    assert re.findall(r"[\d.]+ ?\S+", pace.replace("\u202f", " ")) == ["2.0 frames/s,", "11 s"]
     text = read(victor.get(f"/runs/{batch}"))
-    assert "for 8.6 s" in text
+    assert "8.6 s" in text
     assert "frames/s" not in text
 
 
-def test_a_page_says_how_long_ago_a_run_was_heard_of_and_asked_to_stop(site, read, tell):
+def test_a_page_says_how_long_ago_a_run_was_heard_of_and_asked_to_stop(site, tell):
     silent, heard = (HALF | {"at_utc": utc_after(-ago_s)} for ago_s in (45.0, 7.0))
     columns = {"state": "RUNNING", "started_utc": utc_after(-90.0), "attempt": 1}
     victor = site.visitor("victor")
-    text = read(victor.get(f"/runs/{site.add_run('sqrf', progress=silent, **columns)}"))
-    assert re.search(r"The worker has not reported for (4[5-9]|5\d) s\.", text)
+    page = victor.get(f"/runs/{site.add_run('sqrf', progress=silent, **columns)}")
+    assert re.search(r" (4[5-9]|5\d) s\.", said_by(page, "silent"))
     page = victor.get(f"/runs/{site.add_run(progress=heard, **columns)}")
     assert 7.0 <= float(page.partition('data-heard="')[2].partition('"')[0]) < 17.0
     run_id = site.add_run(state="CANCELLING", reason="Cancelled by Ada Analyst: wrong set.", started_utc=utc_now())
     tell(run_id, Line.moved("CANCELLING", "Cancelled by Ada Analyst: wrong set."), at_utc=utc_after(-12.0))
-    text = read(victor.get(f"/runs/{run_id}"))
-    assert "Stopping: Cancelled by Ada Analyst: wrong set. Asked at" in text
-    assert re.search(r"\b1[2-9] s ago", text)
+    stopping = said_by(victor.get(f"/runs/{run_id}"), "stopping")
+    assert re.search(r"Ada Analyst: wrong set\..* 1[2-9] s ago", stopping)
 
 
-def test_a_lost_run_says_when_it_was_last_heard_of_and_offers_to_run_it_again(site, read):
+def test_a_lost_run_says_when_it_was_last_heard_of_and_offers_to_run_it_again(site):
     progress = HALF | {"at_utc": "2026-11-21T03:04:05.000000Z"}
     run_id = site.add_run("sqrf", state="LOST", progress=progress, reason="Given up after 3 lost attempts.")
     page = site.visitor("ada").get(f"/runs/{run_id}")
-    text = read(page)
-    assert "The worker stopped reporting at 2026-325 03:04:05Z; no result is trusted. Given up after" in text
-    assert "PARTIAL: It had reached 43 % (frame 17: 17 of 40 frames)." in text
-    assert f'href="/runs/new?clone={run_id}">Run it again</a>' in page
+    assert re.search("2026-325 03:04:05Z; .*Given up after 3 lost attempts", said_by(page, "lost"))
+    assert re.search(r"PARTIAL: .* 43 % \(frame 17: 17 of 40 frames\)", said_by(page, "partial"))
+    assert f'href="/runs/new?clone={run_id}">' in page
 
 
 def test_a_failed_run_shows_its_cause_the_end_of_its_log_and_the_next_step(site, read, tell):
@@ -521,14 +536,14 @@ def test_a_failed_run_shows_its_cause_the_end_of_its_log_and_the_next_step(site,
     tell(run_id, Line.moved("FAILED", "Its telemetry is gone."))
     page = site.visitor("ada").get(f"/runs/{run_id}")
     text = read(page)
-    assert '<p role="alert">Its telemetry is gone.</p>' in page
+    assert said_by(page, "failed").startswith("Its telemetry is gone.")
     assert [f"step {k}" in text for k in range(9)] == [False] * 4 + [True] * 5
     assert f'href="/runs/{run_id}?part=record#log"' in page
     assert 'href="/telemetry/1">Quality report' in page
 
 
 @pytest.mark.parametrize("declared", [{}, {"declared": {"directions": "j2000"}}])
-def test_a_run_that_failed_for_want_of_times_offers_an_upload_and_never_the_same_set_again(site, read, declared):
+def test_a_run_that_failed_for_want_of_times_offers_an_upload_and_never_the_same_set_again(site, declared):
     missing = {
         "code": "TIME_MISSING",
         "severity": "SERIOUS",
@@ -544,7 +559,7 @@ def test_a_run_that_failed_for_want_of_times_offers_an_upload_and_never_the_same
     page = site.visitor("ada").get(f"/runs/{run_id}")
     assert page.count('href="/telemetry?sensor=1#upload-title"') >= 2  # as the remedy, and as the next step
     assert f"clone={run_id}" not in page
-    assert "it fails each time" in read(page)
+    assert "upload-with-times" in codes(page)
     lost = site.add_run(state="LOST", sensor_document=document)
     assert f"clone={lost}" in site.visitor("ada").get(f"/runs/{lost}")  # it may have been the worker
 
@@ -563,10 +578,10 @@ def test_a_fit_with_advice_is_a_caution_in_the_list_with_the_advice_at_hand(site
     site.add_run(state="SUCCEEDED", result=doubted)
     page = site.visitor("victor").get("/runs")
     cell = page[page.index('title="Too few frames took part."') :][:400].split("</td>")[0]
-    assert "converged, with reservations" in cell
+    assert WORD_OF_LEVEL["caution"] in cell
     assert "status-caution" in cell
     page = site.visitor("victor").get("/sensors/1")
-    assert "converged, with reservations" in page
+    assert WORD_OF_LEVEL["caution"] in page
     assert "reservations" not in site.visitor("victor").send("GET", "/runs.csv").text
 
 
@@ -649,12 +664,12 @@ def test_every_end_without_a_result_is_more_than_information(state):
     assert grave is (state in {"FAILED", "LOST", "CANCELLED", "CANCELLING"})
 
 
-def test_the_filter_is_in_the_address_and_each_choice_says_how_many_lines_it_has(site, read, run_id):
+def test_the_filter_is_in_the_address_and_each_choice_says_how_many_lines_it_has(site, run_id):
     victor = site.visitor("victor")
     assert shown(victor.get(f"/runs/{run_id}?part=record")) == [level for *_, level in LINES]
     page = victor.get(f"/runs/{run_id}?part=record&level=error")
     assert shown(page) == ["error"] * 3
-    assert "All lines 9 Warnings and errors 6 Errors 3" in " ".join(read(page).split())
+    assert re.findall(r'data-lines="(\d+)"', page) == ["9", "6", "3"]
     assert f'href="/runs/{run_id}/log" download' in page
 
 

@@ -1,6 +1,7 @@
 """Launching fixes all that a run needs and refuses what does not belong together; stopping and reading keep to the rows."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -30,6 +31,7 @@ from boresight.platform.blobs.store import register_blob
 from boresight.platform.db.sessions import open_writing, utc_now
 from boresight.verdicts.verdict import RunSummary, parse_run_summary, summarise_run
 from tests.console.conftest import _result
+from tests.refusals import has_code
 
 
 @pytest.fixture
@@ -94,7 +96,7 @@ def test_a_dry_run_says_what_it_would_be_and_queues_nothing(session, launch, add
 def test_a_dry_run_warns_of_few_arcs_and_of_no_validation(launch, add_set):
     tiny = add_set(frames=1, stars=5)
     warnings = launch(telemetry_set_id=tiny.id, validate_only=True)["warnings"]
-    assert warnings[0].startswith("About 7 arcs are few for 8 parameters")
+    assert re.findall(r"\d+", warnings[0]) == ["7", "8"]
     assert "validation set" in warnings[1]
 
 
@@ -127,9 +129,9 @@ def test_only_an_analyst_launches_and_cancels_and_a_key_needs_the_scope_of_runs(
 def test_telemetry_of_another_sensor_is_refused(session, launch, add_set):
     other = sensors.register_sensor(session, COMMAND_LINE, session.get_one(Sensor, 1).document | {"name": "ST16-2"})
     foreign = add_set(sensor_id=other.id)
-    with pytest.raises(RefusedInputError, match="of another sensor; choose a set of ST16-1"):
+    with pytest.raises(RefusedInputError, match="ST16-1", check=has_code("other-sensor")):
         launch(telemetry_set_id=foreign.id)
-    with pytest.raises(RefusedInputError, match="of another sensor"):
+    with pytest.raises(RefusedInputError, check=has_code("other-sensor")):
         launch(validation_set_id=foreign.id)
 
 
@@ -157,7 +159,7 @@ def test_what_cannot_be_launched_is_refused_by_name(session, launch, add_set, gi
 def test_a_queued_run_is_cancelled_at_once_and_only_once(session, people, launch):
     run = launch()
     ended = runs.cancel(session, people["bo"], run.id, "wrong set")
-    assert (ended.state, ended.reason) == ("CANCELLED", "Cancelled by Bo: wrong set")
+    assert (ended.state, ended.reason.partition(" by ")[2]) == ("CANCELLED", "Bo: wrong set")
     assert audit.find_last_change(session, f"runs/{run.id}").reason == "wrong set"
     with pytest.raises(ConflictError, match="CANCELLED already"):
         runs.cancel(session, people["bo"], run.id)
@@ -167,7 +169,7 @@ def test_a_running_run_is_asked_to_stop_and_asking_again_changes_nothing(session
     run = launch()
     rows.claim(session, "owner", 30.0, 1)
     assert runs.cancel(session, people["ana"], run.id).state == "CANCELLING"
-    assert runs.cancel(session, people["bo"], run.id).reason == "Cancelled by Ana."
+    assert runs.cancel(session, people["bo"], run.id).reason.endswith(" Ana.")
 
 
 def test_the_list_is_paged_newest_first_and_filtered(session, people, launch):
@@ -180,7 +182,7 @@ def test_the_list_is_paged_newest_first_and_filtered(session, people, launch):
     assert len(runs.list_runs(session, state=["QUEUED", "CANCELLED"], sensor_id=1)) == 4
     assert runs.list_runs(session, sensor_id=2) == []
     assert runs.count_by_state(session)["QUEUED"] == 3
-    with pytest.raises(RefusedInputError, match="DONE is not a state"):
+    with pytest.raises(RefusedInputError, match="DONE", check=has_code("unknown-state")):
         runs.list_runs(session, state="DONE")
 
 
@@ -214,7 +216,8 @@ def test_the_log_tells_the_run_in_order_and_can_be_followed(session, launch):
     run = launch()
     rows.claim(session, "owner", 30.0, 1)
     lines = runs.list_log_lines(session, run.id)
-    assert [line.message for line in lines] == ["QUEUED", "RUNNING: attempt 1 on owner"]
+    assert [(line.state, line.attempt) for line in lines] == [("QUEUED", 0), ("RUNNING", 1)]
+    assert lines[1].message.endswith(" owner")
     assert runs.list_log_lines(session, run.id, after_id=lines[0].id) == lines[1:]
     with pytest.raises(NotFoundError, match="no run 99"):
         runs.list_log_lines(session, 99)
@@ -280,7 +283,7 @@ def test_what_an_archived_version_said_can_still_be_read_and_an_older_one_comes_
 
 def test_the_same_again_is_no_new_version_unless_it_was_archived(session, people, save):
     row = save()
-    with pytest.raises(ConflictError, match="Version 1 of Ours is identical"):
+    with pytest.raises(ConflictError, match=r"Version 1 .*Ours", check=has_code("identical-version")):
         save()
     presets.archive_preset(session, people["ana"], row.id)
     assert save().number == 2
@@ -305,15 +308,15 @@ def test_a_preset_that_would_not_do_is_refused(save, given, said):
 def test_only_an_analyst_saves_and_archives(session, people, save):
     row = save()
     for name in ("eve", "cy", "dee", "root"):
-        with pytest.raises(ForbiddenError, match="needs the role analyst"):
+        with pytest.raises(ForbiddenError, match="analyst", check=has_code("role-missing")):
             save(actor=name)
-        with pytest.raises(ForbiddenError, match="needs the role analyst"):
+        with pytest.raises(ForbiddenError, match="analyst", check=has_code("role-missing")):
             presets.archive_preset(session, people[name], row.id)
 
 
 @pytest.mark.parametrize("key", ["99", "no-such", "-1", "9" * 30])
 def test_a_preset_that_there_is_not_is_said_to_be_so(session, key):
-    with pytest.raises(NotFoundError, match="There is no preset"):
+    with pytest.raises(NotFoundError, match="preset"):
         presets.get_offer(session, key)
 
 
@@ -419,18 +422,18 @@ def test_unlike_models_are_refused_with_both_runs_and_what_to_convert(session, b
     made = parameter_sets.create_from_run(session, people["ana"], blobs, first)
     second.sensor_document = {**second.sensor_document, "camera_model": "pinhole_radial"}
     session.flush()
-    with pytest.raises(UnlikeModelsError, match=f"Run #{first} uses the camera model inverted_wang") as refusal:
+    with pytest.raises(UnlikeModelsError, match="inverted_wang") as refusal:
         compare(session, blobs, [first, second.id])
     assert refusal.value.sets == [(made.id, made.name)]
 
 
 def test_what_cannot_be_compared_is_refused(session, blobs, run_on):
     runs = [run_on(list(range(40))), run_on(list(range(50, 90)))]
-    with pytest.raises(RefusedInputError, match="two runs or more"):
+    with pytest.raises(RefusedInputError, check=has_code("too-few-runs")):
         compare(session, blobs, runs[:1])
-    with pytest.raises(RefusedInputError, match="not among those compared"):
+    with pytest.raises(RefusedInputError, check=has_code("reference-not-compared")):
         compare(session, blobs, runs, 999)
-    with pytest.raises(NotFoundError, match="There is no run 999"):
+    with pytest.raises(NotFoundError, match="run 999"):
         compare(session, blobs, [*runs, 999])
-    with pytest.raises(NotFoundError, match="so large a number"):
+    with pytest.raises(NotFoundError, check=has_code("number-too-large")):
         read_run_ids(["9" * 5000])

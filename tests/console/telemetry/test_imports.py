@@ -112,12 +112,12 @@ def test_a_table_of_another_program_is_led_to_the_profile_that_imports_it(house)
     refused = upload(house, vector.read_bytes(), sensor_id=sensor_id)
     assert refused.status_code == 422
     fault = refused.json()["errors"][0]
-    assert (fault["column"], fault["detail"]) == ("profile", "send photutils with the file")
+    assert (fault["column"], "photutils" in fault["detail"]) == ("profile", True)
     shown = upload(house, vector.read_bytes(), sensor_id=sensor_id, query="?validate_only=true", profile="photutils")
     assert shown.status_code == 200, shown.json()
     unnamed = upload(house, "0 1.5 2.5\n0 3.5 4.5\n", sensor_id=sensor_id)
     assert unnamed.status_code == 422
-    assert "without a header" in unnamed.json()["detail"]
+    assert "header" in unnamed.json()["detail"]
     assert house.person("ada").get(f"/api/v1/telemetry-sets?sensor_id={sensor_id}").json()["items"] == []
 
 

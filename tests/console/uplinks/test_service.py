@@ -33,6 +33,7 @@ from boresight.platform.db.sessions import Engine, Session, mark_dry_run, open_r
 from tests.console.conftest import PASSWORD
 from tests.console.uplinks.services import advance, define, newest, onboard, promote_by_hand, sent_table
 from tests.passwords import new_password, proved
+from tests.refusals import has_code
 
 People = Mapping[str, Actor]
 LADDER = ("SENT", "LOADED", "VERIFIED", "ACTIVE")
@@ -89,18 +90,16 @@ def test_a_step_off_the_ladder_leaves_no_record(engine, people, state, source, e
 def test_nobodys_word_makes_a_set_verified_or_active_and_the_door_is_named(engine, people, reached):
     advance(engine, people["dee"], *reached)
     before = onboard(engine)
-    with pytest.raises(
-        ConflictError, match=r"VERIFIED is not recorded by statement: .* `:read-back`, which compares\."
-    ):
+    with pytest.raises(ConflictError, match=r"VERIFIED.*`:read-back`", check=has_code("not-by-statement")):
         _record(engine, people["dee"], "VERIFIED")
-    with pytest.raises(ConflictError, match=r"ACTIVE is not recorded by statement: .* by `:activate`\."):
+    with pytest.raises(ConflictError, match=r"ACTIVE.*`:activate`", check=has_code("not-by-statement")):
         _record(engine, people["dee"], "ACTIVE")
     key = replace(people["dee"], credential="key:abc", scopes=frozenset({"uplinks"}))
-    with pytest.raises(ForbiddenError, match="Only a person who is logged in"):
+    with pytest.raises(ForbiddenError, check=has_code("not-a-person")):
         _record(engine, key, "ACTIVE")
-    with pytest.raises(ConflictError, match="VERIFIED is not recorded by statement"):
+    with pytest.raises(ConflictError, match="VERIFIED", check=has_code("not-by-statement")):
         _record(engine, key, "VERIFIED")
-    with pytest.raises(ForbiddenError, match="needs a person"):
+    with pytest.raises(ForbiddenError, check=has_code("no-user")):
         _record(engine, COMMAND_LINE, "SENT")
     assert onboard(engine) == before
 
@@ -114,7 +113,7 @@ def test_what_is_offered_to_be_stated_can_be_and_is_never_verified_or_active(sta
 
 def test_only_the_baseline_is_sent_one_set_is_active_and_the_one_before_becomes_unknown(engine, people, candidate):
     row: ParameterSet = candidate()
-    with pytest.raises(ConflictError, match="is CANDIDATE; only the baseline is sent"):
+    with pytest.raises(ConflictError, match="CANDIDATE", check=has_code("not-the-baseline")):
         _record(engine, people["dee"], "SENT", set_id=row.id)
     advance(engine, people["dee"], *LADDER)
     with open_writing(engine) as session:
@@ -123,7 +122,8 @@ def test_only_the_baseline_is_sent_one_set_is_active_and_the_one_before_becomes_
     assert (onboard(engine, 1), onboard(engine, row.id)) == ("UNKNOWN", "ACTIVE")
     with open_reading(engine) as session:
         newest = lists.list_newest(session, Uplink, set=1)[0]
-        assert newest.source == f"{row.name} was read back as active: pass 4711"
+        assert newest.source.startswith(f"{row.name} ")
+        assert newest.source.endswith(": pass 4711")
         assert len(lists.list_newest(session, Uplink, sensor=row.sensor_id)) == 9
 
 
@@ -216,7 +216,7 @@ def test_whose_password_somebody_else_set_does_not_sign(engine, people):
     dee = people["dee"]
     with open_writing(engine) as session:
         users.change_password(session, people["root"], dee.user_id, new_password("given by root"))
-    with pytest.raises(ForbiddenError, match="Somebody else set your password"):
+    with pytest.raises(ForbiddenError, check=has_code("password-due")):
         activate(engine, dee, password="given by root")
 
 
@@ -224,7 +224,7 @@ def test_what_an_earlier_version_took_for_verified_on_somebodys_word_is_read_bac
     advance(engine, people["dee"], "SENT", "LOADED")
     with open_writing(engine) as session:
         add_entry(session, people["dee"], session.get_one(ParameterSet, 1), "VERIFIED", "pass 4711")
-    with pytest.raises(ConflictError, match="is VERIFIED only by statement; read it back by dump or CRC"):
+    with pytest.raises(ConflictError, check=has_code("verified-by-statement")):
         activate(engine, people["dee"])
     advance(engine, people["dee"], "VERIFIED")
     assert activate(engine, people["dee"]).onboard_state == "ACTIVE"
@@ -239,7 +239,10 @@ def test_a_record_names_the_package_that_was_sent_and_no_other_sets(engine, peop
             session.flush()
         row = uplinks.record(session, people["dee"], 1, "SENT", "pass 1", package_id=1)
     assert row.evidence["package"] == {"id": 1, "sha256": sha256}
-    with pytest.raises(RefusedInputError, match="no package 2 of PS-ST16-1-0"), open_writing(engine) as session:
+    with (
+        pytest.raises(RefusedInputError, match=r"package 2 .*PS-ST16-1-0", check=has_code("no-such-package")),
+        open_writing(engine) as session,
+    ):
         uplinks.record(session, people["dee"], 1, "LOADED", "pass 1", package_id=2)
 
 
@@ -252,7 +255,7 @@ def test_a_package_for_a_table_that_is_no_longer_in_force_is_not_sent(engine, pe
         session.flush()
         audit.append(session, people["dee"], "built", "packages/1")
     define(engine, people["ana"], flight_software_version="4.3")
-    with pytest.raises(ConflictError, match="built for another table definition"), open_writing(engine) as session:
+    with pytest.raises(ConflictError, check=has_code("other-table-definition")), open_writing(engine) as session:
         uplinks.record(session, people["dee"], 1, "SENT", "pass 1", package_id=1)
 
 

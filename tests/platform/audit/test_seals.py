@@ -82,7 +82,7 @@ def test_the_last_record_of_a_transaction_carries_the_digests_of_all_that_it_cha
 
 
 def test_a_change_without_a_record_is_refused_and_undone(inhabited: Engine) -> None:
-    with pytest.raises(ValueError, match=r"Received none for users/1"), open_writing(inhabited) as session:
+    with pytest.raises(ValueError, match="users/1"), open_writing(inhabited) as session:
         session.get_one(User, 1).roles = ["administrator"]
     with open_reading(inhabited) as session:
         assert session.get_one(User, 1).roles == ["analyst"]
@@ -94,7 +94,7 @@ def test_a_trial_is_refused_for_a_missing_record_too(inhabited: Engine) -> None:
             mark_dry_run(session)
             session.get_one(User, 1).roles = ["viewer"]
 
-    with pytest.raises(ValueError, match="Expected an audit record"):
+    with pytest.raises(ValueError, match="audit record"):
         attempt()
 
 
@@ -106,7 +106,7 @@ def test_a_column_that_is_not_lasting_needs_no_record(inhabited: Engine) -> None
 
 
 def test_a_bulk_change_of_a_sealed_table_is_refused(inhabited: Engine) -> None:
-    with pytest.raises(ValueError, match="Received a bulk statement"), open_writing(inhabited) as session:
+    with pytest.raises(ValueError, match="bulk statement"), open_writing(inhabited) as session:
         session.execute(sa.update(User).values(roles=["administrator"]))
 
 

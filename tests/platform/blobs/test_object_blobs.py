@@ -18,6 +18,7 @@ from boresight.platform.blobs.locations import BlobLocation
 from boresight.platform.blobs.opening import open_blobs
 from boresight.settings import read_settings
 from tests.object_store import SECRET, serving_s3
+from tests.refusals import has_code
 
 PLENTY = 10**9
 Open = Callable[..., BucketBlobStore]
@@ -93,7 +94,7 @@ def test_bytes_altered_in_the_bucket_are_refused_and_not_kept(blobs: Open) -> No
     bucket = from_url("s3://flight", client_options={"allow_http": True})
     obstore.put(bucket, f"blobs/{sha256[:2]}/{sha256[2:4]}/{sha256}", b"as they are!")
     worker = blobs("worker")
-    with pytest.raises(ConflictError, match=r"was altered in s3://flight/blobs; restore its former version"):
+    with pytest.raises(ConflictError, match="s3://flight/blobs", check=has_code("altered-file")):
         worker.path(sha256)
     assert _kept(worker.folder) == set()
 
@@ -101,9 +102,9 @@ def test_bytes_altered_in_the_bucket_are_refused_and_not_kept(blobs: Open) -> No
 def test_what_is_missing_forbidden_or_out_of_reach_is_told_in_one_sentence(
     blobs: Open, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    with pytest.raises(NotFoundError, match=r"000000000000 is missing from s3://flight/blobs; restore it"):
+    with pytest.raises(NotFoundError, match=r"000000000000.*s3://flight/blobs", check=has_code("not-in-store")):
         blobs().path("0" * 64)
-    with pytest.raises(NotFoundError, match=r"There is no bucket for s3://nowhere/blobs; make it"):
+    with pytest.raises(NotFoundError, match="s3://nowhere/blobs", check=has_code("not-in-store")):
         blobs(bucket="nowhere").put(b"x")
     for raised, kind, says in (
         (obstore.exceptions.PermissionDeniedError(SECRET), ForbiddenError, "check the key"),
@@ -129,7 +130,7 @@ def test_nobody_listening_is_told_within_seconds(tmp_path: Path, monkeypatch: py
     for name, value in (("ENDPOINT_URL", "http://127.0.0.1:9"), ("ACCESS_KEY_ID", "k"), ("SECRET_ACCESS_KEY", "s")):
         monkeypatch.setenv(f"AWS_{name}", value)
     blobs, begun_s = open_blobs(BlobLocation("s3://closed/blobs", tmp_path, PLENTY)), time.monotonic()
-    with pytest.raises(UnavailableError, match="s3://closed/blobs does not answer"):
+    with pytest.raises(UnavailableError, match="s3://closed/blobs", check=has_code("store-unreachable")):
         blobs.put(b"x")
     assert time.monotonic() - begun_s < 30
 
@@ -140,7 +141,7 @@ def test_a_store_is_looked_at_quickly_whoever_is_there(
     blobs().refuse_unusable()
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
     gone, begun_s = open_blobs(BlobLocation("s3://gone/blobs", tmp_path, PLENTY)), time.monotonic()
-    with pytest.raises(UnavailableError, match="s3://gone/blobs does not answer"):
+    with pytest.raises(UnavailableError, match="s3://gone/blobs", check=has_code("store-unreachable")):
         gone.refuse_unusable()
     assert time.monotonic() - begun_s < 4
 

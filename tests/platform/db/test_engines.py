@@ -50,6 +50,7 @@ from tests.effort import effort, few_of
 from tests.furniture import rows_of_tables
 from tests.passwords import add_person, approve, proved
 from tests.postgresql import TEMPLATE, Server, server
+from tests.refusals import has_code
 
 SERVERS = 3
 
@@ -123,7 +124,7 @@ def test_a_writer_that_waits_too_long_is_told_so(two: list[Engine], monkeypatch:
     monkeypatch.setattr(engines.be_the_only_writer, "__kwdefaults__", {"wait_s": 1})
     with (
         open_writing(two[0]),
-        pytest.raises(UnavailableError, match="Another writer is using the database"),
+        pytest.raises(UnavailableError, check=has_code("database-busy")),
         open_writing(two[0]),
     ):
         pytest.fail("there are two writers")
@@ -134,7 +135,7 @@ def test_a_sqlite_writer_that_waits_too_long_is_told_the_same(sqlite: Engine) ->
     sa.event.listen(sqlite, "connect", lambda opened, _: opened.execute("PRAGMA busy_timeout=10"))
     with (
         open_writing(sqlite),
-        pytest.raises(UnavailableError, match="Another writer is using the database"),
+        pytest.raises(UnavailableError, check=has_code("database-busy")),
         open_writing(sqlite),
     ):
         pytest.fail("there are two writers")
@@ -142,7 +143,7 @@ def test_a_sqlite_writer_that_waits_too_long_is_told_the_same(sqlite: Engine) ->
 
 def test_a_writer_whose_server_died_gives_the_lock_back(two: list[Engine], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engines, "IDLE_S", 1)
-    with pytest.raises(UnavailableError, match="does not answer"), open_writing(two[0]) as dead:
+    with pytest.raises(UnavailableError, check=has_code("database-unreachable")), open_writing(two[0]) as dead:
         _outlast(two[0], dead)
 
 
@@ -206,7 +207,7 @@ def test_a_command_without_its_database_says_so_in_one_line(tmp_path: Path, post
     url = postgresql_server.url(TEMPLATE).replace(str(postgresql_server.folder), str(tmp_path))
     ((code, said),) = _start_at_once(url, tmp_path, 1)
     assert (code, said.count("\n")) == (1, 1)
-    assert "The database does not answer" in said
+    assert engines.GONE in said
 
 
 PASSWORD = "correct horse battery"

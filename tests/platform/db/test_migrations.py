@@ -21,6 +21,7 @@ from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.audit.chain import append_own
 from boresight.platform.audit.seals import FIRST_HASH, AppendOnlyTable, iterate_rows
 from boresight.platform.audit.tables import IdempotentResponse
+from boresight.platform.audit.verification import WORDS
 from boresight.platform.blobs.tables import Blob as BlobRow
 from boresight.platform.db.declared import Base
 from boresight.platform.db.sessions import (
@@ -35,6 +36,7 @@ from boresight.platform.db.sessions import (
 )
 from tests.effort import effort
 from tests.furniture import NOW, alarm, parameter_set, rows_of_tables
+from tests.refusals import has_code
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
@@ -184,14 +186,14 @@ def test_a_database_of_a_newer_version_is_refused_and_left_alone(store: Engine) 
 
 def test_a_way_back_to_no_revision_is_refused_with_those_there_are(store: Engine) -> None:
     for revision in ("xyz", "", "-1", "+1", "9999", "base:head"):
-        with pytest.raises(RefusedInputError, match=r"; name base or 0001( or \d{4})*\.$"):
+        with pytest.raises(RefusedInputError, match=r"base or 0001( or \d{4})*\.$", check=has_code("unknown-revision")):
             downgrade(store, revision)
         assert current_revision(store) == head_revision()
 
 
 def test_an_empty_store_goes_back_to_base_only(sqlite: Engine) -> None:
     downgrade(sqlite, "base")
-    with pytest.raises(RefusedInputError, match=r"'0001' to go back to; name base\.$"):
+    with pytest.raises(RefusedInputError, match=r"'0001'.* base\.$", check=has_code("unknown-revision")):
         downgrade(sqlite, "0001")
     downgrade(sqlite, "base")
     assert current_revision(sqlite) is None
@@ -242,14 +244,14 @@ FIXED = (
 def test_what_is_on_record_cannot_be_removed(store: Engine) -> None:
     _fill(store)
     for table in KEPT:
-        with pytest.raises(sa.exc.DBAPIError, match="is never removed"):
+        with pytest.raises(sa.exc.DBAPIError, match=WORDS["refuse_removal"]):
             _execute(store, f"DELETE FROM {table}")  # noqa: S608 - names of our own
 
 
 def test_what_is_on_record_cannot_be_changed(store: Engine) -> None:
     _fill(store)
     for table, change in FIXED:
-        with pytest.raises(sa.exc.DBAPIError, match="is never changed"):
+        with pytest.raises(sa.exc.DBAPIError, match=WORDS["refuse_change"]):
             _execute(store, f"UPDATE {table} SET {change}")  # noqa: S608 - names of our own
 
 
@@ -271,13 +273,13 @@ def test_a_source_has_one_open_alarm_and_a_closed_one_stays_as_it_was(store: Eng
     _execute(store, f"UPDATE alarms SET active = 0, acknowledged = 1, closed_utc = '{NOW}'")  # noqa: S608 - a time of our own
     with UnsealedSession(store) as session, session.begin():
         session.add(alarm())
-    with pytest.raises(sa.exc.DBAPIError, match="is never changed"):
+    with pytest.raises(sa.exc.DBAPIError, match=WORDS["refuse_change"]):
         _execute(store, "UPDATE alarms SET closed_utc = NULL WHERE id = 1")
 
 
 def test_postgresql_does_not_truncate_the_record_either(postgresql: Engine) -> None:
     _fill(postgresql)
-    with pytest.raises(sa.exc.DBAPIError, match="is never removed"):
+    with pytest.raises(sa.exc.DBAPIError, match=WORDS["refuse_removal"]):
         _execute(postgresql, "TRUNCATE audit")
 
 
@@ -300,7 +302,7 @@ def test_a_second_open_request_for_a_set_is_refused(store: Engine) -> None:
 
 def test_text_in_a_number_is_refused(sqlite: Engine) -> None:
     _fill(sqlite)
-    with pytest.raises(sa.exc.IntegrityError, match="cannot store TEXT"):
+    with pytest.raises(sa.exc.IntegrityError, match="TEXT"):
         _execute(sqlite, "UPDATE runs SET attempt = 'twice'")
 
 

@@ -1,5 +1,6 @@
 """Refusals: one shape, one sentence, the right status, never a trace."""
 
+import copy
 import inspect
 import logging
 import re
@@ -8,7 +9,7 @@ from typing import Any
 import pytest
 
 from boresight import errors
-from boresight.errors import BoresightError, Fault, RefusedInputError
+from boresight.errors import BoresightError, ConflictError, Fault, RefusedInputError
 from boresight.platform.web.problems import KINDS, make_problem
 from tests.served import House
 
@@ -29,11 +30,17 @@ def test_a_problem_names_type_title_status_detail_instance_and_request(house: Ho
         "type": "urn:boresight:problem:not-found",
         "title": "Not found",
         "status": 404,
+        "code": None,
         "detail": "There is no run 987654; choose one from the list.",
         "instance": "/api/v1/runs/987654",
         "request_id": "abc-1",
         "errors": [],
     }
+
+
+def test_a_reason_for_programs_is_the_problem_s_code_however_the_sentence_reads() -> None:
+    assert make_problem(ConflictError("You signed it.", code="already-signed")).code == "already-signed"
+    assert make_problem(copy.copy(ConflictError("You signed it.", code="already-signed"))).code
 
 
 def test_faults_become_places() -> None:

@@ -12,6 +12,7 @@ from boresight.images.reading import read_size
 from boresight.telemetry.imports.profile import parse_profile
 from boresight.telemetry.imports.recognition import draft_profile, recognise_for_import, recognise_table
 from boresight.telemetry.read.readers import read_telemetry
+from tests.refusals import has_code
 from tests.telemetry.imports.conftest import VECTORS
 
 STARS = {"frame": [0, 0], "exposure": [0, 0], "row_px": [1.5, 20.25], "col_px": [3.0, 4.5]}
@@ -63,7 +64,7 @@ def test_a_text_of_other_columns_leads_to_the_import(tmp_path, content, words):
 def test_a_file_that_belongs_beside_telemetry_says_where(tmp_path, name, option):
     packed = tmp_path / f"{name}.gz"
     packed.write_bytes(gzip.compress((VECTORS / name).read_bytes()))
-    with pytest.raises(RefusedInputError, match=f"by the option {option} of `boresight import`"):
+    with pytest.raises(RefusedInputError, match=f" {option} .*`boresight import`"):
         read_telemetry(packed)
 
 
@@ -132,7 +133,7 @@ def test_nested_json_lines_are_drafted_star_by_star(load, tmp_path):
 def test_columns_that_are_no_coordinates_are_not_guessed(tmp_path):
     found = recognise_table(write(tmp_path / "a.csv", "a,b\n1,2\n"), "a.csv")
     assert found.profile is None
-    with pytest.raises(RefusedInputError, match="none of which"):
+    with pytest.raises(RefusedInputError, check=has_code("columns-not-recognised")):
         draft_profile(found)
 
 
@@ -151,7 +152,7 @@ NUMBERS = "0 255.5 475.25 9.1\n0 72.0 474.5 8.0\n1 155.75 211.5 7.2\n"
 )
 def test_a_table_without_a_header_is_drafted_by_what_its_cells_look_like(load, tmp_path, text, separator, comment):
     path = write(tmp_path / "n.txt", text)
-    with pytest.raises(RefusedInputError, match=r"without a header.*boresight import n\.txt --print-profile"):
+    with pytest.raises(RefusedInputError, match=r"header.*`?boresight.import n\.txt.--print-profile"):
         read_telemetry(path)
     draft = draft_profile(recognise_table(path, "n.txt"))
     assert (draft.profile.layout.separator, draft.profile.layout.comment) == (separator, comment)
@@ -199,7 +200,7 @@ def test_frames_that_have_names_are_numbered_in_their_order(load, tmp_path):
     draft = draft_profile(recognise_table(write(tmp_path / "n.csv", text), "n.csv"))
     assert draft.profile.frames.by == "name"
     assert load(text, draft.profile.to_dict()).telemetry.frame.tolist() == [0, 0, 1]
-    with pytest.raises(RefusedInputError, match="row 4, column image: the cell is empty"):
+    with pytest.raises(RefusedInputError, match=r"row 4\b.*image"):
         load(text.replace("b.fits,3", ",3"), draft.profile.to_dict())
 
 

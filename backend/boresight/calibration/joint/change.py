@@ -83,7 +83,8 @@ def _fit_polynomials(of: PassesProblem, own: IntArray) -> tuple[PassesFit, PassV
     if highest > distinct - 1 or highest < 1:
         what = "temperatures" if settings.vary_as == "temperature" else "times"
         raise RefusedInputError(
-            f"{distinct} {what} tell no polynomial of degree {max(highest, 1)}: give more passes, or a lower --degree."
+            f"{distinct} {what} tell no polynomial of degree {max(highest, 1)}: give more passes, or a lower --degree.",
+            code="too-few-passes",
         )
     if highest == 1:
         half = 1.0

@@ -109,7 +109,8 @@ class JointTelemetry:
             digest = account.digest()
             if digest in seen:
                 raise RefusedInputError(
-                    f"{one.name} holds the centroids of {seen[digest]}: name each set once, or its stars count twice."
+                    f"{one.name} holds the centroids of {seen[digest]}: name each set once, or its stars count twice.",
+                    code="same-centroids",
                 )
             seen[digest] = one.name
 
@@ -215,7 +216,8 @@ def join_sets(sets: Sequence[NamedTelemetry], large_rows: int = LARGE_ROWS) -> J
     for one in sets:
         if one.sha256 is not None and one.sha256 in seen:
             raise RefusedInputError(
-                f"{one.name} is the file {seen[one.sha256]} again: name each set once, or its stars count twice."
+                f"{one.name} is the file {seen[one.sha256]} again: name each set once, or its stars count twice.",
+                code="same-file",
             )
         if one.sha256 is not None:
             seen[one.sha256] = one.name

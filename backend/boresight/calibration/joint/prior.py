@@ -247,14 +247,17 @@ def without_held(
     """
     held = source.held_sets
     if sha256s.get(VALIDATION) in held:
-        raise RefusedInputError(f"The validation set took part in {source.name}: choose one that did not.")
+        raise RefusedInputError(
+            f"The validation set took part in {source.name}: choose one that did not.", code="prior-used-validation"
+        )
     if not isinstance(telemetry, JointTelemetry):
         one = NamedTelemetry(telemetry, "The telemetry", sha256s.get(TELEMETRY))
         telemetry = join_sets([one], 0 if is_large(telemetry) else np.iinfo(np.int64).max)
     new = tuple(one for one in telemetry.sets if one.sha256 not in held)
     if not new:
         raise RefusedInputError(
-            f"{source.name} holds this telemetry already, and stars count once: give newer telemetry, or leave --prior out."
+            f"{source.name} holds this telemetry already, and stars count once: give newer telemetry, or leave --prior out.",
+            code="prior-holds-telemetry",
         )
     left_out = [one.name for one in telemetry.sets if one.sha256 in held]
     if not left_out:

@@ -67,7 +67,8 @@ FIRST_WALK, WALK_ROUNDS, WALK_RESTS = 0.1, 4, 0.1
 def refuse_one_pass() -> NoReturn:
     """Refuse what varies from pass to pass of one set."""
     raise RefusedInputError(
-        "What varies from pass to pass needs several telemetry sets: name more, or leave --vary out."
+        "What varies from pass to pass needs several telemetry sets: name more, or leave --vary out.",
+        code="one-set-cannot-vary",
     )
 
 
@@ -75,7 +76,9 @@ def check_variation(names: Sequence[str], settings: CalibrationSettings) -> None
     """Refuse parameters of a pass that are not free, and errors that are not least squares."""
     unknown = [name for name in settings.vary or () if name not in names]
     if unknown:
-        raise RefusedInputError(f"{', '.join(unknown)} is not free, so it cannot vary: choose from {', '.join(names)}.")
+        raise RefusedInputError(
+            f"{', '.join(unknown)} is not free, so it cannot vary: choose from {', '.join(names)}.", code="not-free"
+        )
     if settings.error != "arclength" or settings.robust != "none":
         raise RefusedInputError(
             "Passes are fitted by least squares on arcs: set error to 'arclength' and robust to 'none'."
@@ -123,7 +126,8 @@ def fit_variation(
         few = min(range(len(of.ends)), key=lambda k: of.ends[k][1] - of.ends[k][0])
         raise RefusedInputError(
             f"A pass does not determine {', '.join(settings.vary or ())} by itself (fewest frames: {passes[few].name}): choose "
-            "--vary-as walk, leave such passes out, or vary fewer parameters."
+            "--vary-as walk, leave such passes out, or vary fewer parameters.",
+            code="pass-too-short",
         ) from error
     if not fitted.converged:
         raise RefusedInputError(

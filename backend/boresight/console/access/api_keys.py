@@ -94,7 +94,9 @@ def revoke_key(session: Session, actor: Actor, key_id: int) -> ApiKey:
     refuse_key(actor, "revoke a key")
     key = session.get_known(ApiKey, key_id)
     if key.user_id != actor.user_id and "administrator" not in actor.roles:
-        raise ForbiddenError("Only its owner or an administrator may revoke this API key; ask one of them.")
+        raise ForbiddenError(
+            "Only its owner or an administrator may revoke this API key; ask one of them.", code="not-the-owner"
+        )
     if key.revoked_utc is None:
         key.revoked_utc = utc_now()
         audit.append(

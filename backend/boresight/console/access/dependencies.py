@@ -142,7 +142,8 @@ async def csrf(request: Request) -> None:
     if not hmac.compare_digest(given.encode(), request.state.csrf_token.encode()):
         tell("malicious_csrf", "failure")
         raise ForbiddenError(
-            f"The {CSRF_HEADER} is missing or belongs to another log-in; reload the page and try again."
+            f"The {CSRF_HEADER} is missing or belongs to another log-in; reload the page and try again.",
+            code="csrf-token",
         )
 
 
@@ -168,7 +169,10 @@ class Seen:
     def require(self, shape: type[Row], row: Any, name: str = "It") -> None:
         """Refuse a transition by someone who saw an older version of the row."""
         if self.tag is not None and self.tag != shape.etag(row):
-            raise StaleError(f"{name} has changed since you read it; read it again and send its new ETag in If-Match.")
+            raise StaleError(
+                f"{name} has changed since you read it; read it again and send its new ETag in If-Match.",
+                code="changed-since-read",
+            )
 
 
 @refuses(412, 428)

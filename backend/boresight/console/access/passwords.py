@@ -154,7 +154,7 @@ def require_proof(session: Session, proof: PasswordProof, user_id: int | None = 
     user = None if proof.stored.user_id is None else session.get(User, proof.stored.user_id)
     stands = user is not None and _stored(user) == proof.stored and user_id in {None, user.id}
     if user is None or not (proof.fits and stands):
-        raise UnauthenticatedError("Wrong name or password; try again or ask an administrator.")
+        raise UnauthenticatedError("Wrong name or password; try again or ask an administrator.", code="wrong-password")
     return user
 
 

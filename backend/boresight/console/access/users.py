@@ -41,7 +41,9 @@ def known_roles(roles: Collection[str]) -> list[str]:
         named = roles if isinstance(roles, str) else ", ".join(unknown)
         raise RefusedInputError(f"There is no role {named}; choose from {', '.join(ROLES)}.")
     if {"administrator", "approver"} <= set(roles):
-        raise RefusedInputError("An administrator cannot sign; give the role approver to another person.")
+        raise RefusedInputError(
+            "An administrator cannot sign; give the role approver to another person.", code="administrator-cannot-sign"
+        )
     return [role for role in ROLES if role in roles]
 
 
@@ -108,7 +110,7 @@ def _refuse_taken(session: Session, name: str, printed_name: str) -> None:
     if not ours.isdisjoint({comparison_key(name), comparison_key(printed_name)}):
         raise ConflictError(f"{printed_name!r} is reserved for Boresight's own records; choose another name.")
     if (other := rows.find_user(session, name, comparison_key(name))) is not None:
-        raise ConflictError(f"The log-in name {other.name!r} exists already; choose another.")
+        raise ConflictError(f"The log-in name {other.name!r} exists already; choose another.", code="name-taken")
     if (other := rows.find_user_by_printed_name(session, printed_name, comparison_key(printed_name))) is not None:
         raise ConflictError(f"The printed name {other.printed_name!r} belongs to {other.name!r}; choose another.")
 
@@ -156,7 +158,9 @@ def get_actor(
 def refuse_password_of_another(user: User) -> None:
     """Refuse a person whose password somebody else knows."""
     if user.must_change_password:
-        raise PasswordDueError("Somebody else set your password: set your own first, then continue.")
+        raise PasswordDueError(
+            "Somebody else set your password: set your own first, then continue.", code="password-due"
+        )
 
 
 def must_change_password(session: Session, actor: Actor) -> bool:

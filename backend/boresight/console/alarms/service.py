@@ -96,7 +96,8 @@ def shelve(session: Session, actor: Actor, alarm_id: int, until: str, reason: st
     until_utc = read_time(until)
     if not utc_now() < until_utc <= utc_after(MOST_DAYS * DAY_S):
         raise RefusedInputError(
-            f"An alarm can only be shelved until a future time; give one at most {MOST_DAYS:.0f} days from now."
+            f"An alarm can only be shelved until a future time; give one at most {MOST_DAYS:.0f} days from now.",
+            code="not-a-future-time",
         )
     row.shelved_until_utc = until_utc
     record_step(session, actor, row, "SHELVED", _said(reason, needed="reason why it can wait"), until_utc=until_utc)

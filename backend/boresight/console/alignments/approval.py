@@ -140,5 +140,6 @@ def withdraw(
 def _refuse_closed(session: Session, request: AlignmentRequest) -> None:
     if request.state != "OPEN":
         raise ConflictError(
-            f"Request {request.id} is {request.state}: {describe_last_change(session, request)}. Choose one that is OPEN."
+            f"Request {request.id} is {request.state}: {describe_last_change(session, request)}. Choose one that is OPEN.",
+            code="wrong-state",
         )

@@ -231,7 +231,8 @@ def _record(session: Session, actor: Actor, assessment: GateAssessment) -> GateR
     if moved:
         since = describe_baseline(session, row.sensor_id)
         raise StaleError(
-            f"The {' and the '.join(moved)} changed while {row.name} was assessed.{since} Assess it again."
+            f"The {' and the '.join(moved)} changed while {row.name} was assessed.{since} Assess it again.",
+            code="changed-while-assessed",
         )
     document = to_plain(assessment.report)
     sha256 = compute_sha256(document)
@@ -380,13 +381,18 @@ def _checked(gate: str, code: str, reason: str, expires_utc: str) -> str:
 def _get_blocking_report(session: Session, parameter_set_id: int, name: str, gate: str) -> GateReport:
     report = find_valid_report(session, parameter_set_id)
     if report is None:
-        raise ConflictError(f"{name} has no up-to-date gate report: assess it, then waive what blocks it.")
+        raise ConflictError(
+            f"{name} has no up-to-date gate report: assess it, then waive what blocks it.", code="no-gate-report"
+        )
     found = lay_waivers(session, report)
     answer = next(one for one in found.gates if one.name == gate)
     if gate not in found.blocking:
         how = "waived already" if answer.waived else answer.status
-        raise ConflictError(f"The gate {gate} does not block {name}: it is {how}. There is nothing to waive.")
+        raise ConflictError(
+            f"The gate {gate} does not block {name}: it is {how}. There is nothing to waive.",
+            code="gate-does-not-block",
+        )
     if answer.critical or not answer.waivable:
         why = "it is critical" if answer.critical else "the gate profile does not allow it to be waived"
-        raise ForbiddenError(f"Nobody can waive the gate {gate}: {why}. Calibrate again.")
+        raise ForbiddenError(f"Nobody can waive the gate {gate}: {why}. Calibrate again.", code="gate-not-waivable")
     return report

@@ -189,13 +189,15 @@ def _refuse_decided(session: Session, approval: Approval, decision: str) -> None
     """Refuse to decide on a decided request, except to reject one that is approved and not yet promoted."""
     if approval.state == "STALE":
         raise StaleError(
-            f"Request {approval.id} is STALE: {describe_last_change(session, approval)}. Submit the set again."
+            f"Request {approval.id} is STALE: {describe_last_change(session, approval)}. Submit the set again.",
+            code="request-stale",
         )
     parameter_set = session.get_one(ParameterSet, approval.parameter_set_id)
     can_block = approval.state == "APPROVED" and parameter_set.ground_state == "APPROVED"
     if approval.state != "OPEN" and not (decision == "REFUSE" and can_block):
         raise ConflictError(
-            f"Request {approval.id} is {approval.state}: {describe_last_change(session, approval)}. Choose one that is OPEN."
+            f"Request {approval.id} is {approval.state}: {describe_last_change(session, approval)}. Choose one that is OPEN.",
+            code="wrong-state",
         )
 
 
@@ -282,7 +284,8 @@ def assign(
     require_seen(session, approval, seen_version)
     if approval.state != "OPEN":
         raise ConflictError(
-            f"Request {approval.id} is {approval.state}: {describe_last_change(session, approval)}. Choose one that is OPEN."
+            f"Request {approval.id} is {approval.state}: {describe_last_change(session, approval)}. Choose one that is OPEN.",
+            code="wrong-state",
         )
     named = None if user_id is None else _get_signer(session, approval, user_id, policy)
     approval.assigned_to = None if named is None else named.id
@@ -294,14 +297,15 @@ def assign(
 def _get_signer(session: Session, approval: Approval, user_id: int, policy: Policy) -> User:
     user = session.get_known(User, user_id)
     if user.disabled_utc is not None:
-        raise ConflictError(f"{user.printed_name} is disabled; ask another approver.")
+        raise ConflictError(f"{user.printed_name} is disabled; ask another approver.", code="person-disabled")
     found = next((one for one in list_signers(session, approval, policy) if one.user.id == user_id), None)
     if found is None:
         raise ConflictError(
-            f"{user.printed_name} cannot sign this request without the role approver; ask another person."
+            f"{user.printed_name} cannot sign this request without the role approver; ask another person.",
+            code="no-approver",
         )
     if found.refusal is not None:
-        raise ConflictError(f"{found.refusal} Ask another approver.")
+        raise ConflictError(f"{found.refusal} Ask another approver.", code="signer-refused")
     return user
 
 
@@ -368,7 +372,9 @@ def promote(
     approval = rows.find_latest_approval(session, row.id, "APPROVED")
     if row.ground_state != "APPROVED" or approval is None:
         raise ConflictError(
-            f"{row.name} is {row.ground_state}, not APPROVED: {describe_last_change(session, row)}. Promote a set that is APPROVED."
+            f"{row.name} is {row.ground_state}, not APPROVED: {describe_last_change(session, row)}. "
+            "Promote a set that is APPROVED.",
+            code="wrong-state",
         )
     refuse_expired(session, approval, row)
     refuse_changed_binding(session, actor, approval, row)
@@ -401,7 +407,8 @@ def _refuse_lone(session: Session, approval: Approval, policy: Policy) -> None:
     if signed < approval.needed:
         raise ConflictError(
             f"Request {approval.id} has {signed} of {approval.needed} approvals by a second person: it was signed "
-            "while four-eyes was off, or by the person who created the set. Withdraw it and submit the set again."
+            "while four-eyes was off, or by the person who created the set. Withdraw it and submit the set again.",
+            code="too-few-second-persons",
         )
 
 
@@ -424,7 +431,9 @@ def submit(  # noqa: PLR0913 - who asks for what and why, with the evidence
     require_role(actor, "analyst", *(["operator"] if back else []))
     row = _get_submittable(session, actor, parameter_set_id, reason, seen_version)
     if back and row.baseline_from_utc is None:
-        raise ConflictError(f"{row.name} was never baseline, so you cannot roll back to it; submit it instead.")
+        raise ConflictError(
+            f"{row.name} was never baseline, so you cannot roll back to it; submit it instead.", code="never-baseline"
+        )
     if not reason.strip():
         what = "the sensor should go back to this set" if back else "this set should become the baseline"
         raise RefusedInputError(f"Give the reason why {what}.")
@@ -454,7 +463,8 @@ def _get_submittable(
     if row.ground_state not in SUBMITTABLE:
         raise ConflictError(
             f"{row.name} is {row.ground_state}: {describe_last_change(session, row)}. "
-            f"Submit a set that is {' or '.join(SUBMITTABLE)}."
+            f"Submit a set that is {' or '.join(SUBMITTABLE)}.",
+            code="wrong-state",
         )
     return row
 
@@ -494,7 +504,8 @@ def withdraw(
     if row.ground_state not in {"SUBMITTED", "APPROVED"} or approval is None:
         raise ConflictError(
             f"{row.name} is {row.ground_state}, not submitted: {describe_last_change(session, row)}. "
-            "There is nothing to withdraw."
+            "There is nothing to withdraw.",
+            code="wrong-state",
         )
     if actor.user_id != approval.submitted_by:
         require_role(actor, "administrator")

@@ -62,10 +62,13 @@ def refuse_who_never_signs(session: Session, actor: Actor) -> int:
     """Refuse whoever may sign no request at all, with the reason; returns the person's number."""
     user_id = require_person(actor, "sign")
     if "administrator" in actor.roles:
-        raise ForbiddenError("An administrator cannot sign; ask an approver who is not an administrator.")
+        raise ForbiddenError(
+            "An administrator cannot sign; ask an approver who is not an administrator.",
+            code="administrator-cannot-sign",
+        )
     require_role(actor, "approver")
     if session.get_one(User, user_id).must_change_password:
-        raise ForbiddenError("Somebody else set your password; set your own first, then sign.")
+        raise ForbiddenError("Somebody else set your password; set your own first, then sign.", code="password-due")
     return user_id
 
 
@@ -76,14 +79,15 @@ def refuse_signer(session: Session, actor: Actor, approval: Approval, policy: Po
     refuse_own_part(own)
     if (earlier := rows.find_signature(session, approval.id, user_id)) is not None:
         raise ConflictError(
-            f"You signed this request already, at {earlier.signed_utc}; ask its submitter to withdraw it if it is wrong."
+            f"You signed this request already, at {earlier.signed_utc}; ask its submitter to withdraw it if it is wrong.",
+            code="already-signed",
         )
 
 
 def refuse_own_part(own: Sequence[SetPart]) -> None:
     """Refuse whoever had a part in what is to be signed."""
     if own:
-        raise ForbiddenError(f"You {_listed(own)}; ask another approver to sign.")
+        raise ForbiddenError(f"You {_listed(own)}; ask another approver to sign.", code="own-part")
 
 
 def _listed(parts: Sequence[SetPart]) -> str:

@@ -96,7 +96,7 @@ def refuse_blocked(session: Session, parameter_set: ParameterSet) -> None:
     way_out = (
         f"{', '.join(fixed)} cannot be waived: recalibrate." if fixed else "Waive it with a reason, or recalibrate."
     )
-    raise ConflictError(f"{parameter_set.name} is stopped by its gates: {named}. {way_out}")
+    raise ConflictError(f"{parameter_set.name} is stopped by its gates: {named}. {way_out}", code="blocked-by-gates")
 
 
 def make_others_stale(session: Session, actor: Actor, promoted: ParameterSet) -> None:
@@ -134,7 +134,10 @@ def refuse_changed_binding(session: Session, actor: Actor, approval: Approval, r
     since = describe_baseline(session, row.sensor_id)
     _make_stale(session, actor, approval, f"the {' and the '.join(names)} changed")
     keep_despite_refusal(session)
-    raise StaleError(f"The {' and the '.join(names)} changed since {row.name} was submitted.{since} Submit it again.")
+    raise StaleError(
+        f"The {' and the '.join(names)} changed since {row.name} was submitted.{since} Submit it again.",
+        code="changed-since-submitted",
+    )
 
 
 def is_expired(approval: Approval) -> bool:
@@ -171,4 +174,6 @@ def refuse_expired(session: Session, approval: Approval, row: ParameterSet) -> N
         return
     _expire(session, approval)
     keep_despite_refusal(session)
-    raise ConflictError(f"Request {approval.id} expired at {approval.expires_utc}. Submit {row.name} again.")
+    raise ConflictError(
+        f"Request {approval.id} expired at {approval.expires_utc}. Submit {row.name} again.", code="request-expired"
+    )

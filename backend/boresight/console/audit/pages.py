@@ -253,11 +253,11 @@ def audit_page(
     verify: str = "",
 ) -> HTMLResponse:
     """Show a page of records and the state of the chain."""
-    view, found, refusal = read_view(request, RECORDS), TablePage((), None), ""
+    view, found, refusal = read_view(request, RECORDS), TablePage((), None), None
     try:
         found = read_page(session, view, **_sought(view))
     except RefusedInputError as error:
-        refusal = str(error)
+        refusal = error
     newest = audit.list_records(session, limit=1)
     blobs = files if verify or count_bytes(session) <= READ_AT_EVERY_VISIT else None
     short = not newest or newest[0].id <= VERIFIED_AT_EVERY_VISIT

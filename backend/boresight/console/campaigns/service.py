@@ -267,7 +267,9 @@ def cancel_campaign(session: Session, actor: Actor, campaign_id: int, reason: st
     why = f"campaign {row.id} was cancelled by {actor.printed_name}" + (f": {reason.strip()}" if reason.strip() else "")
     stopped = rows.cancel_all(session, row.id, why)
     if not stopped:
-        raise ConflictError(f"No run of campaign {row.id} is queued or running; there is nothing to cancel.")
+        raise ConflictError(
+            f"No run of campaign {row.id} is queued or running; there is nothing to cancel.", code="nothing-to-cancel"
+        )
     row.cancelled_utc = utc_now()
     audit.append(session, actor, "cancelled", _subject(row), None, {"runs": len(stopped)}, reason.strip() or None)
     for run_id, state in stopped:
@@ -282,7 +284,9 @@ def relaunch_failed(session: Session, actor: Actor, campaign_id: int) -> Campaig
     row = get_campaign(session, campaign_id)
     failed = [one for one in rows.list_member_statuses(session, row.id) if one.state in AGAIN]
     if not failed:
-        raise ConflictError(f"Nothing of campaign {row.id} failed; there is nothing to launch again.")
+        raise ConflictError(
+            f"Nothing of campaign {row.id} failed; there is nothing to launch again.", code="nothing-to-relaunch"
+        )
     members = [
         MemberRequest(one.sensor_id)
         if one.telemetry_set_id is None

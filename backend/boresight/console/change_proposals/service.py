@@ -120,7 +120,8 @@ def confirm(
         keep_despite_refusal(session)
         raise StaleError(
             f"Proposal {row.id} was made against version {row.base_number} of the {TITLES[row.kind]}, and version "
-            f"{number} is in force now. Propose the change again."
+            f"{number} is in force now. Propose the change again.",
+            code="proposal-outdated",
         )
     refuse_control_characters(comment=comment)
     told = name_password_setter(session, require_person(actor, "confirm a change"))
@@ -174,7 +175,7 @@ def _require_open(session: Session, row: ChangeProposal) -> None:
     if row.state == "OPEN":
         _expire(session, row)
         keep_despite_refusal(session)
-    raise ConflictError(why)
+    raise ConflictError(why, code="wrong-state")
 
 
 def _close(
@@ -266,9 +267,9 @@ def _refuse_decider(session: Session, actor: Actor, row: ChangeProposal) -> None
     user_id = require_person(actor, "confirm or refuse a change")
     require_role(actor, *MAY_CONFIRM[row.kind])
     if user_id == row.proposed_by:
-        raise ForbiddenError("You proposed this change; have another person confirm or refuse it.")
+        raise ForbiddenError("You proposed this change; have another person confirm or refuse it.", code="own-proposal")
     if session.get_one(User, user_id).must_change_password:
-        raise ForbiddenError("Somebody else set your password; set your own first, then decide.")
+        raise ForbiddenError("Somebody else set your password; set your own first, then decide.", code="password-due")
 
 
 def _check_document(

@@ -277,7 +277,9 @@ def _find_key(session: Session, sensor_id: int, event_id: int) -> sensor_rows.Ke
     """Return the key of an event."""
     row_id, kind = divmod(event_id, len(sensor_rows.KINDS))
     if (key := sensor_rows.find_event_key(session, sensor_id, kind, row_id)) is None:
-        raise RefusedInputError("This sensor has no event at this cursor; start again without a cursor.")
+        raise RefusedInputError(
+            "This sensor has no event at this cursor; start again without a cursor.", code="unknown-cursor"
+        )
     return key
 
 

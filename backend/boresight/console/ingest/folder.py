@@ -89,7 +89,8 @@ class WatchedFolder:
         """Copy a file, or return None where it changed meanwhile; refuse what is no plain file, and one that is too large."""
         if not arrival.is_file:
             raise RefusedInputError(
-                f"{arrival.name} is no plain file but a link, folder or device; send the file itself."
+                f"{arrival.name} is no plain file but a link, folder or device; send the file itself.",
+                code="not-a-plain-file",
             )
         refuse_too_large(arrival.name, arrival.size_bytes, most_bytes)
         with self._open_sensor(arrival.sensor) as place, _opened(arrival.name, FILE_FLAGS, place) as file:

@@ -233,18 +233,18 @@ class PageFrame:
     alarms_unacknowledged: int | None
     light: ChainStatus
     four_eyes: bool
-    flash: tuple[str, str] | None
+    flash: tuple[str, str, str] | None
     navigation: tuple[NavigationGroup, ...]
     keys: tuple[tuple[tuple[str, ...], str], ...] = KEYS
 
 
-def _read_flash(request: Request) -> tuple[str, str] | None:
-    """Return the (level, sentence) that the last POST left, if it can be read."""
+def _read_flash(request: Request) -> tuple[str, str, str] | None:
+    """Return the (level, sentence, code) that the last POST left, if it can be read."""
     try:
-        level, sentence = json.loads(unquote(request.cookies.get(FLASH_COOKIE, "")))
+        level, sentence, code = json.loads(unquote(request.cookies.get(FLASH_COOKIE, "")))
     except (ValueError, TypeError):
         return None
-    return (level, str(sentence)) if level in LEVELS else None
+    return (level, str(sentence), str(code)) if level in LEVELS else None
 
 
 def _fleet(request: Request, actor: Actor | None) -> tuple[FleetStatus, int | None, int | None]:

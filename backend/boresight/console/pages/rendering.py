@@ -64,6 +64,7 @@ class RefusalContext:
 
     error: BoresightError
     sentence: str
+    code: str
     faults: tuple[Fault, ...]
     status: int
     headers: Mapping[str, str]
@@ -72,7 +73,8 @@ class RefusalContext:
     def of(cls, error: BoresightError) -> RefusalContext:
         """Make the context from a refusal that was raised."""
         problem = make_problem(error)
-        return cls(error, str(error), tuple(getattr(error, "faults", ())), problem.status, problem.headers or {})
+        faults = tuple(getattr(error, "faults", ()))
+        return cls(error, str(error), error.code, faults, problem.status, problem.headers or {})
 
     @property
     def is_ours(self) -> bool:
@@ -217,11 +219,11 @@ def render(
     return response
 
 
-def redirect(location: str, *, flash: str = "", level: str = "normal") -> RedirectResponse:
-    """Send the browser to a page by GET, with one line to show there."""
+def redirect(location: str, *, flash: str = "", level: str = "normal", code: str = "") -> RedirectResponse:
+    """Send the browser to a page by GET, with one line to show there; `code`: which one, for scripts."""
     response = RedirectResponse(location, status_code=303)
     if flash:
-        value = quote(json.dumps([level, flash]))
+        value = quote(json.dumps([level, flash, code]))
         response.set_cookie(FLASH_COOKIE, value, max_age=FLASH_SECONDS, path="/", httponly=True, samesite="lax")
     return response
 
@@ -230,7 +232,7 @@ def redirect_refused(location: str, refusal: RefusalContext) -> RedirectResponse
     """Redirect to a form's page with the refusal as a line; a fault of the server is raised again."""
     if refusal.is_ours:
         raise refusal.error
-    return redirect(location, flash=refusal.sentence, level="serious")
+    return redirect(location, flash=refusal.sentence, level="serious", code=refusal.code)
 
 
 def get_texts(form: FormData) -> dict[str, str]:

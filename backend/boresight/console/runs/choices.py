@@ -33,7 +33,7 @@ def request_choice(session: Session, actor: Actor, blobs: BlobStore, run_id: int
     if known is not None and (known.state not in TERMINAL_RUN_STATES or _is_answered(blobs, known)):
         return known
     if (why := find_obstacle(session, run)) is not None:
-        raise ConflictError(why)
+        raise ConflictError(why, code="no-choice-possible")
     settings = CalibrationSettings.parse({name: run.settings[name] for name in KEPT_SETTINGS if name in run.settings})
     asked = queries.add_run(
         session,
@@ -88,7 +88,8 @@ def get_choice(session: Session, blobs: BlobStore, run_id: int) -> Choice:
     if asked.state in TERMINAL_RUN_STATES:
         why = f" ({asked.reason.rstrip('.')})" if asked.reason else ""
         raise ConflictError(
-            f"Run {asked.id}, which chooses a camera for run {run_id}, ended {asked.state}{why}; choose the camera again."
+            f"Run {asked.id}, which chooses a camera for run {run_id}, ended {asked.state}{why}; choose the camera again.",
+            code="choice-failed",
         )
     raise ConflictError(
         f"Run {asked.id}, which chooses a camera for run {run_id}, is {asked.state}; wait until it ends."

@@ -104,7 +104,7 @@ class UnlikeModelsError(RefusedInputError):
     """The runs have different camera models; `sets` are their parameter sets that could be converted."""
 
     def __init__(self, message: str, sets: Sequence[tuple[int, str]]) -> None:
-        super().__init__(message)
+        super().__init__(message, code="unlike-models")
         self.sets = sets
 
 
@@ -114,7 +114,7 @@ def read_run_ids(asked: Sequence[str]) -> list[int]:
     if strange := [text for text in texts if not text.isdecimal()]:
         raise RefusedInputError(f"{strange[0][:20]!r} is not a run number; give them as ?runs=1,2,3.")
     if any(len(text.lstrip("0")) > LONGEST_NUMBER for text in texts):
-        raise NotFoundError("There is no run with so large a number; choose from the list.")
+        raise NotFoundError("There is no run with so large a number; choose from the list.", code="number-too-large")
     found = list(dict.fromkeys(int(text) for text in texts))
     if len(found) > MOST_RUNS:
         raise RefusedInputError(
@@ -150,9 +150,12 @@ def read_compared(session: Session, blobs: BlobStore, run_ids: Sequence[int]) ->
 def compare(session: Session, blobs: BlobStore, run_ids: Sequence[int], reference_id: int | None = None) -> Comparison:
     """Set runs against one of them, the first where none is named."""
     if len(run_ids) < 2:
-        raise RefusedInputError("A comparison needs two runs or more; give them as ?runs=1,2.")
+        raise RefusedInputError("A comparison needs two runs or more; give them as ?runs=1,2.", code="too-few-runs")
     if reference_id is not None and reference_id not in run_ids:
-        raise RefusedInputError(f"Run #{reference_id} is not among those compared; choose the reference among them.")
+        raise RefusedInputError(
+            f"Run #{reference_id} is not among those compared; choose the reference among them.",
+            code="reference-not-compared",
+        )
     compared = read_compared(session, blobs, run_ids)
     place = 0 if reference_id is None else run_ids.index(reference_id)
     base = compared[place]

@@ -100,7 +100,8 @@ def check_run_request(  # noqa: PLR0913 - the choices of a run
     validation = None if validation_set_id is None else _get_set(session, sensor, validation_set_id)
     if validation is not None and validation in (telemetry, *further):
         raise RefusedInputError(
-            f"{validation.name} cannot validate a calibration that was made from it; choose another set."
+            f"{validation.name} cannot validate a calibration that was made from it; choose another set.",
+            code="validates-itself",
         )
     refuse_label(label)
     parsed = CalibrationSettings.parse(settings)
@@ -123,7 +124,9 @@ def _get_further(
     further = [_get_set(session, sensor, number) for number in set_ids]
     for place, one in enumerate(further):
         if one in (telemetry, *further[:place]):
-            raise RefusedInputError(f"{one.name} is named twice; name each set once, or its stars count twice.")
+            raise RefusedInputError(
+                f"{one.name} is named twice; name each set once, or its stars count twice.", code="named-twice"
+            )
     return further
 
 
@@ -137,9 +140,13 @@ def refuse_label(label: str) -> None:
 def _get_set(session: Session, sensor: Sensor, set_id: int) -> TelemetrySet:
     found = session.get_known(TelemetrySet, set_id)
     if found.sensor_id != sensor.id:
-        raise RefusedInputError(f"{found.name} is telemetry of another sensor; choose a set of {sensor.name}.")
+        raise RefusedInputError(
+            f"{found.name} is telemetry of another sensor; choose a set of {sensor.name}.", code="other-sensor"
+        )
     if found.archived_utc is not None:
-        raise ConflictError(f"{found.name} was archived on {found.archived_utc[:10]}; choose a set that is in use.")
+        raise ConflictError(
+            f"{found.name} was archived on {found.archived_utc[:10]}; choose a set that is in use.", code="archived"
+        )
     return found
 
 

@@ -130,7 +130,9 @@ def save_preset(session: Session, actor: Actor, name: str, sentence: str, settin
         and before.archived_utc is None
         and (before.document, before.sentence) == (document, sentence)
     ):
-        raise ConflictError(f"Version {before.number} of {name} is identical; choose it from the list.")
+        raise ConflictError(
+            f"Version {before.number} of {name} is identical; choose it from the list.", code="identical-version"
+        )
     row = Preset(
         name=name,
         number=1 if before is None else before.number + 1,
@@ -149,7 +151,10 @@ def _refuse_words(name: str, sentence: str) -> None:
     if not name or len(name) > NAME_LENGTH:
         raise RefusedInputError(f"Give the preset a name of up to {NAME_LENGTH} characters.")
     if not sentence or len(sentence) > SENTENCE_LENGTH:
-        raise RefusedInputError(f"Say in a sentence of up to {SENTENCE_LENGTH} characters when to use {name}.")
+        raise RefusedInputError(
+            f"Say in a sentence of up to {SENTENCE_LENGTH} characters when to use {name}.",
+            code="preset-without-sentence",
+        )
     if name.casefold() in {offer.name.casefold() for offer in BUILT_IN}:
         raise RefusedInputError(f"{name} is a built-in preset; choose another name.")
     refuse_control_characters(sentence=sentence)

@@ -28,7 +28,8 @@ def read_result(blobs: BlobStore, sha256: str, run_id: int | None = None) -> dic
     whose = "" if run_id is None else f" of run {run_id}"
     raise ConflictError(
         f"The stored result {sha256[:12]}{whose} cannot be read as a calibration: launch the run again, or restore the "
-        "store from a backup."
+        "store from a backup.",
+        code="unreadable-result",
     )
 
 
@@ -40,7 +41,8 @@ def read_choice(blobs: BlobStore, sha256: str, run_id: int | None = None) -> Cho
         whose = "" if run_id is None else f" of run {run_id}"
         raise ConflictError(
             f"The stored choice {sha256[:12]}{whose} cannot be read as a choice: choose again, or restore the store from "
-            "a backup."
+            "a backup.",
+            code="unreadable-choice",
         ) from None
 
 
@@ -48,7 +50,8 @@ def refuse_choice(run: Run) -> None:
     """Refuse a run that chooses a camera where a calibration is wanted."""
     if run.choice_of is not None:
         raise ConflictError(
-            f"Run {run.id} is the choice of a camera and has no calibration: read the choice of run {run.choice_of} instead."
+            f"Run {run.id} is the choice of a camera and has no calibration: read the choice of run {run.choice_of} instead.",
+            code="run-is-a-choice",
         )
 
 

@@ -120,7 +120,9 @@ def list_runs(
     """Return a page of runs, newest first; the next page starts before the last one's id."""
     asked = [state] if isinstance(state, str) else list(state or ())
     if strange := [word for word in asked if word not in RUN_STATES]:
-        raise RefusedInputError(f"{', '.join(strange)} is not a state of a run; choose from {', '.join(RUN_STATES)}.")
+        raise RefusedInputError(
+            f"{', '.join(strange)} is not a state of a run; choose from {', '.join(RUN_STATES)}.", code="unknown-state"
+        )
     return lists.list_newest(
         session,
         Run,
@@ -164,7 +166,9 @@ def get_final_result(session: Session, blobs: BlobStore, run_id: int) -> dict[st
     run = get_run(session, run_id)
     document = find_result(session, blobs, run_id)
     if run.result_sha256 is None or document is None:
-        raise ConflictError(f"Run {run_id} is {run.state} and has no result; wait until it ends, or launch it again.")
+        raise ConflictError(
+            f"Run {run_id} is {run.state} and has no result; wait until it ends, or launch it again.", code="no-result"
+        )
     return document
 
 

@@ -55,10 +55,14 @@ def find_start(session: Session, sensor: Sensor, prior_run_id: int | None, prior
     if named is None and queries.find_archived(session, run.id) is not None:
         raise ConflictError(f"{name} is archived; show it again, or start from another calibration.")
     if run.state != "SUCCEEDED" or run.result_sha256 is None:
-        raise ConflictError(f"{name} is {run.state} and has no result; start from a run that SUCCEEDED.")
+        raise ConflictError(
+            f"{name} is {run.state} and has no result; start from a run that SUCCEEDED.", code="no-result"
+        )
     if (status := parse_run_summary(run.summary).status) != USABLE:
         ended = (status or "without an estimate").replace("_", " ")
-        raise RefusedInputError(f"{name} ended {ended}, and knows nothing for sure; start from one that converged.")
+        raise RefusedInputError(
+            f"{name} ended {ended}, and knows nothing for sure; start from one that converged.", code="not-converged"
+        )
     return Start(run, named, frozenset(queries.list_held_sets(session, run)))
 
 
@@ -113,7 +117,8 @@ def _check_same_parameters(sensor: Sensor, free: Sequence[str], start: Start) ->
     if before["camera_model"] != sensor.document["camera_model"]:
         raise RefusedInputError(
             f"{start.name} is of the camera model {before['camera_model']}, and {sensor.name} has "
-            f"{sensor.document['camera_model']} now; start from a calibration of that model."
+            f"{sensor.document['camera_model']} now; start from a calibration of that model.",
+            code="other-camera-model",
         )
     names = CAMERA_MODELS[before["camera_model"]].parameter_names
     known = list(start.run.settings.get("free") or before.get("free") or names)

@@ -93,7 +93,9 @@ class _Form(MultiPartParser):
             path, name = self._folder / f"upload-{len(self.files)}", spooled.filename or ""
             self.files.append((path, name))
             if len(self.files) > 1 and not all(is_image(Path(one)) for _, one in self.files):
-                raise RefusedInputError("Send one telemetry file at a time; only images may be several.")
+                raise RefusedInputError(
+                    "Send one telemetry file at a time; only images may be several.", code="one-file-at-a-time"
+                )
             self._current_part.file = _OnDisk(path, spooled.filename)
 
     def on_end(self) -> None:

@@ -22,7 +22,9 @@ def parse_quality(document: Mapping[str, Any]) -> QualityReport:
     return parse_part(
         QualityReport,
         document,
-        lambda fault: RefusedInputError(f"A quality report is damaged ({fault}): restore the store from a backup."),
+        lambda fault: RefusedInputError(
+            f"A quality report is damaged ({fault}): restore the store from a backup.", code="damaged-document"
+        ),
     )
 
 

@@ -283,7 +283,9 @@ def build(
             return _keep(session, blobs, existing, prepared)
         if prepared.content is not None:
             return _store(session, actor, blobs, row, definition, prepared, prepared.content)
-    raise StaleError(f"{row.name} or its sensor changed while the package was built: export it again.")
+    raise StaleError(
+        f"{row.name} or its sensor changed while the package was built: export it again.", code="changed-while-built"
+    )
 
 
 def _require_exporter(actor: Actor) -> None:
@@ -325,14 +327,16 @@ def _refuse_other_versions(
     sensor = session.get_one(Sensor, row.sensor_id)
     if definition is None:
         raise ConflictError(
-            f"{sensor.name} has no table definition, so nothing can be exported for {_listed(asked)}: set one first."
+            f"{sensor.name} has no table definition, so nothing can be exported for {_listed(asked)}: set one first.",
+            code="no-table-definition",
         )
     wrong = [key for key in asked if definition.document[key] != asked[key]]
     if wrong:
         raise ConflictError(
             f"The table definition of {sensor.name} in force, number {definition.number}, is for "
             f"{_listed({key: definition.document[key] for key in wrong})}, not for {_listed({key: asked[key] for key in wrong})}: "
-            "a table laid out for another version overwrites what it was not meant for. Set the definition of that version first."
+            "a table laid out for another version overwrites what it was not meant for. Set the definition of that version first.",
+            code="other-versions",
         )
 
 

@@ -81,7 +81,8 @@ def get_sent_table(session: Session, blobs: BlobStore, parameter_set: ParameterS
     if row is None:
         raise RefusedInputError(
             f"There is no table definition to compare a read-back of {parameter_set.name} with: "
-            "have an analyst or an administrator set one."
+            "have an analyst or an administrator set one.",
+            code="no-table-definition",
         )
     definition = parse_stored(session, row)
     if package is not None and package.table_definition_id == row.id:
@@ -151,7 +152,8 @@ def _refuse_unreadable(session: Session, row: ParameterSet, read: bytes | str) -
     """Refuse a read-back of a set that was not loaded, and a CRC after a dump that differed."""
     if row.onboard_state not in READABLE:
         raise ConflictError(
-            f"{row.name} is {row.onboard_state} on board; record it as LOADED before a read-back of it."
+            f"{row.name} is {row.onboard_state} on board; record it as LOADED before a read-back of it.",
+            code="not-loaded",
         )
     if isinstance(read, str):
         refuse_shown_mismatch(session, row)
@@ -162,7 +164,7 @@ def _compare_crc(reference: SentTable, told: str) -> tuple[bool, dict[str, Any]]
     checksum, expected = reference.definition.crc, reference.crc
     if checksum is None or expected is None:
         raise RefusedInputError(
-            "The table definition contains no CRC, so a typed one cannot be compared; upload the dump."
+            "The table definition contains no CRC, so a typed one cannot be compared; upload the dump.", code="no-crc"
         )
     digits = -(-checksum.width // 4)  # the expected one is no example: nobody copies it
     match = HEXADECIMAL.fullmatch(told.strip())

@@ -84,7 +84,8 @@ def refuse_shown_mismatch(session: Session, row: ParameterSet) -> None:
     """Refuse to leave a mismatch that a dump showed without another dump or sending again."""
     if has_shown_mismatch(session, row):
         raise ConflictError(
-            f"A dump of {row.name} showed the mismatch; upload a dump that matches, or send the table again."
+            f"A dump of {row.name} showed the mismatch; upload a dump that matches, or send the table again.",
+            code="dump-mismatched",
         )
 
 
@@ -164,7 +165,7 @@ def activate(
     if "administrator" in actor.roles:
         raise ForbiddenError("An administrator cannot sign; ask an operator who is not an administrator.")
     if users.must_change_password(session, actor):
-        raise ForbiddenError("Somebody else set your password; set your own first, then sign.")
+        raise ForbiddenError("Somebody else set your password; set your own first, then sign.", code="password-due")
     row = get_set_for_entry(session, actor, parameter_set_id, source, seen_version)
     require_seen(session, row, seen_version)
     _refuse_step(row, "ACTIVE")
@@ -196,13 +197,15 @@ def _refuse_statement(actor: Actor, row: ParameterSet, onboard_state: str) -> No
     """Refuse a state that cannot be recorded by statement, and name the operation for it."""
     if onboard_state == "VERIFIED":
         raise ConflictError(
-            f"VERIFIED is not recorded by statement: give the dump or the CRC of {row.name} to `:read-back`, which compares."
+            f"VERIFIED is not recorded by statement: give the dump or the CRC of {row.name} to `:read-back`, which compares.",
+            code="not-by-statement",
         )
     if onboard_state == "ACTIVE":
         require_person(actor, "sign that a set is active")
         raise ConflictError(
             f"ACTIVE is not recorded by statement: have an operator sign it for {row.name} with password and meaning, "
-            "by `:activate`."
+            "by `:activate`.",
+            code="not-by-statement",
         )
 
 
@@ -210,7 +213,10 @@ def _refuse_unread(session: Session, row: ParameterSet) -> None:
     """Refuse to activate a set that was recorded as VERIFIED by statement alone, which earlier versions allowed."""
     newest = rows.find_newest_record(session, row.id)
     if newest is None or newest.method is None:
-        raise ConflictError(f"{row.name} is VERIFIED only by statement; read it back by dump or CRC, then sign.")
+        raise ConflictError(
+            f"{row.name} is VERIFIED only by statement; read it back by dump or CRC, then sign.",
+            code="verified-by-statement",
+        )
 
 
 def _refuse_step(row: ParameterSet, onboard_state: str) -> None:
@@ -224,7 +230,8 @@ def _refuse_step(row: ParameterSet, onboard_state: str) -> None:
         )
     if onboard_state == "SENT" and row.ground_state != "BASELINE":
         raise ConflictError(
-            f"{row.name} is {row.ground_state}; only the baseline is sent. Have it approved and promote it."
+            f"{row.name} is {row.ground_state}; only the baseline is sent. Have it approved and promote it.",
+            code="not-the-baseline",
         )
 
 
@@ -236,12 +243,15 @@ def _describe_package(
         return {}
     package = session.get(Package, package_id)
     if package is None or package.parameter_set_id != row.id:
-        raise RefusedInputError(f"There is no package {package_id} of {row.name}; choose one that was built for it.")
+        raise RefusedInputError(
+            f"There is no package {package_id} of {row.name}; choose one that was built for it.", code="no-such-package"
+        )
     definition = find_definition_in_force(session, row.sensor_id)
     if onboard_state == "SENT" and package.table_definition_id != (definition.id if definition else None):
         raise ConflictError(
             f"Package {package_id} was built for another table definition than the one in force: "
-            "build the package again and send that."
+            "build the package again and send that.",
+            code="other-table-definition",
         )
     return {"package": {"id": package.id, "sha256": package.sha256}}
 

@@ -142,7 +142,8 @@ def _read_kind(action: str) -> str:
     noun, dot, verb = action.strip().partition(".")
     if not (noun and dot and verb) or not action.strip().replace(".", "").replace("-", "").replace("*", "x").isalnum():
         raise RefusedInputError(
-            f"{action!r} is not a kind of event; write it like parameter-sets.promoted or approvals.*."
+            f"{action!r} is not a kind of event; write it like parameter-sets.promoted or approvals.*.",
+            code="unknown-event",
         )
     return action.strip()
 
@@ -303,7 +304,9 @@ def _describe(row: Webhook) -> dict[str, object]:
 
 def _refuse_disabled(row: Webhook) -> None:
     if row.disabled_utc is not None:
-        raise ConflictError(f"The webhook {row.label!r} was disabled at {row.disabled_utc}; enable it first.")
+        raise ConflictError(
+            f"The webhook {row.label!r} was disabled at {row.disabled_utc}; enable it first.", code="webhook-disabled"
+        )
 
 
 def _require_administrator(actor: Actor) -> None:

@@ -35,7 +35,9 @@ def refuse_within_data_folder(file: Path, data_folder: Path) -> None:
     """Refuse a file that would be lost together with the data folder."""
     if file.resolve().is_relative_to(data_folder.resolve()):
         raise RefusedInputError(
-            f"BORESIGHT_AUDIT_HEAD_FILE names {file}, which is in the data folder and would be lost with it: name a file elsewhere."
+            f"BORESIGHT_AUDIT_HEAD_FILE names {file}, which is in the data folder and would be lost with it: "
+            "name a file elsewhere.",
+            code="head-in-data-folder",
         )
 
 
@@ -73,7 +75,8 @@ def read_head(file: Path) -> ExternalHead | None:
             return head
     if lines:
         raise RefusedInputError(
-            f"{file} contains no head of an audit log; name the file that BORESIGHT_AUDIT_HEAD_FILE named before."
+            f"{file} contains no head of an audit log; name the file that BORESIGHT_AUDIT_HEAD_FILE named before.",
+            code="no-audit-head",
         )
     return None
 

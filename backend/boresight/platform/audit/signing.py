@@ -171,7 +171,8 @@ class SigningKey:
             return Signer(private), tuple(_public(block[0]) for block in blocks if block[1] == "PUBLIC KEY")
         except (ValueError, TypeError, UnsupportedAlgorithm) as error:
             raise RefusedInputError(
-                f"{self.name} contains no usable Ed25519 key: restore it, or remove it and let a new key be made."
+                f"{self.name} contains no usable Ed25519 key: restore it, or remove it and let a new key be made.",
+                code="unusable-key",
             ) from error
 
     def _read_text(self) -> str:

@@ -65,12 +65,14 @@ class TimeStampService:
             verifier.verify_message(answer, content)
         except (httpx.HTTPError, httpx.InvalidURL) as error:
             raise UnavailableError(
-                f"The time-stamp service {self.url} did not answer ({type(error).__name__}): check the address and the network."
+                f"The time-stamp service {self.url} did not answer ({type(error).__name__}): check the address and the network.",
+                code="no-answer",
             ) from error
         except (ValueError, VerificationError) as error:
             raise UnavailableError(
                 f"The answer of the time-stamp service {self.url} is not a valid time-stamp ({error}): check the address, and "
-                "that BORESIGHT_TIMESTAMP_CERTIFICATES names its authorities."
+                "that BORESIGHT_TIMESTAMP_CERTIFICATES names its authorities.",
+                code="invalid-time-stamp",
             ) from error
         return TimeStamp(base64.b64encode(heard).decode(), _read_time(answer))
 

@@ -154,6 +154,7 @@ class BucketBlobStore(BlobStore):
             raise CorruptFileError(
                 f"The stored file {sha256[:12]} was altered in {self.address}; restore its former version there.",
                 sha256,
+                code="altered-file",
             )
 
     def _fetch(self, sha256: str) -> None:
@@ -198,7 +199,7 @@ def asking(address: str, missing: str) -> Iterator[None]:
     try:
         yield
     except FileNotFoundError as error:
-        raise NotFoundError(missing) from error
+        raise NotFoundError(missing, code="not-in-store") from error
     except (PermissionDeniedError, UnauthenticatedError) as error:
         raise ForbiddenError(
             f"The object store lets nobody read or write {address} with the credentials of this process; "
@@ -206,7 +207,8 @@ def asking(address: str, missing: str) -> Iterator[None]:
         ) from error
     except BaseError as error:
         raise UnavailableError(
-            f"The object store at {address} does not answer; check its address and the network, and try again."
+            f"The object store at {address} does not answer; check its address and the network, and try again.",
+            code="store-unreachable",
         ) from error
 
 

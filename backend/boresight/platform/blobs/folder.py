@@ -58,7 +58,8 @@ class FolderBlobStore(BlobStore):
         except OSError as error:
             raise StorageError(
                 f"The folder of files {self.folder} cannot be written ({error.strerror or error}): let the server write there, "
-                "make room on its disk, or name another by BORESIGHT_BLOBS."
+                "make room on its disk, or name another by BORESIGHT_BLOBS.",
+                code="folder-not-writable",
             ) from error
 
     def refuse_unusable(self) -> None:
@@ -110,7 +111,8 @@ class FolderBlobStore(BlobStore):
                 self._opened.refuse_another()
             self.refuse_removed(sha256)
             raise NotFoundError(
-                f"The stored file {sha256[:12]} is missing from {self.folder}; restore it from a backup."
+                f"The stored file {sha256[:12]} is missing from {self.folder}; restore it from a backup.",
+                code="missing-file",
             )
         return location
 
@@ -129,6 +131,7 @@ class FolderBlobStore(BlobStore):
                 f"The stored file {sha256[:12]} was altered on the disk, so it is not used; restore it in "
                 f"{self.folder} from a backup.",
                 sha256,
+                code="altered-file",
             )
         return location
 

@@ -66,7 +66,8 @@ class BlobStore(ABC):
         if removed_utc is not None:
             raise NotFoundError(
                 f"The file {sha256[:12]} was removed on {removed_utc[:10]}, as the retention of telemetry says; what was computed "
-                "from it stays. Upload it again to use it."
+                "from it stays. Upload it again to use it.",
+                code="removed-by-retention",
             )
 
     @abstractmethod

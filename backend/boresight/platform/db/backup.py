@@ -45,7 +45,7 @@ def copy_rows(source: Engine, target: Engine) -> int:
         if any(
             copy.scalar(sa.select(sa.literal(1)).select_from(table).limit(1)) for table in Base.metadata.sorted_tables
         ):
-            raise ConflictError("There are rows in the database already; restore into an empty one.")
+            raise ConflictError("There are rows in the database already; restore into an empty one.", code="not-empty")
         copied = sum(_copy_table(origin, copy, table) for table in Base.metadata.sorted_tables)
         if copy.dialect.name == "postgresql":
             for table in Base.metadata.sorted_tables:
@@ -127,9 +127,11 @@ class BackupManifest:
         try:
             found = json.loads(text)
         except (ValueError, RecursionError) as error:
-            raise RefusedInputError(NO_MANIFEST) from error
+            raise RefusedInputError(NO_MANIFEST, code="no-backup") from error
         if not isinstance(found, dict) or found.get("schema") != FORM:
-            raise RefusedInputError(f"This file is not a backup in the form {FORM}; use the version that wrote it.")
+            raise RefusedInputError(
+                f"This file is not a backup in the form {FORM}; use the version that wrote it.", code="no-backup"
+            )
         left_out, missing = (
             tuple(one) if isinstance(one := found.get(name, []), list) else ("",) for name in ("left_out", "missing")
         )
@@ -155,7 +157,8 @@ class BackupManifest:
         if wrong:
             raise RefusedInputError(
                 f"This file is not a backup of Boresight, or it was altered: its manifest has no {wrong[0]} that can be used. Use "
-                "another backup."
+                "another backup.",
+                code="no-backup",
             )
         return manifest
 
@@ -325,7 +328,9 @@ def read_backup(archive: Archive, url: str, blobs: BlobStore, keys: KeyFile | No
     """
     database = _find_file(url)
     if database is not None and database.exists():
-        raise ConflictError(f"There is a database at {database} already; restore into an empty data folder.")
+        raise ConflictError(
+            f"There is a database at {database} already; restore into an empty data folder.", code="not-empty"
+        )
     with _opened(archive, keys) as (backup, size):
         manifest = _manifest(backup)
         found = _members(backup, manifest)
@@ -377,7 +382,9 @@ def _try_restore(archive: Archive, folder: Path, keys: KeyFile | None) -> Restor
         copy = Path(scratch) / DATABASE
         _refuse_too_large([backup.getinfo(DATABASE)], copy)
         if _extracted(backup, DATABASE, copy) != manifest.database_sha256:
-            raise ConflictError("The database in the backup is not as it was backed up; use another backup.")
+            raise ConflictError(
+                "The database in the backup is not as it was backed up; use another backup.", code="altered-backup"
+            )
         registered = _registered(copy)
         faults = [
             f"the file {sha256[:12]} is not as it was" for name, sha256 in found if _digest(backup, name) != sha256
@@ -443,7 +450,9 @@ def _opened(archive: Archive, keys: KeyFile | None = None) -> Iterator[tuple[zip
                 plain = cast("BinaryIO", DecryptedFile(file, keys))
             yield opened.enter_context(zipfile.ZipFile(plain)), size
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError) as error:
-        raise RefusedInputError(f"{named} cannot be read as a backup ({error}); use another file.") from error
+        raise RefusedInputError(
+            f"{named} cannot be read as a backup ({error}); use another file.", code="unreadable-backup"
+        ) from error
 
 
 def is_of_now(archive: Path, engine: Engine, keys: KeyFile | None = None) -> bool:
@@ -491,19 +500,23 @@ def _manifest(backup: zipfile.ZipFile) -> BackupManifest:
         if member.flag_bits & 1 or not packed:
             raise RefusedInputError(
                 f"This file is not a backup of Boresight: its member {member.filename[:80]!r} is encrypted or compressed. "
-                "Use the file as it was written."
+                "Use the file as it was written.",
+                code="no-backup",
             )
     if MANIFEST not in names:
-        raise RefusedInputError(NO_MANIFEST)
+        raise RefusedInputError(NO_MANIFEST, code="no-backup")
     if backup.getinfo(MANIFEST).file_size > MANIFEST_BYTES:
         raise RefusedInputError(
             f"This file is not a backup of Boresight: its manifest would be {backup.getinfo(MANIFEST).file_size / 1e6:.0f} MB, "
-            f"at most {MANIFEST_BYTES / 1e6:.0f} MB are read. Use another file."
+            f"at most {MANIFEST_BYTES / 1e6:.0f} MB are read. Use another file.",
+            code="no-backup",
         )
     with backup.open(MANIFEST) as packed_manifest:
         manifest = BackupManifest.from_json(packed_manifest.read(MANIFEST_BYTES))
     if DATABASE not in names:
-        raise RefusedInputError("This file is not a backup of Boresight: it contains no database. Use another file.")
+        raise RefusedInputError(
+            "This file is not a backup of Boresight: it contains no database. Use another file.", code="no-backup"
+        )
     return manifest
 
 
@@ -553,7 +566,9 @@ def _lay_down_database(backup: zipfile.ZipFile, sha256: str, database: Path | No
     with tempfile.TemporaryDirectory(prefix=".restore-", dir=database and database.parent) as folder:
         written = Path(folder) / DATABASE
         if _extracted(backup, DATABASE, written) != sha256:
-            raise ConflictError("The database in the backup is not as it was backed up; use another backup.")
+            raise ConflictError(
+                "The database in the backup is not as it was backed up; use another backup.", code="altered-backup"
+            )
         try:
             _registered(written)
         except sqlite3.Error as error:

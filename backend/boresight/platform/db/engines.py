@@ -147,7 +147,7 @@ def _say_what_sqlite_lacks(path: Path, context: sa.engine.ExceptionContext) -> U
     """Turn lock timeouts and disk failures into sentences."""
     name = getattr(context.original_exception, "sqlite_errorname", "")
     if name.startswith(LOCKED):
-        return UnavailableError(BUSY)
+        return UnavailableError(BUSY, code="database-busy")
     if name.startswith("SQLITE_CANTOPEN"):  # also the error of a read-only disk
         try:
             refuse_unwritable(path)
@@ -189,12 +189,12 @@ def _say_what_postgresql_lacks(context: sa.engine.ExceptionContext) -> Unavailab
     """Turn lost or refused connections and lock timeouts into sentences, by their SQL state (class 08, 57, 53)."""
     state = getattr(context.original_exception, "sqlstate", None)
     if state == "55P03":  # lock not available
-        return UnavailableError(BUSY)
+        return UnavailableError(BUSY, code="database-busy")
     unconnected = context.connection is None and isinstance(context.sqlalchemy_exception, sa.exc.OperationalError)
     gone = context.is_disconnect or unconnected or (state or "").startswith(("08", "57P", "53"))
     if state == DISK_FULL:
         return StorageError(full("the database"))
-    return UnavailableError(GONE) if gone else None
+    return UnavailableError(GONE, code="database-unreachable") if gone else None
 
 
 def be_the_only_writer(connection: sa.Connection, *, wait_s: int = WAIT_S) -> None:

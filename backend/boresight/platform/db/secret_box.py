@@ -91,5 +91,6 @@ class SecretBox:
 
     def _unusable(self) -> RefusedInputError:
         return RefusedInputError(
-            f"{self.file} contains no usable key: restore the file, or remove it and give each webhook a new secret."
+            f"{self.file} contains no usable key: restore the file, or remove it and give each webhook a new secret.",
+            code="unusable-key",
         )

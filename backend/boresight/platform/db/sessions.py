@@ -270,7 +270,10 @@ def _contents(connection: sa.Connection) -> dict[str, dict[str, int]]:
 def _refuse_unknown_revision(engine: Engine, revision: str) -> None:
     behind = _revisions_behind(current_revision(engine))
     if revision not in behind:
-        raise RefusedInputError(f"There is no schema revision {revision!r} to go back to; name {' or '.join(behind)}.")
+        raise RefusedInputError(
+            f"There is no schema revision {revision!r} to go back to; name {' or '.join(behind)}.",
+            code="unknown-revision",
+        )
 
 
 def _revisions_behind(current: str | None) -> list[str]:

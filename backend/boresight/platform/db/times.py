@@ -97,7 +97,8 @@ def read_time(text: str) -> str:
         raise
     except (ValueError, OverflowError) as error:
         raise RefusedInputError(
-            f"{text[:60]!r} is not a time; write it like 2026-11-21T03:04:05Z, or with the day of the year."
+            f"{text[:60]!r} is not a time; write it like 2026-11-21T03:04:05Z, or with the day of the year.",
+            code="not-a-time",
         ) from error
 
 

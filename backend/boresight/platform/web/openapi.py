@@ -18,7 +18,8 @@ Recalibration of star trackers on orbit: every action that the pages offer.
 requests with the cookie repeat the log-in's token in `X-CSRF-Token`. Keys act within their scopes and can never sign.
 
 **Refusals** are `application/problem+json`: `type`, `title`, `status`, `detail` (one sentence that says what to do),
-`instance`, `request_id`, and `errors` with the places: `row` and `column` of a file, `pointer` of a JSON body.
+`code` (the reason in a fixed word such as `already-signed`, or null), `instance`, `request_id`, and `errors` with the
+places: `row` and `column` of a file, `pointer` of a JSON body.
 
 **Versions.** What can change carries an `ETag`. A transition (`:submit`, `:approve`, ...) needs it in `If-Match`: 428
 without, 412 when somebody else changed it first. States change by transitions only.
@@ -137,6 +138,9 @@ class ProblemDocument(BaseModel):
     type: str = Field(examples=["urn:boresight:problem:refused-input"])
     title: str = Field(examples=["Refused input"])
     status: int = Field(examples=[422])
+    code: str | None = Field(
+        None, description="The reason in a fixed word, where it has one.", examples=["already-signed"]
+    )
     detail: str = Field(examples=["Column row_px is missing; add it or rename the one that contains it."])
     instance: str = Field(examples=["/api/v1/telemetry-sets"])
     request_id: str | None

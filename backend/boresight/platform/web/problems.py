@@ -66,6 +66,7 @@ class Problem:
     detail: str
     errors: Sequence[Mapping[str, Any]] = ()
     headers: Mapping[str, str] | None = None
+    code: str = ""
 
     @property
     def status(self) -> int:
@@ -86,7 +87,7 @@ def make_problem(error: Exception) -> Problem:
         tell_once("authz_fail", "failure", sentence=str(error))
     for kind in type(error).__mro__:
         if kind in KINDS:
-            return Problem(KINDS[kind], str(error), _faults(error), _headers(error))
+            return Problem(KINDS[kind], str(error), _faults(error), _headers(error), getattr(error, "code", ""))
     return Problem(UNFORESEEN, "The server failed unexpectedly; report the request id with what you did.")
 
 
@@ -136,6 +137,7 @@ def problem_response(request: Request, problem: Problem) -> Response:
         "type": problem.kind.address,
         "title": problem.kind.title,
         "status": problem.status,
+        "code": problem.code or None,
         "detail": problem.detail,
         "instance": request.url.path,
         "request_id": getattr(request.state, "request_id", None),

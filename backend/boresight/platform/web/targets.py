@@ -85,7 +85,8 @@ class WebhookTargets:
         if self.hosts and not any(_matches(plain_host(host), entry) for entry in self.hosts):
             raise RefusedInputError(
                 f"{host} is not one of the hosts that webhooks may go to: choose one of "
-                f"{', '.join(self.hosts)}, or add it to BORESIGHT_WEBHOOK_HOSTS."
+                f"{', '.join(self.hosts)}, or add it to BORESIGHT_WEBHOOK_HOSTS.",
+                code="host-not-allowed",
             )
 
     def addresses(self, host: str, port: int) -> list[str]:

@@ -776,7 +776,8 @@ class _Reading:
         without = int(np.count_nonzero(np.isnan(found[:, 0])))
         if without == len(found):
             raise RefusedInputError(
-                f"{attitude.name} covers none of the times of {self.table.name}: give those of the same hours."
+                f"{attitude.name} covers none of the times of {self.table.name}: give those of the same hours.",
+                code="times-do-not-overlap",
             )
         if without:
             self.notes.append(f"{without:,} of {len(found):,} stars have no attitude at their time.")

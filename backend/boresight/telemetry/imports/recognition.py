@@ -404,7 +404,8 @@ def draft_profile(found: Recognised) -> Draft:
         like = "is named" if found.layout.header else "looks"
         raise RefusedInputError(
             f"{found.name} is {found.kind} with {', '.join(found.columns[:_SHOWN]) or 'no columns'}, none of which {like} like "
-            "the row and column of a star: name them in a mapping profile, as docs/how-to/map-my-telemetry.md shows."
+            "the row and column of a star: name them in a mapping profile, as docs/how-to/map-my-telemetry.md shows.",
+            code="columns-not-recognised",
         )
     still: list[str] = []
     if found.guess:

@@ -254,7 +254,7 @@ def split_row(line: str, separator: str) -> list[str]:
 def read_head(path: Path) -> bytes:
     """Return a file's first bytes."""
     if not path.exists():
-        raise RefusedInputError(f"{path} does not exist: check the name.")
+        raise RefusedInputError(f"{path} does not exist: check the name.", code="no-such-file")
     if path.is_dir():
         raise RefusedInputError(f"{path} is a folder: name the file inside it.")
     with path.open("rb") as file:
@@ -575,7 +575,9 @@ def _read_fits(path: Path, name: str, layout: Layout, wanted: Sequence[str], lim
     from astropy.io import fits  # noqa: PLC0415 - loaded with the first file that needs it
 
     if not read_head(path).startswith(_FITS):  # astropy would expand what is packed, without a limit
-        raise RefusedInputError(f"{name} is not a FITS file: unpack it, or choose a profile of another format.")
+        raise RefusedInputError(
+            f"{name} is not a FITS file: unpack it, or choose a profile of another format.", code="not-fits"
+        )
     _refuse_size(path, name, MOST_BINARY_BYTES, "a FITS file")
     try:
         with warnings.catch_warnings(action="ignore"), path.open("rb") as raw, fits.open(raw, memmap=False) as file:

@@ -84,7 +84,8 @@ def _expand(path: Path, place: Path, name: str, most: int) -> None:
                 if left < 0:
                     raise RefusedInputError(
                         f"{name} expands to over {most / 1e6:,.0f} MB, more than a table of its size has: unpack it, and give "
-                        "the file inside."
+                        "the file inside.",
+                        code="expands-too-far",
                     )
                 file.write(piece)
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:

@@ -211,12 +211,12 @@ def parse_json(text: bytes | str) -> Any:
 @contextmanager
 def _opened(path: Path) -> Iterator[BinaryIO]:
     if path.is_dir():
-        raise RefusedInputError(f"{path} is a folder: name the telemetry file inside it.")
+        raise RefusedInputError(f"{path} is a folder: name the telemetry file inside it.", code="is-a-folder")
     try:
         with path.open("rb") as file:
             yield file
     except FileNotFoundError as error:
-        raise RefusedInputError(f"{path} does not exist: check the name.") from error
+        raise RefusedInputError(f"{path} does not exist: check the name.", code="no-such-file") from error
     except OSError as error:
         raise RefusedInputError(f"{path} cannot be read ({error.strerror}): check its permissions.") from error
 

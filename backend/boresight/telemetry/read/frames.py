@@ -80,7 +80,8 @@ class FrameIndex:
         if place == len(self.frame) or self.frame[place] != frame:
             raise NotFoundError(
                 f"The telemetry has no frame {frame}; choose from its {len(self)}, which are numbered from {self.frame[0]} "
-                f"to {self.frame[-1]}."
+                f"to {self.frame[-1]}.",
+                code="no-such-frame",
             )
         return place
 

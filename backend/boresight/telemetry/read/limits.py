@@ -50,7 +50,8 @@ class Limits:
         if needed > self.expanded(file_bytes):
             raise RefusedInputError(
                 f"{name} would take over {self.expanded(file_bytes) / 1e6:,.0f} MB when read, more than {self.expansion} times its "
-                "size: leave out columns that repeat one long text, and export it again."
+                "size: leave out columns that repeat one long text, and export it again.",
+                code="expands-too-far",
             )
 
 

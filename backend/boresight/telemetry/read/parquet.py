@@ -482,7 +482,8 @@ def open_parquet(path: Path, name: str, texts: tuple[str, ...] = ()) -> Iterator
 
 def _damaged(name: str) -> RefusedInputError:
     return RefusedInputError(
-        f"{name} is a truncated or damaged Parquet file, or an encrypted one: download or export it again."
+        f"{name} is a truncated or damaged Parquet file, or an encrypted one: download or export it again.",
+        code="damaged-parquet",
     )
 
 

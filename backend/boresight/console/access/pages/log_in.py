@@ -50,6 +50,7 @@ def show_log_in(
         next=local_path(back),
         name=name,
         refusal=refusal.sentence if refusal else None,
+        code=refusal.code if refusal else "",
         ended=ended,
         provider=provider.settings.label if provider else "",
         asked=quote(local_path(back), safe=""),
@@ -114,6 +115,7 @@ def _second_factor_page(request: Request, back: str, refusal: RefusalContext | N
         refused=refusal,
         next=local_path(back),
         refusal=refusal.sentence if refusal else None,
+        code=refusal.code if refusal else "",
         options=second_factors.make_log_in_options(session, waiting, get_site(request)),
     )
 

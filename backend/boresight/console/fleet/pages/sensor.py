@@ -235,6 +235,7 @@ class AsOf:
     baseline: ParameterSet | None
     onboard: Sequence[tuple[ParameterSet, Uplink]]
     refusal: str | None
+    code: str = ""
 
 
 def _read_as_of(session: Session, sensor_id: int, time: str) -> AsOf | None:
@@ -244,7 +245,7 @@ def _read_as_of(session: Session, sensor_id: int, time: str) -> AsOf | None:
         baseline = uplinks.find_baseline_at(session, sensor_id, time.strip())
         return AsOf(time, baseline, uplinks.list_onboard_at(session, sensor_id, time.strip()), None)
     except RefusedInputError as refusal:
-        return AsOf(time, None, (), str(refusal))
+        return AsOf(time, None, (), str(refusal), refusal.code)
 
 
 UNDECLARED = "not declared: add it to the sensor file below"
@@ -389,8 +390,8 @@ def timeline_page(
     )
 
 
-def _answer(session: Session, sensor_id: int, at: str) -> tuple[timeline.AsOf | None, str | None]:
+def _answer(session: Session, sensor_id: int, at: str) -> tuple[timeline.AsOf | None, RefusedInputError | None]:
     try:
         return timeline.get_state_at(session, sensor_id, at or None), None
     except RefusedInputError as error:
-        return None, str(error)
+        return None, error

@@ -100,7 +100,7 @@ def make_choice_part(request: Request, session: Session, actor: Actor, run: Run)
     try:
         found = choices.get_choice(session, get_server(request).blobs, run.id)
     except ConflictError as error:
-        return {"choice": replace(view, notices=[StateNotice("serious", str(error))])}
+        return {"choice": replace(view, notices=[StateNotice("serious", str(error), error.code)])}
     return {"choice": _show_answer(session, view, found, run), "held_out": held_out_error}
 
 

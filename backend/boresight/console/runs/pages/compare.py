@@ -467,9 +467,19 @@ def compare_page(
         view = read_view(run_ids, reference, everything, align, overlay)
         found = comparisons.compare(session, blobs, run_ids, view.reference)
     except UnlikeModelsError as error:
-        return render(request, "runs/compare.html", status_code=422, refusal=str(error), sets=error.sets, found=None)
+        return render(
+            request,
+            "runs/compare.html",
+            status_code=422,
+            refusal=str(error),
+            code=error.code,
+            sets=error.sets,
+            found=None,
+        )
     except RefusedInputError as error:
-        return render(request, "runs/compare.html", status_code=422, refusal=str(error), sets=[], found=None)
+        return render(
+            request, "runs/compare.html", status_code=422, refusal=str(error), code=error.code, sets=[], found=None
+        )
     names = read_names(session, [one.run for one in found.compared])
     return render(request, "runs/compare.html", refusal=None, found=found, view=view, **_tables(found, view, names))
 

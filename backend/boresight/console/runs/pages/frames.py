@@ -152,6 +152,7 @@ class FramePage:
     """What the template draws."""
 
     why: str | None = None
+    code: str = ""
     view: Mapping[str, Any] | None = None
     exposure: Mapping[str, Any] | None = None
     drawing: FrameDrawing | None = None
@@ -175,13 +176,13 @@ def make_frames_part(session: Session, request: Request, run: Run) -> dict[str, 
         worst = frames.list_frames(session, state.blobs, run.id, order="worst", limit=WORST_SHOWN)
         chosen = _asked_frame(request.query_params.get("frame")) or _first(session, state.blobs, run, worst)
     except BoresightError as refusal:
-        return _page(FramePage(why=GONE.format(refusal), address=asked))
+        return _page(FramePage(why=GONE.format(refusal), code=refusal.code, address=asked))
     try:
         view = frames.get_frame(
             session, state.blobs, state.catalogue(), state.settings.catalogue_folder, run.id, int(chosen)
         )
     except BoresightError as refusal:
-        return _page(FramePage(why=GONE.format(refusal), worst=worst, address=asked))
+        return _page(FramePage(why=GONE.format(refusal), code=refusal.code, worst=worst, address=asked))
     page = _laid_out(view, worst, {"frame": str(chosen), **asked})
     if telemetry_sets.has_images(session, run.telemetry_set_id):
         page = replace(page, image=f"/telemetry/{run.telemetry_set_id}/images/{int(chosen)}.png")
@@ -197,7 +198,9 @@ def _asked_frame(text: str | None) -> str | None:
     if not text:
         return None
     if not text.removeprefix("-").isdecimal() or len(text) > 18:
-        raise RefusedInputError(f"{text[:20]!r} is not a frame number; write one that the telemetry contains.")
+        raise RefusedInputError(
+            f"{text[:20]!r} is not a frame number; write one that the telemetry contains.", code="not-a-frame-number"
+        )
     return text
 
 

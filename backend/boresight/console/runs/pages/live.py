@@ -43,10 +43,11 @@ NOT_THERE = "No worker is connected yet: the server's workers are still starting
 
 @dataclass(frozen=True)
 class StateNotice:
-    """A sentence above the verdict."""
+    """A sentence above the verdict; `code`: which one, for scripts."""
 
     level: str
     sentence: str
+    code: str = ""
     lines: tuple[RunEvent, ...] = ()
     links: tuple[tuple[str, str], ...] = ()
 
@@ -56,12 +57,18 @@ def list_notices(
 ) -> list[StateNotice]:
     """Return the notices that explain a run's state."""
     notices_by_state = {
-        "QUEUED": lambda: [StateNotice("standby", _queue_sentence(session, run, workers)), *_explain_attempts(log)],
+        "QUEUED": lambda: [_explain_queue(session, run, workers), *_explain_attempts(log)],
         "RUNNING": lambda: [*_explain_attempts(log), *_explain_silence(run)],
-        "CANCELLING": lambda: [StateNotice("caution", _stopping_sentence(run, log))],
+        "CANCELLING": lambda: [StateNotice("caution", _stopping_sentence(run, log), "stopping")],
         "FAILED": lambda: _explain_failure(session, run, log),
-        "LOST": lambda: [StateNotice("serious", _lost_sentence(run), links=_again(run)), *_explain_partial(run)],
-        "CANCELLED": lambda: [StateNotice("off", _reason(run) or "This run was cancelled."), *_explain_partial(run)],
+        "LOST": lambda: [
+            StateNotice("serious", _lost_sentence(run), "lost", links=_again(run)),
+            *_explain_partial(run),
+        ],
+        "CANCELLED": lambda: [
+            StateNotice("off", _reason(run) or "This run was cancelled.", "cancelled"),
+            *_explain_partial(run),
+        ],
     }
     return notices_by_state.get(run.state, list)()
 
@@ -84,13 +91,13 @@ def _explain_failure(session: Session, run: Run, log: Sequence[RunEvent]) -> lis
     """Explain a failure: its cause, the end of the log, and what to try."""
     cause = _reason(run) or "The run failed and no cause was recorded; see the last lines of its log."
     lines = tuple(line for line in log if line.state != "FAILED")
-    told, links = WHAT_TO_TRY, _again(run)
+    told, links, code = WHAT_TO_TRY, _again(run), "to-try"
     if runs.lacks_times(session, run):
         upload = (f"/telemetry?sensor={run.sensor_id}#upload-title", "Upload a set with times")
-        told, links = UPLOAD_WITH_TIMES, (upload, links[-1])
+        told, links, code = UPLOAD_WITH_TIMES, (upload, links[-1]), "upload-with-times"
     return [
-        StateNotice("serious", cause, lines=lines[-LAST_LINES:]),
-        StateNotice("off", told, links=links),
+        StateNotice("serious", cause, "failed", lines=lines[-LAST_LINES:]),
+        StateNotice("off", told, code, links=links),
         *_explain_partial(run),
     ]
 
@@ -100,7 +107,11 @@ def _explain_partial(run: Run) -> list[StateNotice]:
     if not told.fraction:
         return []
     so_far = f"It had reached {percent(told.fraction, 0)}{f' ({told.message})' if told.message else ''}"
-    return [StateNotice("off", f"PARTIAL: {so_far}. Its estimate at that point is void and is not shown as a result.")]
+    return [
+        StateNotice(
+            "off", f"PARTIAL: {so_far}. Its estimate at that point is void and is not shown as a result.", "partial"
+        )
+    ]
 
 
 def _explain_attempts(log: Sequence[RunEvent]) -> list[StateNotice]:
@@ -108,7 +119,7 @@ def _explain_attempts(log: Sequence[RunEvent]) -> list[StateNotice]:
     if not again:
         return []
     told = f"Attempt {count(again[-1].attempt)} ended without a result: {again[-1].cause}."
-    return [StateNotice("caution", f"{told} It is computed again from the start.")]
+    return [StateNotice("caution", f"{told} It is computed again from the start.", "again")]
 
 
 def _explain_silence(run: Run) -> list[StateNotice]:
@@ -117,7 +128,7 @@ def _explain_silence(run: Run) -> list[StateNotice]:
     if silent_s is None or silent_s < SILENT_S:
         return []
     then = "If its server does not renew its claim, the run is queued again automatically."
-    return [StateNotice("caution", f"The worker has not reported for {duration(silent_s)}. {then}")]
+    return [StateNotice("caution", f"The worker has not reported for {duration(silent_s)}. {then}", "silent")]
 
 
 def _stopping_sentence(run: Run, log: Sequence[RunEvent]) -> str:
@@ -136,27 +147,28 @@ def _lost_sentence(run: Run) -> str:
     return " ".join(filter(None, [told, _reason(run), "Run it again to get one."]))
 
 
-def _queue_sentence(session: Session, run: Run, workers: Mapping[str, Any] | None) -> str:
+def _explain_queue(session: Session, run: Run, workers: Mapping[str, Any] | None) -> StateNotice:
     """Describe how many runs are ahead, and what the first of them waits for."""
     before = run_queries.count_queued_before(session, run.id)
     place = f"Position {before + 1} in the queue." if before else "Next in the queue."
-    return f"{place} {_waits_for(session, workers)}"
+    code, waits_for = _waits_for(session, workers)
+    return StateNotice("standby", f"{place} {waits_for}", code)
 
 
-def _waits_for(session: Session, workers: Mapping[str, Any] | None) -> str:
+def _waits_for(session: Session, workers: Mapping[str, Any] | None) -> tuple[str, str]:
     if not workers or not workers.get("turns"):
-        return NO_WORKERS
+        return "no-workers", NO_WORKERS
     threads = workers.get("threads") or 0
     if not workers.get("connected") or not threads:
-        return NOT_THERE
+        return "no-worker-connected", NOT_THERE
     busy = sorted(run.id for run in runs.list_runs(session, state=["RUNNING", "CANCELLING"]))
     if workers["tasks"] < threads:
-        return "A worker is free: the run starts at once."
+        return "worker-free", "A worker is free: the run starts at once."
     named = (
         f" with {', '.join(f'run #{number}' for number in busy[:6])}{' and others' * (len(busy) > 6)}" if busy else ""
     )
     which = "The only worker is" if threads == 1 else f"All {threads} workers are"
-    return f"{which} busy{named}; the run starts when one is free."
+    return "workers-busy", f"{which} busy{named}; the run starts when one is free."
 
 
 router = APIRouter(dependencies=[Depends(csrf)])

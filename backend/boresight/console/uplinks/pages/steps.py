@@ -276,7 +276,7 @@ async def _taken_step(
         shown = UplinkStepsContext(form, kept, outcome.refusal)
         return await read_again(request, partial(_page, request, actor, blobs, set_id, shown))
     matched = getattr(outcome.value, "onboard_state", "") != "MISMATCH"  # the page itself explains a mismatch
-    return redirect(f"/parameter-sets/{set_id}/uplink", flash=said if matched else "")
+    return redirect(f"/parameter-sets/{set_id}/uplink", flash=said if matched else "", code=form if matched else "")
 
 
 @router.post("/parameter-sets/{set_id:int}/uplink/package")
