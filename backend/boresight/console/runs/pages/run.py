@@ -654,6 +654,7 @@ def make_run_head(review: RunReview) -> dict[str, Any]:
         "parameter_set": made,
         "gates": assessed,
         "workflow": make_workflow(review.session, review.actor, policy, made, review.run),
+        "of_frames": review.data.frames,
         "neighbours": run_queries.read_neighbours(review.session, review.run.id),
     }
 
