@@ -20,7 +20,7 @@ from boresight.calibration.choice.nested_tests import (
     log_survival,
     nested_test,
 )
-from boresight.calibration.choice.result import State, Sufficiency, parse_choice
+from boresight.calibration.choice.result import OtherCamera, State, Sufficiency, parse_choice, say, say_bic
 from boresight.calibration.choice.search import DECISIVE, fit_ladders
 from boresight.calibration.choice.terms import Subset, base, find_terms, largest, list_subsets, radial_orders
 from boresight.calibration.options import CalibrationSettings
@@ -28,10 +28,12 @@ from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
 from boresight.estimation import batch
 from boresight.estimation.metrics import arc_errors
+from boresight.library.text import camera_rows
 from boresight.simulation.scenes import parse_scenario, simulate
 from boresight.telemetry.read.readers import read_telemetry
 from boresight.telemetry.sensors import parse_sensor, read_sensor, sensor_document
 from tests.calibration.choice_sets import DECENTRING_PER_PX, field, lens, search, sensor
+from tests.choices import made_choice
 from tests.effort import effort, few_of
 from tests.estimation.fields import whitened_plainly
 
@@ -407,6 +409,20 @@ def test_noise_that_is_stated_wrongly_is_said_and_changes_no_choice(tangential_s
     assert found.sufficiency is Sufficiency.NOISE_NOT_AS_STATED
     assert found.chosen.terms == right.chosen.terms
     assert found.noise_of_chosen.variance == pytest.approx(4.0, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("above", "said"),
+    [(3.8, "3.8 above"), (0.07, "0.07 above"), (-0.0, "equal"), (-1e-9, "equal"), (-3.8, "3.8 below")],
+)
+def test_a_difference_of_bic_that_is_none_is_said_to_be_none(above, said):
+    other = OtherCamera(camera_model="brown_conrady", place=2, bic_above=above)
+    found = replace(made_choice(), sensor_camera_model="brown_conrady", other_cameras=[other])
+    assert f"(BIC {said})" in say(found)
+    models = [
+        replace(one, bic=found.model.bic + above) if place == 2 else one for place, one in enumerate(found.models)
+    ]
+    assert [row[4] for row in camera_rows(replace(found, models=models))][1:] == ["chosen", say_bic(above, ".1f")]
 
 
 def test_where_no_model_suffices_it_says_so(tangential_set, catalogue):

@@ -9,6 +9,7 @@ import boresight as bs
 from boresight.cli import main
 from boresight.cli.remote import API_KEY
 from boresight.library import client as client_module
+from boresight.library.remote import parse_plan
 from boresight.workers.security import issue
 from tests.library.servers import answering
 
@@ -66,6 +67,12 @@ FOREIGN = {
 )
 def test_an_answer_of_something_else_is_said_to_be_one(answer, ask):
     refused([answer], ask)
+
+
+@pytest.mark.parametrize("document", [{}, {"pointings": 3}, {"pointings": [3]}, {"pointings": [{}]}, {"pointings": []}])
+def test_a_plan_that_lacks_members_is_of_another_server(document):
+    with pytest.raises(bs.UnavailableError):
+        parse_plan(document)
 
 
 def test_a_redirect_is_not_followed_and_names_where_it_leads():

@@ -50,6 +50,17 @@ def test_a_radial_spread_moves_a_star_in_the_corner_by_what_it_says(camera):
     np.testing.assert_array_equal(again.initial, made.sensor.initial)
 
 
+@pytest.mark.parametrize("camera", [one for one in CAMERA_MODELS.values() if one.usual], ids=lambda one: one.name)
+def test_a_field_from_where_a_camera_says_that_it_is_usual_gets_it(camera):
+    for past_deg, taken in ((0.5, True), (-0.5, False)):
+        half_field = camera.usual.from_deg + past_deg
+        if half_field > 0:
+            focal_mm = 6.9e-3 * math.hypot(768, 1024) / 2 / math.tan(math.radians(half_field))
+            made = describe_sensor(LensAndDetector(**{**vars(PLAIN), "focal_length_mm": focal_mm}))
+            assert (made.sensor.camera_model == camera.name) == taken
+            assert (camera.usual.reason in made.reasons["camera_model"]) == taken
+
+
 @given(st.floats(3.0, 60.0), st.integers(64, 4096), st.integers(64, 4096))
 def test_a_field_of_view_and_its_focal_length_make_the_same_sensor(view, rows, columns):
     by_view = describe_sensor(LensAndDetector(rows=rows, columns=columns, pixel_pitch_um=3.45, field_of_view_deg=view))

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from boresight.calibration.options import CalibrationSettings
 from boresight.console.runs.dry_runs import TimedRun
 from boresight.console.runs.queries import WaitingRun
 from boresight.workers import dispatcher
@@ -18,7 +19,7 @@ from boresight.workers.dispatcher import FRESH_S, GROUP_RUNS, GROUP_S, LONG_GROU
 
 def waiting(stars, attempts=None):
     attempts = attempts or [0] * len(stars)
-    return [WaitingRun(i, attempts[i], "batch", {}, 1, stars[i]) for i in range(len(stars))]
+    return [WaitingRun(i, attempts[i], "batch", CalibrationSettings(), 1, stars[i]) for i in range(len(stars))]
 
 
 def seconds(run):
@@ -160,7 +161,7 @@ def read(monkeypatch):
 
 
 def one_waiting(stars, **settings):
-    return WaitingRun(1, 0, "batch", settings, 200, stars)
+    return WaitingRun(1, 0, "batch", CalibrationSettings(**settings), 200, stars)
 
 
 @pytest.mark.parametrize(("stars", "seconds"), [(6_000, 0.48), (250_000, 2.5), (40_000, 0.42)])

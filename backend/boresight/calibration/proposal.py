@@ -48,7 +48,7 @@ from boresight.calibration.diagnosis.trials import Bench, Hypothesis, Trial
 from boresight.calibration.matching.rematch import centroid_sigma_px
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.telemetry_pieces import TelemetryFile, TelemetryInput, is_large, read_whole
-from boresight.cameras import CAMERA_MODELS
+from boresight.cameras import CAMERA_MODELS, usual_camera
 from boresight.cameras.model import Role
 from boresight.errors import RefusedInputError
 from boresight.images.extraction import run_apart
@@ -63,7 +63,7 @@ from boresight.sky.identification import (
     recognise,
 )
 from boresight.telemetry.data_sheets import ASKED, LensAndDetector
-from boresight.telemetry.new_sensor import FOCAL_SHARE, UPRIGHT, USUAL_CAMERA, Described, complete, describe_sensor
+from boresight.telemetry.new_sensor import FOCAL_SHARE, UPRIGHT, Described, complete, describe_sensor
 from boresight.telemetry.schema import Telemetry, find_exposures
 from boresight.telemetry.sensors import Sensor
 
@@ -331,7 +331,7 @@ class _Search:
     def _recognise(self, place: int, field_deg: float, parity: int) -> Recognised | None:
         """Recognise one exposure by a pinhole camera of that field."""
         rows = self._rows(place)
-        camera, pitch = CAMERA_MODELS[USUAL_CAMERA], PITCH_UM * 1e-6
+        camera, pitch = usual_camera(), PITCH_UM * 1e-6
         x = camera.plain(self._guessed_focal_px(field_deg), (self.rows - 1) / 2, (self.columns - 1) / 2, pitch)
         s_d = camera.directions(x, self.sample.row_px[rows], self.sample.col_px[rows], pitch)
         magnitude = None if self.sample.magnitude is None else self.sample.magnitude[rows]

@@ -17,9 +17,15 @@ CAMERA_MODELS: dict[str, CameraModel] = {
 DEFAULT_CAMERA = CAMERA_MODELS["inverted_wang"]
 
 
+def usual_camera(half_field_deg: float = 0.0) -> CameraModel:
+    """Return the camera that is taken where nobody names one, by half the field of view."""
+    usual = {camera.usual.from_deg: camera for camera in CAMERA_MODELS.values() if camera.usual is not None}
+    return usual[max(start for start in usual if start <= half_field_deg)]
+
+
 def name_camera_with(role: Role) -> str:
     """Name a camera that has a parameter of a role, for sentences that advise one."""
     return min(name for name, camera in CAMERA_MODELS.items() if role in {one.role for one in camera.parameters})
 
 
-__all__ = ["CAMERA_MODELS", "DEFAULT_CAMERA", "CameraModel", "name_camera_with"]
+__all__ = ["CAMERA_MODELS", "DEFAULT_CAMERA", "CameraModel", "name_camera_with", "usual_camera"]

@@ -33,7 +33,7 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from boresight.cameras.model import CameraModel, Equations, OpenCV, Parameter, Role
+from boresight.cameras.model import CameraModel, Equations, OpenCV, Parameter, Role, Usual
 from boresight.kernels.star import part
 
 STEPS = 60  # of the search, which takes about five
@@ -137,4 +137,5 @@ BROWN_CONRADY = CameraModel(
     opencv=lambda x, pitch: OpenCV(
         "plumb_bob", x["f_m"] / pitch, x["f_m"] / (x["s"] * pitch), (x["k1"], x["k2"], x["p1"], x["p2"], x["k3"])
     ),
+    usual=Usual(0.0, "OpenCV's equations reach there"),
 )

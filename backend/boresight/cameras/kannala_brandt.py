@@ -32,7 +32,7 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from boresight.cameras.model import CameraModel, Equations, OpenCV, Parameter, Role
+from boresight.cameras.model import CameraModel, Equations, OpenCV, Parameter, Role, Usual
 from boresight.kernels.star import part
 
 STEPS = 60  # of the search, which takes about five
@@ -135,4 +135,5 @@ KANNALA_BRANDT = CameraModel(
     opencv=lambda x, pitch: OpenCV(
         "equidistant", x["f_m"] / pitch, x["f_m"] / (x["s"] * pitch), (x["k1"], x["k2"], x["k3"], x["k4"])
     ),
+    usual=Usual(50.0, "a fisheye's equations reach there"),
 )

@@ -113,6 +113,13 @@ class OpenCV(NamedTuple):
     coefficients: tuple[float, ...]
 
 
+class Usual(NamedTuple):
+    """For which fields a camera is taken where nobody names one: half the field from which on, degrees, and why."""
+
+    from_deg: float
+    reason: str
+
+
 @dataclass(frozen=True)
 class CameraModel:
     """A camera: its definition, and all that follows from it.
@@ -129,6 +136,8 @@ class CameraModel:
         The same for whoever reads the numbers without this program.
     opencv
         `(parameters by name, pitch) -> (distortion model, f_x, f_y, coefficients)`, where OpenCV has this camera exactly.
+    usual
+        The fields that it is taken for where nobody names a camera; None where it must be named.
     """
 
     name: str
@@ -136,6 +145,7 @@ class CameraModel:
     star: Callable[..., Any]
     equations: Equations
     opencv: Callable[[Mapping[str, float], float], OpenCV] | None = None
+    usual: Usual | None = None
 
     def __post_init__(self) -> None:
         kernels.define(self.state, self.star)

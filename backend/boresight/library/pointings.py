@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from pyarrow import csv
 
-from boresight.errors import RefusedInputError, UnavailableError
+from boresight.errors import RefusedInputError
 from boresight.library.results import Summarised, Tabular
 from boresight.library.text import Summary, written
 from boresight.simulation import plans
@@ -31,18 +30,6 @@ class PointingPlan(Summarised, Tabular, plans.PointingPlan):
     def of(cls, found: plans.PointingPlan) -> PointingPlan:
         """Give a plan its face."""
         return cls(**{item.name: getattr(found, item.name) for item in fields(found) if item.init})
-
-    @classmethod
-    def parse(cls, document: Mapping[str, Any]) -> PointingPlan:
-        """Read the plan of a server."""
-        try:
-            known = {item.name: document[item.name] for item in fields(cls) if item.init}
-            rows = [{item.name: one[item.name] for item in fields(plans.Pointing)} for one in known["pointings"]]
-            return cls(**known | {"pointings": [plans.Pointing(**row) for row in rows]})
-        except (KeyError, TypeError) as error:
-            raise UnavailableError(
-                f"The server's plan lacks {error}: the server has another version of Boresight; install the newer one."
-            ) from error
 
     def _columns(self) -> pa.Table:
         rows = [asdict(one) for one in self.pointings]

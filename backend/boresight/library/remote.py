@@ -264,7 +264,7 @@ def member(document: Mapping[str, Any], name: str, kind: type[V]) -> V:
 def parse_record(kind: type[T], document: Mapping[str, Any]) -> T:
     """Read a row of a server as one of the dataclasses here."""
     try:
-        return kind(**{item.name: document[item.name] for item in fields(kind)})  # type: ignore[arg-type]  # a dataclass
+        return kind(**{item.name: document[item.name] for item in fields(kind) if item.init})  # type: ignore[arg-type]  # a dataclass
     except (KeyError, TypeError) as error:
         raise UnavailableError(f"The server's {kind.__name__} lacks {error}: {FOREIGN}.") from error
 
@@ -467,7 +467,7 @@ def plan(
     constraints: Mapping[str, float],
 ) -> Operation[PointingPlan]:
     """Plan what to observe next; a sensor that is not there is registered first."""
-    from boresight.library.pointings import PointingPlan, list_degrees
+    from boresight.library.pointings import list_degrees
 
     order: dict[str, Any] = {"start_utc": start, "minutes": minutes, "criterion": criterion, **constraints}
     if orbit is not None:
@@ -477,7 +477,16 @@ def plan(
     known = yield from find_sensor(sensor)
     order |= yield from _name_prior(calibration)
     answer = yield replace(_post(f"/sensors/{known.id}:plan", order), key=None, slow=True)
-    return PointingPlan.parse(answer.document())
+    return parse_plan(answer.document())
+
+
+def parse_plan(document: Mapping[str, Any]) -> PointingPlan:
+    """Read a plan."""
+    from boresight.library.pointings import PointingPlan
+    from boresight.simulation.plans import Pointing
+
+    pointings = [parse_record(Pointing, one) for one in member(document, "pointings", list)]
+    return parse_record(PointingPlan, {**document, "pointings": pointings})
 
 
 def _list_several(given: Any) -> list[Any]:

@@ -336,7 +336,7 @@ def summarise_assessment(found: Assessment) -> Summary:
 
 def camera_rows(found: Choice) -> Iterator[tuple[str, ...]]:
     """Give a row a camera: its least sufficient candidate."""
-    yield "", "camera and free terms", "free", "chi2/dof", "BIC above", "held-out RMS µrad", "change px", "± 3σ"
+    yield "", "camera and free terms", "free", "chi2/dof", "BIC", "held-out RMS µrad", "change px", "± 3σ"
     for place, one in enumerate(found.list_cameras()):
         words = ", ".join(one.terms) or "focal length alone"
         yield (
@@ -344,11 +344,18 @@ def camera_rows(found: Choice) -> Iterator[tuple[str, ...]]:
             f"{one.camera_model}: {words}",
             str(len(one.free)),
             written(None if one.chi2 is None else one.chi2 / one.dof, ".4f"),
-            written(found.bic_above(one), ".1f"),
+            _scored_bic(found.bic_above(one), chosen=place == 0),
             _scored(one.held_out_rms_arc_rad, one.held_out_interval_rad),
             written(one.change_px, ".3f"),
             written(one.change_3_sigma_px, ".3f"),
         )
+
+
+def _scored_bic(above: float | None, *, chosen: bool) -> str:
+    """BIC beside that of the chosen camera."""
+    from boresight.calibration.choice.result import say_bic
+
+    return "-" if above is None else "chosen" if chosen else say_bic(above, ".1f")
 
 
 def _scored(value: float | None, interval: Numbers | None) -> str:

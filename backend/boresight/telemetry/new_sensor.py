@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 
 from boresight.arrays import FloatArray
-from boresight.cameras import CAMERA_MODELS, CameraModel
+from boresight.cameras import CAMERA_MODELS, CameraModel, usual_camera
 from boresight.cameras.model import Role
 from boresight.errors import RefusedInputError
 from boresight.site import SITE_FIELDS
@@ -41,9 +41,8 @@ from boresight.telemetry.read.checks import Faults
 from boresight.telemetry.sensors import Sensor, parse_sensor, sensor_document
 
 FOCAL_SHARE, MOUNT_UM, MOST_OF_SIDE, DISTORTED, DECENTRED = 0.01, 100.0, 0.02, 0.005, 0.0005
-#: Centroid noise where nobody gives one, pixels, and the lens beyond whose half field a fisheye's equations are taken, degrees.
-CENTROID_SIGMA_PX, WIDE_DEG = 0.2, 50.0
-USUAL_CAMERA, WIDE_CAMERA = "brown_conrady", "kannala_brandt"
+#: Centroid noise where nobody gives one, pixels.
+CENTROID_SIGMA_PX = 0.2
 UPRIGHT = -1
 
 
@@ -253,7 +252,7 @@ def _describe(
     rows, columns, pitch_um = (float(at_hand[name] or 0.0) for name in ("rows", "columns", "pixel_pitch_um"))
     focal_px = focal_mm * 1e3 / pitch_um
     half_field = math.degrees(math.atan(math.hypot(rows, columns) / 2 / focal_px))
-    camera = model or CAMERA_MODELS[WIDE_CAMERA if half_field > WIDE_DEG else USUAL_CAMERA]
+    camera = model or usual_camera(half_field)
     x = camera.plain(focal_px, (rows - 1) / 2, (columns - 1) / 2, pitch_um / 1e6)
     sigma, why = _spreads(camera, x, int(rows), int(columns), pitch_um)
     names = camera.parameter_names
@@ -267,9 +266,8 @@ def _describe(
         "free": f"{', '.join(free)}: what every lens needs; the others are held until `boresight choose` finds them needed.",
         "camera_model": (
             "As given."
-            if model
-            else f"The corner is {half_field:.0f}° off the axis: "
-            + ("a fisheye's equations reach there." if camera.name == WIDE_CAMERA else "OpenCV's equations reach there.")
+            if camera.usual is None or model
+            else f"The corner is {half_field:.0f}° off the axis: {camera.usual.reason}."
         ),
         "centroid_sigma_px": (
             "As given."

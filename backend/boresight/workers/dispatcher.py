@@ -86,7 +86,7 @@ class DurationModel:
         pace = self._known[run.method]
         alike = [one.seconds / one.stars for one in pace.timed if 1 / ALIKE <= run.stars / one.stars <= ALIKE]
         foreseen_s = predict_duration_s(run.settings, run.frames, run.stars, pace.s_per_star)
-        waits = run.settings.get("replay_frames_per_s")
+        waits = run.settings.replay_frames_per_s
         return foreseen_s if waits or not alike else run.stars * median(alike)
 
 

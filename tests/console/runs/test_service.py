@@ -110,7 +110,9 @@ def test_the_predicted_time_follows_the_newest_runs_of_the_method(session, launc
 
 
 def test_a_replayed_run_lasts_as_long_as_its_downlink():
-    assert predict_duration_s({"replay_frames_per_s": 10.0}, 200, 0, 1e-5) == pytest.approx(20.0, rel=0.01)
+    assert predict_duration_s(CalibrationSettings(replay_frames_per_s=10.0), 200, 0, 1e-5) == pytest.approx(
+        20.0, rel=0.01
+    )
 
 
 @pytest.mark.parametrize("name", ["eve", "cy", "root"])

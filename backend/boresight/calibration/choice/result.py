@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from pydantic import TypeAdapter
 
 SCHEMA: Final = "boresight.choice/1"
+#: Difference of chi-square or BIC below which two cameras say the same of the stars: numerics, not data.
+ALIKE = 0.05
 #: p-values below this are written as below it.
 SMALLEST_P = 1e-6
 
@@ -303,7 +305,15 @@ def _say_camera(found: Choice) -> Iterable[str]:
         if other.test is not None and other.test.needed:
             yield f"{own} does not have them ({_say_p(other.test.log10_p_corrected)})"
         else:
-            yield f"{own} fits the stars less well (BIC {other.bic_above:.3g} above)"
+            fits = "less well" if other.bic_above >= ALIKE else "as well"
+            yield f"{own} fits the stars {fits} (BIC {say_bic(other.bic_above, '.3g')})"
+
+
+def say_bic(above: float, form: str) -> str:
+    """Say how far a BIC is above another, or below it, or that they are equal."""
+    if abs(above) < ALIKE:
+        return "equal"
+    return f"{abs(above):{form}} {'above' if above > 0 else 'below'}"
 
 
 def _say_rest(found: Choice) -> Iterable[str]:

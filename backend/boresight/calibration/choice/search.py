@@ -39,7 +39,7 @@ from boresight.calibration.choice.nested_tests import (
     critical_drop,
     nested_test,
 )
-from boresight.calibration.choice.result import State
+from boresight.calibration.choice.result import ALIKE, State
 from boresight.calibration.choice.terms import Subset, base, find_terms, largest
 from boresight.calibration.estimate import never
 from boresight.cameras import CAMERA_MODELS, CameraModel
@@ -50,8 +50,6 @@ from boresight.telemetry.sensors import Sensor
 DECISIVE = float(ndtri(LEVEL / max(1, len(CAMERA_MODELS) - 1))) ** 2
 #: How many times the drop at which a test rejects the linearised rise must be for a candidate not to be fitted.
 HOPELESS = 10.0
-#: Difference of chi-square below which the same terms of two cameras are the same candidate.
-ALIKE = 0.05
 
 
 @dataclass(frozen=True)

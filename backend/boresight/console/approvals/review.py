@@ -97,7 +97,7 @@ def list_points(session: Session, approval: Approval, reader: int | None = None)
 
 
 def _find_bound_report(session: Session, approval: Approval) -> GateReport | None:
-    sha256 = approval.bound.get("gate_report_sha256")
+    sha256 = approval.binding.gate_report_sha256
     return None if sha256 is None else rows.find_newest_report(session, approval.parameter_set_id, sha256)
 
 
@@ -110,7 +110,7 @@ def _list_gate_points(report: GateReport | None) -> list[Point]:
 
 def _list_warnings(session: Session, approval: Approval, row: ParameterSet) -> list[Point]:
     incumbent = None
-    if (sha256 := approval.bound.get("incumbent_sha256")) is not None:
+    if (sha256 := approval.binding.incumbent_sha256) is not None:
         incumbent = set_rows.find_other_with_document(session, row, sha256)
     said = warn_of_set(session, row, incumbent)
     if row.run_id is None:

@@ -479,13 +479,13 @@ def _open(session: Session, actor: Actor, row: ParameterSet, reason: str, policy
         reason=reason,
         submitted_utc=utc_now(),
         submitted_by=require_user(actor, "submit a parameter set"),
-        bound=bound,
+        bound=bound.document(),
         kind="ROLLBACK" if is_rollback else "PROMOTION",
-        needed=policy.needed(waived=bool(bound["waivers"])),
+        needed=policy.needed(waived=bool(bound.waivers)),
         expires_utc=utc_after(days * DAY_S),
     )
     session.put(approval)
-    told = {"set": row.name, "bound": bound, "kind": approval.kind, "needed": approval.needed}
+    told = {"set": row.name, "bound": bound.document(), "kind": approval.kind, "needed": approval.needed}
     told |= {"expires_utc": approval.expires_utc, "four_eyes": policy.four_eyes}
     audit.append(session, actor, "opened", name_subject(approval), None, told, reason)
     move(session, actor, row, "SUBMITTED", "asked to roll back to" if is_rollback else "submitted", reason=reason)

@@ -11,7 +11,7 @@ from typing import Any
 
 from boresight.console.alarms import rules as alarm_rules
 from boresight.console.approvals import queries as rows
-from boresight.console.approvals.tables import Approval
+from boresight.console.approvals.tables import Approval, Binding
 from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import Run
@@ -35,29 +35,34 @@ WORDS = {
 OF_GATES = ("gate_report_sha256", "profile_sha256")  # absent from requests of before there were gates
 
 
-def compute_binding(session: Session, parameter_set: ParameterSet) -> dict[str, Any]:
+def compute_binding(session: Session, parameter_set: ParameterSet) -> Binding:
     """Return the hashes of what an approver of this set is shown now, and the waivers in force."""
     run = None if parameter_set.run_id is None else session.get(Run, parameter_set.run_id)
     report = rows.find_newest_report(session, parameter_set.id)
     profile = rows.find_newest_profile(session, parameter_set.sensor_id)
     definition = find_definition_in_force(session, parameter_set.sensor_id)
     incumbent = set_rows.find_baseline(session, parameter_set.sensor_id)
-    return {
-        "set_sha256": compute_sha256(parameter_set.document),
-        "run_result_sha256": None if run is None else run.result_sha256,
-        "gate_report_sha256": None if report is None else report.sha256,
-        "profile_sha256": None if profile is None else profile.sha256,
-        "table_definition_sha256": None if definition is None else definition.sha256,
-        "incumbent_sha256": None if incumbent is None else incumbent.sha256,
-        "waivers": [waiver.id for waiver in rows.list_waivers_in_force(session, parameter_set.id, utc_now())],
-    }
+    return Binding(
+        set_sha256=compute_sha256(parameter_set.document),
+        run_result_sha256=None if run is None else run.result_sha256,
+        gate_report_sha256=None if report is None else report.sha256,
+        profile_sha256=None if profile is None else profile.sha256,
+        table_definition_sha256=None if definition is None else definition.sha256,
+        incumbent_sha256=None if incumbent is None else incumbent.sha256,
+        waivers=[waiver.id for waiver in rows.list_waivers_in_force(session, parameter_set.id, utc_now())],
+    )
 
 
 def find_changed_bindings(session: Session, approval: Approval, parameter_set: ParameterSet) -> list[str]:
     """List the bindings of a request that have changed."""
-    bound, current = approval.bound, compute_binding(session, parameter_set)
-    held = [name for name in bound if name in current and not (name in OF_GATES and bound[name] is None)]
-    return [WORDS[name] for name in WORDS if name in held and bound[name] != current[name]]
+    bound, current = approval.binding, compute_binding(session, parameter_set)
+    return [
+        word
+        for name, word in WORDS.items()
+        if name in bound.stated
+        and not (name in OF_GATES and getattr(bound, name) is None)
+        and getattr(bound, name) != getattr(current, name)
+    ]
 
 
 def compute_binding_sha256(approval: Approval) -> str:

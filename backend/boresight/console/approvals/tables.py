@@ -2,18 +2,48 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, foreign, mapped_column, relationship
 
+from boresight.calibration.calibration import parse_part
 from boresight.console.fleet.tables import SensorDocument
+from boresight.errors import RefusedInputError
 from boresight.platform.db.declared import STRICT, Base, Sealing, allow_only, only_one
 from boresight.platform.db.documents import JsonText
 
 APPROVAL_STATES = ("OPEN", "APPROVED", "REJECTED", "WITHDRAWN", "STALE", "EXPIRED")
 APPROVAL_KINDS = ("PROMOTION", "ROLLBACK")
 THREAD_KINDS = ("gate", "parameter", "figure")
+
+
+@dataclass(frozen=True)
+class Binding:
+    """What a request binds: hashes of what was shown, and ids of waivers; None where there was none, or where it does not say.
+
+    `stated`: what it says at all; requests of earlier versions say less.
+    """
+
+    set_sha256: str | None = None
+    run_result_sha256: str | None = None
+    gate_report_sha256: str | None = None
+    profile_sha256: str | None = None
+    table_definition_sha256: str | None = None
+    incumbent_sha256: str | None = None
+    waivers: list[int] | None = None
+    stated: frozenset[str] = frozenset()
+
+    @classmethod
+    def parse(cls, document: Mapping[str, Any]) -> Binding:
+        """Read what a row has."""
+        return parse_part(cls, {**document, "stated": frozenset(document)}, RefusedInputError)
+
+    def document(self) -> dict[str, Any]:
+        """Return what a row keeps."""
+        return {item.name: getattr(self, item.name) for item in fields(self) if item.name != "stated"}
 
 
 class Approval(Base):
@@ -40,6 +70,11 @@ class Approval(Base):
     expires_utc: Mapped[str | None] = mapped_column(sa.Text)
     assigned_to: Mapped[int | None] = mapped_column(sa.Integer)  # the person asked to look at it
     signatures: Mapped[list[Signature]] = relationship(viewonly=True, order_by="Signature.id")
+
+    @property
+    def binding(self) -> Binding:
+        """What it binds, typed."""
+        return Binding.parse(self.bound)
 
 
 class Signature(Base):

@@ -240,7 +240,7 @@ def campaign_form(request: Request, session: Reading, actor: Who) -> HTMLRespons
 
 def _begun(origin: LaunchOrigin) -> TypedForm:
     """Fill in the settings from the preset, or the defaults."""
-    return TypedForm() if origin.preset is None else TypedForm().under(origin.preset.settings)
+    return TypedForm() if origin.preset is None else TypedForm().under(origin.preset.chosen)
 
 
 def _beginning(origin: LaunchOrigin, offered: OfferedSensors) -> str:
@@ -260,7 +260,7 @@ async def campaign_launch(request: Request, session: Reading, actor: Who) -> Res
     origin = await run_in_threadpool(read_origin, request, session)
     typed, members = typed_form(form), _chosen(form)
     if form.get("intent") == "preset" and origin.preset is not None:
-        typed = typed.under(origin.preset.settings)
+        typed = typed.under(origin.preset.chosen)
     launch = partial(_launch, actor=actor, typed=typed, origin=origin, members=members)
     intent, outcome = _intent(form), None
     if intent == "queue":
@@ -291,7 +291,7 @@ def _launch(
     validate_only: bool = False,
 ) -> Any:
     preset = origin.preset
-    free = preset.settings.get("free") if preset else None
+    free = preset.chosen.free if preset else None
     settings = {**typed.settings_of_any(), "free": free}
     return campaigns.launch_campaign(
         session,

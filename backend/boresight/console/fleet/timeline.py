@@ -89,7 +89,7 @@ class TimelineReader:
             sentence=told.sentence,
             said=told.said or None,
             sha256=told.sha256,
-            happened_utc=(getattr(row, "evidence", None) or {}).get("happened_utc"),
+            happened_utc=row.typed_evidence.happened_utc if isinstance(row, Uplink) else None,
             subject=told.subject,
         )
 
@@ -140,7 +140,7 @@ def _promotion(reader: TimelineReader, row: Promotion) -> EventText:
         told,
         said=row.reason or request.reason,
         subject=f"approvals/{request.id}",
-        sha256=request.bound.get("set_sha256"),
+        sha256=request.binding.set_sha256,
     )
     if reader.first_promotions[row.parameter_set_id] != row.id:
         return replace(told, kind="roll-back", sentence=f"{name} became the baseline again.")
@@ -154,11 +154,11 @@ def _package(reader: TimelineReader, row: Package) -> EventText:
 
 
 def _uplink(reader: TimelineReader, row: Uplink) -> EventText:
-    name, evidence = reader.name(row.parameter_set_id), row.evidence or {}
-    said = evidence.get("sentence") if row.method else None
+    name, evidence = reader.name(row.parameter_set_id), row.typed_evidence
+    said = evidence.sentence if row.method else None
     sentence = f"{name} was recorded as {row.onboard_state} on board, {describe_source(row)}. {said or ''}".rstrip()
     told = EventText("read-back" if row.method else "uplink", sentence, row.parameter_set_id, row.recorded_by)
-    return replace(told, state=row.onboard_state, said=row.source, sha256=evidence.get("shown_sha256"))
+    return replace(told, state=row.onboard_state, said=row.source, sha256=evidence.shown_sha256)
 
 
 def describe_source(row: Uplink) -> str:
@@ -248,7 +248,7 @@ def _list_learned_later(session: Session, sensor_id: int, time_utc: str) -> Reco
     return [
         (row, record)
         for row, record in sensor_rows.list_records_after(session, sensor_id, time_utc)
-        if ((record.evidence or {}).get("happened_utc") or record.recorded_utc) <= time_utc
+        if (record.typed_evidence.happened_utc or record.recorded_utc) <= time_utc
     ]
 
 

@@ -286,7 +286,7 @@ def _as_answered(
     same_baseline = (
         quiet is not None
         and found.reference is not None
-        and quiet.evidence.get("reference_id") == found.reference.parameter_set_id
+        and quiet.typed_evidence.reference_id == found.reference.parameter_set_id
     )
     if quiet is None or not same_baseline:
         return None
@@ -436,7 +436,7 @@ def list_overtaken(session: Session) -> list[int]:
     found = []
     for row in rows.list_asked(session, 1000):
         baseline = set_rows.find_baseline(session, row.sensor_id)
-        if baseline is not None and baseline.id != row.evidence.get("reference_id"):
+        if baseline is not None and baseline.id != row.typed_evidence.reference_id:
             found.append(row.id)
     return found
 
@@ -498,7 +498,7 @@ def answer(
         utc_now(),
     )
     row.quiet_until_utc = utc_after(given.days * DAY_S) if given.answer == "WAIT" else None
-    told = {"answer": given.answer, "approval_id": row.approval_id, "advised": row.evidence.get("advised")}
+    told = {"answer": given.answer, "approval_id": row.approval_id, "advised": row.typed_evidence.advised}
     move(session, actor, row, "ANSWERED", "answered", reason=row.answer_reason, **told)
     return row
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
+from boresight.calibration.calibration import parse_part
+from boresight.errors import RefusedInputError
 from boresight.platform.db.declared import STRICT, Base, Sealing, allow_only, only_one
 from boresight.platform.db.documents import JsonText
 
@@ -58,6 +61,14 @@ class IngestPolicy(Base):
     resumed_utc: Mapped[str | None] = mapped_column(sa.Text)
 
 
+@dataclass(frozen=True)
+class DecisionEvidence:
+    """What the console itself reads of a decision's evidence; None where it does not say."""
+
+    reference_id: int | None = None
+    advised: str | None = None
+
+
 class IngestDecision(Base):
     """What was made of one file: its set, its run, what the policy found, and what a person answered."""
 
@@ -97,6 +108,11 @@ class IngestDecision(Base):
     answered_utc: Mapped[str | None] = mapped_column(sa.Text)
     answered_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
     quiet_until_utc: Mapped[str | None] = mapped_column(sa.Text)  # of WAIT: how long the same change is not asked again
+
+    @property
+    def typed_evidence(self) -> DecisionEvidence:
+        """What it rests on, typed."""
+        return parse_part(DecisionEvidence, self.evidence, RefusedInputError)
 
 
 class TakenObject(Base):

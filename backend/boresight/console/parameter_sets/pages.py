@@ -254,7 +254,7 @@ def find_incumbent(session: Session, row: ParameterSet, requests: Sequence[Appro
 
 def find_bound_incumbent(session: Session, row: ParameterSet, request: Approval | None) -> ParameterSet | None:
     """Return the set that was baseline when a request was made; None where the request names none."""
-    sha256 = request.bound.get("incumbent_sha256") if request is not None else None
+    sha256 = request.binding.incumbent_sha256 if request is not None else None
     return None if sha256 is None else set_queries.find_other_with_document(session, row, sha256)
 
 

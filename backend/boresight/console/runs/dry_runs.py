@@ -210,18 +210,18 @@ def estimate_seconds_per_star(session: Session, method: str) -> float:
     return estimate_run_speed(session, method).s_per_star
 
 
-def predict_duration_s(settings: Mapping[str, Any], frames: int, stars: int, pace_s_per_star: float) -> float:
+def predict_duration_s(settings: CalibrationSettings, frames: int, stars: int, pace_s_per_star: float) -> float:
     """Return how long a run will take, seconds."""
     return START_S + stars * pace_s_per_star + _downlink_s(settings, frames)
 
 
-def _downlink_s(settings: Mapping[str, Any], frames: int) -> float:
+def _downlink_s(settings: CalibrationSettings, frames: int) -> float:
     """Return how long a replay waits for its frames, seconds; 0 where nothing is replayed."""
-    replay = float(settings.get("replay_frames_per_s") or 0.0)
+    replay = settings.replay_frames_per_s
     return frames / replay if replay > 0 else 0.0
 
 
-def _computed_s(settings: Mapping[str, Any], frames: int, seconds: float) -> float:
+def _computed_s(settings: CalibrationSettings, frames: int, seconds: float) -> float:
     """Return the seconds of a past run without its wait for frames, at least `START_S` where it waited."""
     waited = _downlink_s(settings, frames)
     return max(seconds - waited, START_S) if waited else seconds
@@ -246,8 +246,7 @@ def dry_run(session: Session, request: RunRequest, forecast_sources: ForecastSou
     )
     pace = estimate_run_speed(session, settings.method)
     seconds = [
-        round(predict_duration_s(settings.document(), frames, stars, one), 3)
-        for one in (pace.s_per_star, pace.low, pace.high)
+        round(predict_duration_s(settings, frames, stars, one), 3) for one in (pace.s_per_star, pace.low, pace.high)
     ]
     forecast = None
     if forecast_sources is not None and not request.further and request.start is None:  # it is of one set by itself
@@ -282,7 +281,7 @@ def estimate_s(session: Session, requests: Sequence[RunRequest]) -> float:
     if not requests:
         return 0.0
     pace = estimate_run_speed(session, requests[0].settings.method).s_per_star
-    settings = requests[0].settings.document()
+    settings = requests[0].settings
     return round(
         sum(
             predict_duration_s(settings, request.telemetry.frames, request.telemetry.stars, pace)

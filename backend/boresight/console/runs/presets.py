@@ -30,11 +30,16 @@ class OfferedPreset:
     key: str
     name: str
     sentence: str
-    settings: Mapping[str, Any]
+    chosen: CalibrationSettings
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The settings as a document, every one of them."""
+        return self.chosen.document()
 
 
 def _own(key: str, name: str, sentence: str, **chosen: Any) -> OfferedPreset:
-    return OfferedPreset(key, name, sentence, CalibrationSettings.parse(chosen).document())
+    return OfferedPreset(key, name, sentence, CalibrationSettings.parse(chosen))
 
 
 BUILT_IN = (
@@ -89,7 +94,9 @@ def list_offers(session: Session) -> list[OfferedPreset]:
 
 def make_offer(row: Preset) -> OfferedPreset:
     """Return a saved version as an offer; settings introduced after it was saved are at their defaults."""
-    return OfferedPreset(str(row.id), f"{row.name}, version {row.number}", row.sentence, _whole(row.document))
+    return OfferedPreset(
+        str(row.id), f"{row.name}, version {row.number}", row.sentence, CalibrationSettings.parse(row.document)
+    )
 
 
 def _whole(document: Mapping[str, Any]) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from typing import Any, cast
 import sqlalchemy as sa
 from sqlalchemy.orm.attributes import set_committed_value
 
+from boresight.calibration.options import CalibrationSettings
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import (
     CALIBRATIONS,
@@ -32,8 +33,10 @@ from boresight.console.runs.tables import (
     Preset,
     Run,
     RunEvent,
+    parse_settings,
 )
 from boresight.console.telemetry.tables import TelemetrySet, find_quality
+from boresight.errors import RefusedInputError
 from boresight.platform.audit import chain, seals
 from boresight.platform.audit import seals as journals
 from boresight.platform.blobs.tables import Blob
@@ -121,7 +124,7 @@ class WaitingRun:
     run_id: int
     attempt: int
     method: str
-    settings: Mapping[str, Any]
+    settings: CalibrationSettings
     frames: int
     stars: int
 
@@ -196,7 +199,18 @@ def list_waiting_runs(session: Session, limit: int) -> list[WaitingRun]:
         .order_by(Run.id)
         .limit(limit)
     )
-    return [WaitingRun(*row) for row in session.execute(query)]
+    return [
+        WaitingRun(run_id, attempt, method, _settings_to_plan_by(settings), frames, stars)
+        for run_id, attempt, method, settings, frames, stars in session.execute(query)
+    ]
+
+
+def _settings_to_plan_by(document: Mapping[str, Any]) -> CalibrationSettings:
+    """Read a run's settings; the usual ones where they are damaged, for one run must not keep others waiting."""
+    try:
+        return parse_settings(document)
+    except RefusedInputError:
+        return CalibrationSettings()
 
 
 def list_claimed_runs(session: Session, run_ids: Sequence[int]) -> list[ClaimedRun]:
@@ -568,11 +582,11 @@ def count_by_state(session: Session) -> dict[str, int]:
     return {row[0]: row[1] for row in rows}
 
 
-def list_recent_runs(session: Session, method: str, limit: int) -> list[tuple[dict[str, Any], RunSummary]]:
+def list_recent_runs(session: Session, method: str, limit: int) -> list[tuple[CalibrationSettings, RunSummary]]:
     """Return settings and summary of the newest runs of a method that succeeded."""
     query = sa.select(Run.settings, Run.summary).where(Run.state == "SUCCEEDED", Run.method == method)
     newest = session.execute(query.where(Run.summary.is_not(None)).order_by(Run.id.desc()).limit(limit))
-    return [(settings, parse_run_summary(summary)) for settings, summary in newest if summary]
+    return [(_settings_to_plan_by(settings), parse_run_summary(summary)) for settings, summary in newest if summary]
 
 
 def list_sensors(session: Session, run_ids: Collection[int]) -> list[int]:

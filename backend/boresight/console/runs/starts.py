@@ -18,6 +18,7 @@ from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.db.sessions import Session
+from boresight.telemetry.sensors import parse_sensor
 from boresight.verdicts.verdict import parse_run_summary
 
 #: States in which a parameter set may be started from.
@@ -113,15 +114,14 @@ def check_start(
 
 def _check_same_parameters(sensor: Sensor, free: Sequence[str], start: Start) -> None:
     """Refuse a calibration of another camera model, or of other free parameters."""
-    before = start.run.sensor_document
-    if before["camera_model"] != sensor.document["camera_model"]:
+    before = parse_sensor(start.run.sensor_document)
+    if before.camera_model != sensor.document["camera_model"]:
         raise RefusedInputError(
-            f"{start.name} is of the camera model {before['camera_model']}, and {sensor.name} has "
+            f"{start.name} is of the camera model {before.camera_model}, and {sensor.name} has "
             f"{sensor.document['camera_model']} now; start from a calibration of that model.",
             code="other-camera-model",
         )
-    names = CAMERA_MODELS[before["camera_model"]].parameter_names
-    known = list(start.run.settings.get("free") or before.get("free") or names)
+    known = list(start.run.stated_settings.free or before.free)
     if sorted(free) != sorted(known):
         raise RefusedInputError(
             f"{start.name} knows {', '.join(known)} and this run frees {', '.join(free)}; free the same parameters, for a "

@@ -10,6 +10,7 @@ import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column, relationship
 
 from boresight.calibration.calibration import parse_part
+from boresight.calibration.options import StatedSettings
 from boresight.errors import RefusedInputError
 from boresight.platform.db.declared import STRICT, Base, Journal, Sealing, allow_only
 from boresight.platform.db.documents import JsonText
@@ -18,6 +19,11 @@ RUN_STATES = ("QUEUED", "RUNNING", "CANCELLING", "SUCCEEDED", "FAILED", "CANCELL
 TERMINAL_RUN_STATES = ("SUCCEEDED", "FAILED", "CANCELLED", "LOST")
 #: The method of a run that chooses a camera.
 CHOICE = "choice"
+
+
+def parse_settings(document: Mapping[str, Any]) -> StatedSettings:
+    """Read the settings that a row keeps, whatever version wrote them."""
+    return parse_part(StatedSettings, document, RefusedInputError)
 
 
 class JointSet(Base):
@@ -95,6 +101,11 @@ class Run(Base):
     def joint_set_ids(self) -> list[int]:
         """The telemetry sets that it takes with its first."""
         return [one.telemetry_set_id for one in self.further]
+
+    @property
+    def stated_settings(self) -> StatedSettings:
+        """Its settings, typed."""
+        return parse_settings(self.settings)
 
 
 class ArchivedRun(Base):

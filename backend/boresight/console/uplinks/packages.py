@@ -24,7 +24,7 @@ from boresight.console.approvals import queries as approval_rows
 from boresight.console.approvals import staleness
 from boresight.console.approvals.gates import lay_waivers
 from boresight.console.approvals.signers import list_second_persons
-from boresight.console.approvals.tables import Approval, Signature
+from boresight.console.approvals.tables import Approval, Binding, Signature
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.parameter_sets.tables import ParameterSet
@@ -167,11 +167,11 @@ def _describe_telemetry(session: Session, telemetry_set_id: int | None) -> dict[
 def _describe_gates(session: Session, row: ParameterSet) -> dict[str, Any] | None:
     """Return the signed gate report with the bound waivers; None where there was none."""
     approval = approval_rows.find_latest_approval(session, row.id, "APPROVED")
-    bound = {} if approval is None else approval.bound
-    report = approval_rows.find_newest_report(session, row.id, bound.get("gate_report_sha256"))
+    bound = Binding() if approval is None else approval.binding
+    report = approval_rows.find_newest_report(session, row.id, bound.gate_report_sha256)
     if report is None:
         return None
-    laid_over = lay_waivers(session, report, bound.get("waivers"))
+    laid_over = lay_waivers(session, report, bound.waivers)
     return {
         "sha256": report.sha256,
         "verdict": laid_over.verdict,

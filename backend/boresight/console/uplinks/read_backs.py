@@ -98,8 +98,8 @@ def _read_table(session: Session, blobs: BlobStore, package: Package) -> bytes:
 
 def _get_sent_package(session: Session, sent: Uplink | None) -> Package | None:
     """Return the package that a record says was sent."""
-    named = ((sent.evidence if sent else None) or {}).get("package")
-    return None if named is None else session.get(Package, named["id"])
+    named = sent.typed_evidence.package if sent else None
+    return None if named is None else session.get(Package, named.id)
 
 
 def read_back(

@@ -264,10 +264,10 @@ def _retire_active(session: Session, actor: Actor, row: ParameterSet, source: st
 
 def get_dump_digest(session: Session, uplink_id: int) -> str:
     """Return the SHA-256 of the dump that a record rests on."""
-    dump = (session.get_known(Uplink, uplink_id).evidence or {}).get("dump")
+    dump = session.get_known(Uplink, uplink_id).typed_evidence.dump
     if dump is None:
         raise NotFoundError(f"Uplink record {uplink_id} has no dump; see its method and evidence.")
-    return str(dump["sha256"])
+    return dump.sha256
 
 
 def find_baseline_at(session: Session, sensor_id: int, time: str) -> ParameterSet | None:

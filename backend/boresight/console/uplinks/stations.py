@@ -234,11 +234,10 @@ def find_uplink_progress(records: Sequence[Uplink]) -> Sequence[Uplink]:
 
 def find_exported_package(packages: Sequence[Package], records: Sequence[Uplink]) -> Package | None:
     """Return the package that was sent, else the newest; None where there is none."""
-    named = [
-        (row.evidence or {}).get("package") for row in find_uplink_progress(records) if row.onboard_state == "SENT"
-    ]
-    if named and named[-1] is not None:
-        return next((package for package in packages if package.id == named[-1]["id"]), None)
+    sent = [row for row in find_uplink_progress(records) if row.onboard_state == "SENT"]
+    named = sent[-1].typed_evidence.package if sent else None
+    if named is not None:
+        return next((package for package in packages if package.id == named.id), None)
     return packages[0] if packages else None
 
 

@@ -2,15 +2,44 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
+from boresight.calibration.calibration import parse_part
 from boresight.console.fleet.tables import SensorDocument
 from boresight.console.parameter_sets.tables import ONBOARD_STATES
+from boresight.errors import RefusedInputError
 from boresight.platform.db.declared import STRICT, Base, allow_only
 from boresight.platform.db.documents import JsonText
+
+
+@dataclass(frozen=True)
+class SentPackage:
+    """The package that a record names."""
+
+    id: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class StoredDump:
+    """The dump that a record rests on."""
+
+    sha256: str
+
+
+@dataclass(frozen=True)
+class UplinkEvidence:
+    """What the console itself reads of a record's evidence; None where it does not say."""
+
+    package: SentPackage | None = None
+    dump: StoredDump | None = None
+    sentence: str | None = None
+    shown_sha256: str | None = None
+    happened_utc: str | None = None
 
 
 class Uplink(Base):
@@ -29,6 +58,11 @@ class Uplink(Base):
     evidence: Mapped[dict[str, Any] | None] = mapped_column(JsonText)  # package, dump, CRC, differing fields
     printed_name: Mapped[str | None] = mapped_column(sa.Text)  # of the activation's signature
     meaning: Mapped[str | None] = mapped_column(sa.Text)
+
+    @property
+    def typed_evidence(self) -> UplinkEvidence:
+        """What it rests on, typed."""
+        return parse_part(UplinkEvidence, self.evidence or {}, RefusedInputError)
 
 
 class TableDefinition(SensorDocument, Base):

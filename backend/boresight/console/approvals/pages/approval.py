@@ -163,7 +163,7 @@ def request_page(
     points = review.list_points(session, approval, actor.user_id)
     found = threads.list_threads(session, approval_id)
     changed = [one for one in rows if one.delta]
-    panel = make_gates_panel(session, actor, row, report_sha256=approval.bound.get("gate_report_sha256"))
+    panel = make_gates_panel(session, actor, row, report_sha256=approval.binding.gate_report_sha256)
     against = [one for one in panel.rows if one.status != "PASS"]
     return render(
         request,

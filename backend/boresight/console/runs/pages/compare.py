@@ -247,8 +247,9 @@ def _refusal(compared: Sequence[ComparedRun]) -> str | None:
 
 def _unlike(compared: Sequence[ComparedRun]) -> list[str]:
     """List the settings, other than the methods' own, that differ between the runs."""
-    names = sorted({name for one in compared for name in one.run.settings} - OWN - {"free"})
-    found = [words(name) for name in names if len({str(one.run.settings.get(name)) for one in compared}) > 1]
+    chosen = [one.run.stated_settings for one in compared]
+    names = sorted(set(OPTIONS) - OWN - {"free"})
+    found = [words(name) for name in names if len({getattr(settings, name) for settings in chosen}) > 1]
     free = {str(one.calibration.free) for one in compared if one.calibration.free}
     frames = {one.calibration.frames for one in compared if one.calibration.frames}
     return found + ["free parameters"] * (len(free) > 1) + ["number of frames used"] * (len(frames) > 1)
@@ -435,8 +436,9 @@ def _description(one: ComparedRun, names: RunNames) -> dict[str, str]:
 
 def _chosen(one: ComparedRun) -> dict[str, Any]:
     """Return a run's settings except its method, with the sensor's free parameters filled in where it named none."""
-    settings = {name: value for name, value in one.run.settings.items() if name != "method"}
-    return {**settings, "free": one.calibration.free or settings.get("free")}
+    settings = one.run.stated_settings
+    said = {name: value for name, value in settings.document().items() if name != "method"}
+    return {**said, "free": one.calibration.free or settings.free}
 
 
 def _text(value: Any) -> str:

@@ -87,12 +87,12 @@ class TypedForm:
         """Return the form with some settings replaced."""
         return replace(self, chosen={**self.chosen, **texts})
 
-    def under(self, settings: Mapping[str, Any]) -> TypedForm:
+    def under(self, settings: CalibrationSettings) -> TypedForm:
         """Return the form with new settings, keeping data and label, and the free parameters where the settings name none."""
         free = dict(self.free)
-        if settings.get("free") and (sensor_id := parse_row_id(self.sensor_id)) is not None:
-            free[sensor_id] = list(settings["free"])
-        return replace(self.with_settings(typed_settings(settings)), free=free)
+        if settings.free and (sensor_id := parse_row_id(self.sensor_id)) is not None:
+            free[sensor_id] = list(settings.free)
+        return replace(self.with_settings(typed_settings(settings.document())), free=free)
 
     def amended(self, address: QueryParams) -> TypedForm:
         """Return the form with the fields that an address names; an empty `free-<sensor>` frees no parameter.
@@ -356,7 +356,7 @@ def first_choice(
     if clone is None:
         return TypedForm(**newest_sets(session, fleet[0].id if sensor_id is None and fleet else sensor_id), free=free)
     run = runs.get_run(session, clone)
-    free[run.sensor_id] = list(run.settings.get("free") or free.get(run.sensor_id) or [])
+    free[run.sensor_id] = list(run.stated_settings.free or free.get(run.sensor_id) or [])
     data: dict[str, Any] = {
         "sensor_id": str(run.sensor_id),
         "telemetry_set_id": str(run.telemetry_set_id),
@@ -489,15 +489,11 @@ class ChangedChoice:
     now: str
 
 
-def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[ChangedChoice]:
-    """List the differences of two settings documents; absent settings are at their defaults."""
-    usual = CalibrationSettings().document()
+def differences(before: CalibrationSettings, now: CalibrationSettings) -> list[ChangedChoice]:
+    """List the differences of two settings."""
+    pairs = ((name, getattr(before, name), getattr(now, name)) for name in OPTIONS)
     return [
-        ChangedChoice(
-            OPTIONS[name].label, said(name, before.get(name, usual[name])), said(name, now.get(name, usual[name]))
-        )
-        for name in usual
-        if before.get(name, usual[name]) != now.get(name, usual[name])
+        ChangedChoice(OPTIONS[name].label, said(name, old), said(name, new)) for name, old, new in pairs if old != new
     ]
 
 
@@ -547,7 +543,7 @@ def read_origin(request: Request, session: Session) -> LaunchOrigin:
 def _begun(session: Session, offered: OfferedData, origin: LaunchOrigin) -> TypedForm:
     """Fill a new form from its starting point: data first, then the preset's settings, then the method."""
     typed = first_choice(session, offered.fleet, origin.clone, offered.shown or origin.sensor, origin.set_id)
-    typed = typed if origin.preset is None else typed.under(origin.preset.settings)
+    typed = typed if origin.preset is None else typed.under(origin.preset.chosen)
     return typed.with_settings({"method": origin.method}) if origin.method else typed
 
 
@@ -586,7 +582,7 @@ async def launch(request: Request, session: Reading, actor: Who, forecast_source
             return redirect(f"/runs/new?{kept.query}", flash=f"{kept.preset.name} is saved." if kept.preset else "")
     else:
         if intent == "preset" and origin.preset is not None:
-            typed = typed.under(origin.preset.settings)
+            typed = typed.under(origin.preset.chosen)
         outcome = await run_in_threadpool(ask, partial(_launch, session, actor, typed, forecast_sources))
     return await run_in_threadpool(_page, request, session, actor, typed, origin, None, outcome, form)
 
@@ -636,19 +632,13 @@ def _changes(session: Session, typed: TypedForm, origin: LaunchOrigin) -> list[C
     if (origin.clone is None and origin.preset is None) or sensor_id is None:
         return None
     try:
-        now = CalibrationSettings.parse(typed.settings()).document()
+        now = CalibrationSettings.parse(typed.settings())
     except RefusedInputError:
         return []  # the refusal is shown beside
-    before = dict(origin.preset.settings) if origin.preset else {}
+    before = origin.preset.chosen if origin.preset else CalibrationSettings()
     if origin.clone is not None:
-        before = runs.get_run(session, origin.clone).settings
-    sensor = session.get_known(Sensor, sensor_id)
-    return differences(
-        {**before, "free": before.get("free") or list_free_parameters(sensor)}, _in_order(now, before, sensor)
-    )
-
-
-def _in_order(now: Mapping[str, Any], before: Mapping[str, Any], sensor: Sensor) -> dict[str, Any]:
-    """Keep the former order of the free parameters where they are the same."""
-    free = before.get("free") or list_free_parameters(sensor)
-    return {**now, "free": free if set(now["free"]) == set(free) else now["free"]}
+        before = runs.get_run(session, origin.clone).stated_settings
+    free = before.free or tuple(list_free_parameters(session.get_known(Sensor, sensor_id)))
+    if set(now.free or ()) == set(free):
+        now = replace(now, free=free)  # their order is no difference
+    return differences(replace(before, free=free), now)

@@ -34,7 +34,7 @@ from boresight.console.pages.tables import (
 from boresight.console.runs import presets
 from boresight.console.runs import queries as run_queries
 from boresight.console.runs.pages.launch import differences
-from boresight.console.runs.tables import RUN_STATES, Run, parse_progress
+from boresight.console.runs.tables import RUN_STATES, Run, parse_progress, parse_settings
 from boresight.console.telemetry import queries as telemetry_rows
 from boresight.platform.db.sessions import Session
 from boresight.verdicts.numbers import MISSING, NARROW_SPACE, number, urad
@@ -256,9 +256,9 @@ MOST_SHOWN = 500
 def presets_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
     """List every preset, each with what it changes of the usual settings."""
     saved = presets.list_presets(session, archived=True)
-    usual = CalibrationSettings().document()
-    changes = {offer.key: differences(usual, offer.settings) for offer in presets.BUILT_IN}
-    changes |= {str(row.id): differences(usual, row.document) for row in saved}
+    usual = CalibrationSettings()
+    changes = {offer.key: differences(usual, offer.chosen) for offer in presets.BUILT_IN}
+    changes |= {str(row.id): differences(usual, parse_settings(row.document)) for row in saved}
     return render(
         request,
         "runs/presets.html",
