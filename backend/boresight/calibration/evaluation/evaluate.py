@@ -217,7 +217,8 @@ def shadow_view(telemetry: Telemetry, baseline: MatchedFrames, candidate: Matche
     ends = np.searchsorted(telemetry.frame, baseline.view.frames, side="right")
     rows = np.stack([np.append(0, ends[:-1]), ends], axis=1)
     reasons = baseline.frame_reasons, candidate.frame_reasons
-    lost_ids, gained_ids = _ids(baseline, lost, rows), _ids(candidate, gained, rows)
+    kept = _kept(baseline.view.valid_frames, candidate.view.valid_frames)
+    ids = zip(_ids(baseline, lost, rows[kept]), _ids(candidate, gained, rows[kept]), strict=True)
     return ShadowOfSet(
         frames=[
             ShadowFrame(
@@ -225,10 +226,10 @@ def shadow_view(telemetry: Telemetry, baseline: MatchedFrames, candidate: Matche
                 time_utc=time_text(telemetry, rows[k, 0]),
                 baseline=_answer(baseline, k, reasons[0]),
                 candidate=_answer(candidate, k, reasons[1]),
-                lost=lost_ids.get(k, []),
-                gained=gained_ids.get(k, []),
+                lost=lost_of,
+                gained=gained_of,
             )
-            for k in _kept(baseline.view.valid_frames, candidate.view.valid_frames).tolist()
+            for k, (lost_of, gained_of) in zip(kept.tolist(), ids, strict=True)
         ],
         frames_in_set=len(rows),
         flight_tolerance_rad=candidate.tolerance_rad,
@@ -261,14 +262,11 @@ def _answer(seen: MatchedFrames, k: int, reasons: list[str]) -> ShadowAnswer:
     return ShadowAnswer(valid=valid, matched=int(seen.view.matched_in_frame[k]), reason=None if valid else reasons[k])
 
 
-def _ids(seen: MatchedFrames, moved: BoolArray, rows: IntArray) -> dict[int, list[int]]:
-    """Star numbers of the rows that moved, by the place of their frame; 0 where the file gives a direction and no number."""
-    found: dict[int, list[int]] = {}
+def _ids(seen: MatchedFrames, moved: BoolArray, rows: IntArray) -> list[list[int]]:
+    """Star numbers of the rows of some frames that moved; 0 where the file gives a direction and no number."""
     places = np.flatnonzero(moved)
-    frames = np.searchsorted(rows[:, 1], places, side="right")
-    for frame, star in zip(frames.tolist(), seen.matches.star_id[places].tolist(), strict=True):
-        found.setdefault(frame, []).append(star)
-    return found
+    star, ends = seen.matches.star_id[places], np.searchsorted(places, rows)
+    return [star[first:last].tolist() if last > first else [] for first, last in ends.tolist()]
 
 
 def shadow_summary(baseline: BoolArray, candidate: BoolArray, stars_lost: int, stars_gained: int) -> ShadowSummary:
