@@ -33,7 +33,7 @@ def test_the_chance_of_a_maximum_is_that_of_simulated_fields():
     flat = fields.reshape(len(fields), -1)
     place = np.stack(np.meshgrid(*(np.arange(0, n, 2) for n in shape), indexing="ij"), axis=-1).reshape(-1, 2)
     correlation = np.exp(-np.sum((place[:, None] - place) ** 2, axis=2) / (4 * w**2))
-    around, area = measure_field(correlation, (30, 40))
+    around, area = measure_field(np.eye(len(place)), correlation, (30, 40))
     assert around == pytest.approx((58 + 78) / (np.sqrt(2) * w), rel=0.05)
     assert area == pytest.approx(58 * 78 / (2 * w**2), rel=0.06)
     for t in (3.5, 4.0):

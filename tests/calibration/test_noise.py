@@ -23,6 +23,7 @@ from boresight.calibration.noise import (
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem
 from boresight.calibration.telemetry_pieces import TelemetryFile
+from boresight.kernels.noise import score_noise, take_rotations_out
 from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
 from boresight.simulation.sensors import st16_truth
 from tests.calibration.sets import write_in_groups
@@ -98,6 +99,33 @@ def test_the_noise_maximises_the_restricted_likelihood_and_claims_its_curvature(
     # the bias is the generalised least squares of the whole matrices
     b = np.linalg.solve(X.T @ (X / V[:, None]), X.T @ (flat / V))[-2:]
     np.testing.assert_allclose(found.b, b, atol=0.02 * np.sqrt(np.diag(found.P_b)).max())
+
+
+def test_the_loops_of_the_likelihood_are_plain_numpy():
+    rng = np.random.default_rng(5)
+    K, J, D, g, sigma, starts = a_small_field(rng)
+    r, n, exposures, weight = rng.normal(size=(len(sigma), 2)), len(sigma), len(starts) - 1, 1 / sigma
+    L, X = np.empty((exposures, 3, 3)), np.empty((n, 2, 7))
+    take_rotations_out(starts, r, J, K, D, weight, L, X)
+    c, G = rng.normal(size=6), rng.normal(size=(6, 6))
+    score, A = np.empty(2), np.empty((2, 2))
+    score_noise(starts, K, weight, L, g, X, X.reshape(2 * n, -1)[:, :-1] @ G, c, score, A)
+    expected_score, expected_A = np.zeros(2), np.zeros((2, 2))
+    for e in range(exposures):
+        stars = slice(starts[e], starts[e + 1])
+        w = weight[stars, None, None]
+        turn, rows = (K[stars] * w).reshape(-1, 3), np.concatenate([J, D, r[:, :, None]], axis=2)[stars] * w
+        N = np.linalg.inv(turn.T @ turn)
+        rows = rows.reshape(-1, 7) - turn @ N @ turn.T @ rows.reshape(-1, 7)
+        np.testing.assert_allclose(X[stars].reshape(-1, 7), rows, rtol=1e-9, atol=1e-11)
+        np.testing.assert_allclose(L[e] @ L[e].T, N, rtol=1e-10)
+        h = np.sum((turn @ N) * turn, axis=1) + np.sum((rows[:, :-1] @ G) * rows[:, :-1], axis=1)
+        q = np.repeat(g[stars], 2, axis=0)
+        expected_score += q.T @ ((rows[:, -1] - rows[:, :-1] @ c) ** 2 - 1 + h)
+        S = [(turn * q[:, k : k + 1]).T @ turn @ N for k in range(2)]
+        expected_A += 2 * (q.T @ (q * (1 - 2 * h)[:, None]) + [[np.trace(a @ b) for b in S] for a in S])
+    np.testing.assert_allclose(score, expected_score, rtol=1e-10)
+    np.testing.assert_allclose(A, expected_A, rtol=1e-10)
 
 
 def test_noise_and_bias_scatter_as_they_claim():

@@ -1399,7 +1399,7 @@ def to_plain(value: Any) -> Any:
     if kind is StatedSettings:
         value, kind = value.document(), dict
     if (members := _members(kind)) is not None:
-        return {name: to_plain(getattr(value, name)) for name in members}
+        return {name: one if type(one := getattr(value, name)) in _AS_THEY_ARE else to_plain(one) for name in members}
     if isinstance(value, list | tuple):
         first: Any = type(value[0]) if value else None
         nested = first is not None and _members(first) is not None

@@ -47,8 +47,8 @@ from boresight.calibration.readout import compute_rates, find_speed_px_s
 from boresight.cameras import CAMERA_MODELS
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.attitude import to_quaternion
-from boresight.estimation.statistics.cramer_rao import centroid_rows
 from boresight.estimation.statistics.special import chdtrc
+from boresight.kernels.noise import score_noise, take_rotations_out
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import MAGNITUDES, Telemetry, within
 from boresight.telemetry.sensors import Sensor
@@ -259,23 +259,18 @@ def _round(
     r: FloatArray, J: FloatArray, K: FloatArray, D: FloatArray, g: FloatArray, weight: FloatArray, star_start: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Bias with its covariance, and score and information of the noise, under weights (n,)."""
-    w = weight[:, None, None]
-    Kw = K * w
-    N = np.linalg.inv(sums(Kw.transpose(0, 2, 1) @ Kw, star_start))
-    X = np.concatenate([J, D, r[:, :, None]], axis=2) * w
-    X = X - Kw @ each(N @ sums(Kw.transpose(0, 2, 1) @ X, star_start), star_start)
-    flat = X.reshape(-1, X.shape[2])
-    n_free, rows = J.shape[2], flat[:, :-1]
-    G = _inverse(rows.T @ rows)
-    solved = G @ (rows.T @ flat[:, -1])
-    z = (flat[:, -1] - rows @ solved).reshape(-1, 2)
-    u = Kw @ each(np.linalg.cholesky(N), star_start)
-    h = np.sum(u * u, axis=2) + np.sum((rows @ G) * rows, axis=1).reshape(-1, 2)
-    score = g.T @ np.sum(z * z - 1 + h, axis=1)
-    outer = np.einsum("nai,naj->nij", u, u).reshape(len(g), 9)
-    joint = sums(g[:, :, None] * outer[:, None, :], star_start)
-    A = 2 * ((g * np.sum(1 - 2 * h, axis=1)[:, None]).T @ g + np.einsum("eki,eli->kl", joint, joint))
-    return solved[n_free:], G[n_free:, n_free:], score, np.asarray(A)
+    n, n_free, terms = len(r), J.shape[2], g.shape[1]
+    L, X = np.empty((len(star_start) - 1, 3, 3)), np.empty((n, 2, n_free + D.shape[2] + 1))
+    take_rotations_out(star_start, r, J, K, D, weight, L, X)
+    flat = X.reshape(2 * n, -1)
+    products, rows = flat.T @ flat, flat[:, :-1]
+    if not np.isfinite(products).all():
+        raise np.linalg.LinAlgError("an exposure leaves a rotation open")
+    G = _inverse(products[:-1, :-1])
+    c = G @ products[:-1, -1]
+    score, A = np.empty(terms), np.empty((terms, terms))
+    score_noise(star_start, K, weight, L, g, X, rows @ G, c, score, A)
+    return c[n_free:], G[n_free:, n_free:], score, A
 
 
 def _inverse(A: FloatArray) -> FloatArray:
@@ -316,7 +311,6 @@ def estimate_noise(
         return Noise(unavailable=dict.fromkeys(UNITS, few))
     arcs = _thinned(arcs, most_frames)
     camera = CAMERA_MODELS[sensor.camera_model]
-    rows = centroid_rows(camera, x, arcs, freedom.free, freedom.scale)
     seen = pixel_residuals(camera, x, arcs, sensor.parity, freedom)
     share = np.diagonal(seen.M, axis1=1, axis2=2)
     z = np.abs(seen.r) / (arcs.sigma_px[:, None] * np.sqrt(np.maximum(share, 1e-6)))
@@ -325,7 +319,7 @@ def estimate_noise(
     inside = known & (z.max(axis=1) <= CUT * max(spread, 1e-9))
     w = each(_rates(telemetry, arcs, seen.C), arcs.star_start)
     quantities = find_quantities(telemetry, arcs.source_row, sensor, x, catalogue, w, measured)
-    return _fitted(arcs, seen.r, rows.J, rows.K, inside, quantities)
+    return _fitted(arcs, seen.r, seen.rows.J, seen.rows.K, inside, quantities)
 
 
 def _thinned(arcs: ArcSet, most: int) -> ArcSet:
@@ -500,11 +494,6 @@ def apply_noise(
 
 def _centred(values: FloatArray, coefficients: Mapping[str, float]) -> FloatArray:
     return np.where(np.isfinite(values), values - coefficients["reference"], 0.0)
-
-
-def sums(values: FloatArray, start: IntArray) -> FloatArray:
-    """Sums of (n_stars, ...) over runs that all hold something, (n_runs, ...)."""
-    return np.asarray(np.add.reduceat(values, start[:-1], axis=0))
 
 
 def each(values: FloatArray, start: IntArray) -> FloatArray:

@@ -71,7 +71,7 @@ Kuonen, "Saddlepoint approximations for distributions of quadratic forms in norm
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -138,10 +138,10 @@ class Axis:
         t = (places - self.low) / self.step - cell
         values = _pieces(t, derivative) / self.step**derivative
         table = np.zeros((len(places), self.size))
-        np.put_along_axis(table, cell[:, None] + np.arange(DEGREE + 1), values, axis=1)
+        table[np.arange(len(places))[:, None], cell[:, None] + np.arange(DEGREE + 1)] = values
         return table
 
-    @property
+    @cached_property
     def gauss(self) -> tuple[FloatArray, FloatArray]:
         """Places and weights of Gauss's rule on every cell, (cells * 4,) each."""
         x, w = _GAUSS
@@ -209,10 +209,16 @@ def _products(axis: Axis, derivative: int) -> FloatArray:
 
 def write_as_spline(row: Axis, col: Axis, field: FloatArray) -> FloatArray:
     """Coefficients (2 m, k), of least squares over the detector, of fields (n, 2, k) at the `gauss_places`."""
-    fitted = [np.linalg.solve(_products(axis, 0), axis.design(axis.gauss[0]).T * axis.gauss[1]) for axis in (row, col)]
     at = field.reshape(len(row.gauss[0]), len(col.gauss[0]), 2, -1)
-    found = np.einsum("ri,cj,ijak->arck", *fitted, at, optimize=True)
+    found = np.einsum("ri,cj,ijak->arck", _fitting(row), _fitting(col), at, optimize=True)
     return np.asarray(found.reshape(2 * row.size * col.size, -1))
+
+
+@cache
+def _fitting(axis: Axis) -> FloatArray:
+    """Coefficients of least squares (size, cells * 4) of each value at the places of Gauss's rule."""
+    places, weights = axis.gauss
+    return np.asarray(np.linalg.solve(_products(axis, 0), axis.design(places).T * weights))
 
 
 def gauss_places(row: Axis, col: Axis) -> tuple[FloatArray, FloatArray]:

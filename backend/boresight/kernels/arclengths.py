@@ -268,6 +268,9 @@ def project(camera, x, pitch, p, q, s, place):
             determinant = xx * yy - xy * yx
             down = (yy * (goal_x - tx) - xy * (goal_y - ty)) / determinant
             right = (xx * (goal_y - ty) - yx * (goal_x - tx)) / determinant
+            if abs(down) + abs(right) <= _SETTLED_PX:
+                place[i, 0], place[i, 1] = row + down, col + right
+                break
             share = 1.0
             while share > _LEAST_SHARE:
                 tx, ty, dx, dy = star(camera, at, pitch, row + share * down, col + share * right)
@@ -275,10 +278,7 @@ def project(camera, x, pitch, p, q, s, place):
                 if now < off and sign * (dx[p] * dy[q] - dx[q] * dy[p]) > 0.0:
                     break
                 share *= 0.5
-            settled = abs(down) + abs(right) <= _SETTLED_PX
-            if settled or share <= _LEAST_SHARE:
-                if settled:
-                    place[i, 0], place[i, 1] = row + down, col + right
+            if share <= _LEAST_SHARE:
                 break
             row, col, off = row + share * down, col + share * right, now
 

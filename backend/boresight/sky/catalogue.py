@@ -30,6 +30,8 @@ from boresight.arrays import BoolArray, FloatArray, IntArray
 
 #: Fainter than every star of the catalogue: all 117,955 are kept, for telemetry may name any of them.
 FAINTEST = 15.0
+#: Numbers up to here are looked up in a table, which is ten times as fast as a search; a user's catalogue may have larger ones.
+MOST_TABULATED = 1_000_000
 #: Solution type of an ordinary single star.
 SINGLE_STAR = 5
 
@@ -85,6 +87,13 @@ class Catalogue:
         order = np.argsort(self.dec_rad)
         return order, self.dec_rad[order]
 
+    @cached_property
+    def _place_after(self) -> IntArray:
+        """Position of the star of each number at that number plus one, -1 where there is none and at both ends."""
+        place = np.full(self.hip[-1] + 3, -1, np.int64)
+        place[self.hip[::-1] + 1] = np.arange(len(self.hip))[::-1]  # of equal numbers the first
+        return place
+
     def brighter_than(self, magnitude: float) -> Catalogue:
         """Return the stars not fainter than a magnitude, Hp."""
         return self._chosen(self.magnitude <= magnitude)
@@ -111,6 +120,8 @@ class Catalogue:
         hip = np.asarray(hip, dtype=np.int64)
         if not len(self.hip):
             return np.full(hip.shape, -1, dtype=np.int64)
+        if self.hip[0] >= 0 and self.hip[-1] < MOST_TABULATED:
+            return self._place_after.take(hip + 1, mode="clip")
         place = np.searchsorted(self.hip, hip)
         place[place == len(self.hip)] = 0
         return np.where(self.hip[place] == hip, place, -1).astype(np.int64)

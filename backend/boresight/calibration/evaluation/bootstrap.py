@@ -33,7 +33,7 @@ import math
 
 import numpy as np
 
-from boresight.arrays import FloatArray
+from boresight.arrays import FloatArray, IntArray
 from boresight.estimation.statistics.special import ndtri, stdtrit
 
 REPLICATES = 1000
@@ -99,7 +99,14 @@ def resampled_sums(
     running = np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(np.concatenate([columns, columns]), axis=0)])
     blocks = (running[length : n + length] - running[:n]).T
     drawn = rng.integers(n, size=(replicates, -(-n // length)))
-    return np.stack([column.take(drawn).sum(axis=1) for column in np.ascontiguousarray(blocks)], axis=1)
+    return np.stack([_sums_of(column, drawn) for column in np.ascontiguousarray(blocks)], axis=1)
+
+
+def _sums_of(values: FloatArray, drawn: IntArray) -> FloatArray:
+    """Sums of the drawn values of each replicate, (replicates,); of equal whole numbers nothing need be added."""
+    if values[0].is_integer() and (values == values[0]).all():
+        return np.full(len(drawn), values[0] * drawn.shape[1])
+    return np.asarray(values.take(drawn).sum(axis=1))
 
 
 def interval(score: float, scores: FloatArray, n_blocks: float) -> list[float | None]:

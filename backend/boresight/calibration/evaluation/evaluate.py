@@ -217,6 +217,8 @@ def shadow_view(telemetry: Telemetry, baseline: MatchedFrames, candidate: Matche
     ends = np.searchsorted(telemetry.frame, baseline.view.frames, side="right")
     rows = np.stack([np.append(0, ends[:-1]), ends], axis=1)
     reasons = baseline.frame_reasons, candidate.frame_reasons
+    kept = _kept(baseline.view.valid_frames, candidate.view.valid_frames)
+    ids = zip(_ids(baseline, lost, rows[kept]), _ids(candidate, gained, rows[kept]), strict=True)
     return ShadowOfSet(
         frames=[
             ShadowFrame(
@@ -224,10 +226,10 @@ def shadow_view(telemetry: Telemetry, baseline: MatchedFrames, candidate: Matche
                 time_utc=time_text(telemetry, rows[k, 0]),
                 baseline=_answer(baseline, k, reasons[0]),
                 candidate=_answer(candidate, k, reasons[1]),
-                lost=_ids(baseline, lost, rows[k]),
-                gained=_ids(candidate, gained, rows[k]),
+                lost=lost_of,
+                gained=gained_of,
             )
-            for k in _kept(baseline.view.valid_frames, candidate.view.valid_frames)
+            for k, (lost_of, gained_of) in zip(kept.tolist(), ids, strict=True)
         ],
         frames_in_set=len(rows),
         flight_tolerance_rad=candidate.tolerance_rad,
@@ -260,11 +262,11 @@ def _answer(seen: MatchedFrames, k: int, reasons: list[str]) -> ShadowAnswer:
     return ShadowAnswer(valid=valid, matched=int(seen.view.matched_in_frame[k]), reason=None if valid else reasons[k])
 
 
-def _ids(seen: MatchedFrames, moved: BoolArray, rows: IntArray) -> list[int]:
-    """Star numbers of the rows of a frame that moved; 0 where the file gives a direction and no number."""
-    first, last = rows
-    ids: list[int] = seen.matches.star_id[first:last][moved[first:last]].tolist()
-    return ids
+def _ids(seen: MatchedFrames, moved: BoolArray, rows: IntArray) -> list[list[int]]:
+    """Star numbers of the rows of some frames that moved; 0 where the file gives a direction and no number."""
+    places = np.flatnonzero(moved)
+    star, ends = seen.matches.star_id[places], np.searchsorted(places, rows)
+    return [star[first:last].tolist() if last > first else [] for first, last in ends.tolist()]
 
 
 def shadow_summary(baseline: BoolArray, candidate: BoolArray, stars_lost: int, stars_gained: int) -> ShadowSummary:

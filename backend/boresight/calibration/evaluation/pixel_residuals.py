@@ -26,7 +26,7 @@ from boresight.arrays import BoolArray, FloatArray, IntArray
 from boresight.cameras import CameraModel
 from boresight.estimation.arcs import ArcSet, angular_sigma
 from boresight.estimation.attitude import attitudes, to_matrix, vector_to_quaternion
-from boresight.estimation.statistics.cramer_rao import centroid_rows
+from boresight.estimation.statistics.cramer_rao import CentroidRows, centroid_rows
 from boresight.kernels.centroids import see_sky, settle
 
 
@@ -43,6 +43,8 @@ class FreeCovariance:
 class PixelResiduals:
     """Residuals of the stars of some exposures.
 
+    `rows`: the linearised centroids that they stand on.
+
     `r`: (n_stars, 2) residual, row and column, pixels; NaN where an exposure has no attitude. `M`: (n_stars, 2, 2) share of a
     star's own error in its residual; of a star left out, its error with those of the others. `from_sky`: (n_stars, 2, 2) pixels
     a radian by which a star would move if its place went east and north. `inverse`: (n_stars, 2, 3) pixels a radian by which a
@@ -50,6 +52,7 @@ class PixelResiduals:
     (n_exposures, 3, 3) of it about the axes of the triad, rad^2, from centroid noise at known parameters.
     """
 
+    rows: CentroidRows
     r: FloatArray
     M: FloatArray
     from_sky: FloatArray
@@ -83,6 +86,7 @@ def pixel_residuals(
     settle(arcs.star_start, r, arcs.sigma_px, kept, rows.J, rows.K, rows.N, np.ascontiguousarray(freedom.P), w, M)
     mirror = np.diag([1.0, float(parity), 1.0])
     return PixelResiduals(
+        rows=rows,
         r=r,
         M=M,
         from_sky=from_sky,

@@ -43,10 +43,8 @@ from boresight.calibration.trust.advice import cause_advice, trust_advice
 from boresight.calibration.trust.causes import find_causes
 from boresight.calibration.trust.departures import TANGENTIAL_AT_CORNER, find_companions, find_departures
 from boresight.calibration.trust.displacements import (
-    FRAMES,
     LEAST_SHARE,
     OWN_SHARE,
-    Block,
     Departure,
     Score,
     ScoreSums,
@@ -169,13 +167,13 @@ def _unseen(
 ) -> Iterator[UnseenDeparture]:
     """Say what the tests may miss of each departure that stays in the camera."""
     tested = float(np.sqrt(len(fitted.e) / sums.n_arcs))  # a part is tested, the sigmas are of all
-    some = Block(fitted, 0, min(FRAMES, fitted.arcs.n_frames))
+    fields: Mapping[str, FloatArray] = fitted.kept["first fields"]
     for one in (one for one in departures if one.name in STAYING):
         score, tangential = scores[one.name], one.name == TANGENTIAL
         found = find_unseen(sums, score, UNLIKELY, LEAST_SHARE if tangential else OWN_SHARE)
         if found is None:
             continue
-        largest = np.linalg.norm(one.fields(some) @ found.c, axis=1).max()
+        largest = np.linalg.norm(fields[one.name] @ found.c, axis=1).max()
         yield UnseenDeparture(
             name=one.name,
             size_px=float(TANGENTIAL_AT_CORNER * np.linalg.norm(found.c) if tangential else largest),

@@ -158,7 +158,14 @@ def find_companions(fitted: FittedSet) -> list[Departure]:
 
 
 def find_quantities(fitted: FittedSet) -> Quantities:
-    """Look up what the fields of a set may depend on."""
+    """Look up what the fields of a set may depend on, once."""
+    if "quantities" not in fitted.kept:
+        fitted.kept["quantities"] = _look_up(fitted)
+    answer: Quantities = fitted.kept["quantities"]
+    return answer
+
+
+def _look_up(fitted: FittedSet) -> Quantities:
     missing: dict[str, str] = {}
     found: dict[str, FloatArray | None] = {}
     for name, find in SOURCES.items():

@@ -261,6 +261,8 @@ def add_up(fitted: FittedSet, departures: Sequence[Departure], most_frames: int 
 def _add_block(block: Block, departures: Sequence[Departure]) -> ScoreSums:
     """The sums of one block; displacements of one kind go through the loop together."""
     u = {one.name: one.fields(block) for one in departures}
+    if block.first == 0:
+        block.fitted.kept["first fields"] = u
     G, squares = dict[str, FloatArray](), dict[str, FloatArray]()
     for kind in ("detector", "sky"):
         names = [one.name for one in departures if one.kind == kind]

@@ -37,6 +37,12 @@ MOST_ITERATIONS = 20
 #: test of the whole table must fall below alone.
 FAMILY_LEVEL = 0.005
 UNLIKELY = FAMILY_LEVEL / 33
+#: Arrays so small are rounded one number at a time.
+FEW = 64
+#: Powers of ten that are numbers of double precision, and how far from a half a digit is that rounding may turn either way.
+LARGEST_POWER = 22
+POWERS = 10.0 ** np.arange(LARGEST_POWER + 1)
+NEAR_HALF = 1e-6
 ARCSEC = float(np.degrees(1.0) * 3600)
 
 
@@ -198,8 +204,28 @@ def grid(rows: int, columns: int, n_rows: int, n_columns: int) -> tuple[FloatArr
 
 def nested(values: NDArray[Any]) -> list[Any]:
     """Nested lists of five significant digits, with null for what is not finite: for drawing, not for computing on."""
+    if values.size < FEW:
+        return _written(values)
+    size = np.abs(values)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        digits = 4 - np.floor(np.log10(size))  # after the point, where they are that many; less than none before it
+        safe = np.abs(digits) <= LARGEST_POWER
+        power = POWERS[np.where(safe, np.abs(digits), 0.0).astype(np.int64)]
+        whole = np.where(digits < 0, size / power, size * power)
+        near = np.rint(whole)
+        rounded = np.copysign(np.where(digits < 0, near * power, near / power), values)
+        clear = safe & (np.abs(np.abs(whole - near) - 0.5) > NEAR_HALF)  # of which digit is the last there is no doubt
+    if clear.all():
+        return list(rounded.tolist())
+    found = rounded.astype(object)
+    found[~clear] = _written(values[~clear])
+    return list(found.tolist())
+
+
+def _written(values: NDArray[Any]) -> list[Any]:
+    """The same by way of text, which is exact and slow."""
     if values.ndim > 1:
-        return [nested(row) for row in values]
+        return [_written(row) for row in values]
     written = ("%.5g " * len(values) % tuple(values.tolist())).split()
     return [float(text) if known else None for text, known in zip(written, np.isfinite(values).tolist(), strict=True)]
 

@@ -29,7 +29,7 @@ from functools import cache
 
 import numpy as np
 
-from boresight.arrays import FloatArray, IntArray
+from boresight.arrays import FloatArray
 from boresight.estimation import residual_spline as splines
 from boresight.estimation.residual_spline import Axis, Fit
 from boresight.estimation.statistics.special import ndtr
@@ -85,7 +85,7 @@ def scan(fit: Fit, width: float) -> Scan | None:
     size = 1 / np.sqrt(np.where(known, information, np.inf))
     z = data.g @ beta * size / np.sqrt(fit.posterior.variance)
     at = int(np.argmax(np.abs(z)))
-    areas = measure_field((beta * size).T @ (taken * size), (len(rows), len(columns)))
+    areas = measure_field(beta * size, taken * size, (len(rows), len(columns)))
     row, col = (places.ravel()[at] for places in np.meshgrid(rows, columns, indexing="ij"))
     return Scan(float(row), float(col), width, float(z[at]), areas)
 
@@ -107,18 +107,22 @@ def bump(places: FloatArray, centre: FloatArray, width: float) -> FloatArray:
     return np.asarray(away * np.exp(-np.sum(away**2, axis=1, keepdims=True) / 2))
 
 
-def measure_field(correlation: FloatArray, shape: tuple[int, int]) -> tuple[float, float]:
-    """L_1 and L_2 of a normal field whose values at a grid (n, m) of places have a correlation (n m, n m)."""
-    place = np.arange(shape[0] * shape[1]).reshape(shape)
+def measure_field(v: FloatArray, w: FloatArray, shape: tuple[int, int]) -> tuple[float, float]:
+    """L_1 and L_2 of a normal field whose values at a grid (n, m) of places have the correlation v^T w; both (k, n m).
 
-    def dot(a: IntArray, b: IntArray, c: IntArray, d: IntArray) -> FloatArray:
-        """Scalar products of the steps from a to b with those from c to d."""
-        return np.asarray(correlation[b, d] - correlation[b, c] - correlation[a, d] + correlation[a, c])
+    Only neighbours are correlated: of all pairs of places that is one in a hundred.
+    """
+    v, w = v.reshape(-1, *shape), w.reshape(-1, *shape)
+    down, right = (np.diff(v, axis=1), np.diff(w, axis=1)), (np.diff(v, axis=2), np.diff(w, axis=2))
 
-    here, down, right = place[:-1, :-1], place[1:, :-1], place[:-1, 1:]
-    square = dot(here, down, here, down) * dot(here, right, here, right) - dot(here, down, here, right) ** 2
-    edge = np.concatenate([place[0], place[1:, -1], place[-1, -2::-1], place[-2::-1, 0]])
-    around = np.sqrt(np.maximum(dot(edge[:-1], edge[1:], edge[:-1], edge[1:]), 0.0))
+    def dot(a: FloatArray, b: FloatArray) -> FloatArray:
+        return np.asarray(np.einsum("k...,k...->...", a, b))
+
+    along_rows, along_columns = dot(*down), dot(*right)
+    across = dot(down[0][:, :, :-1], right[1][:, :-1])
+    square = along_rows[:, :-1] * along_columns[:-1] - across**2
+    edge = np.concatenate([along_columns[0], along_rows[:, -1], along_columns[-1], along_rows[:, 0]])
+    around = np.sqrt(np.maximum(edge, 0.0))
     return float(np.sum(around)) / 2, float(np.sum(np.sqrt(np.maximum(square, 0.0))))
 
 

@@ -284,7 +284,10 @@ def _start(
     p = fitted.parameters.free[place]
     held = best.x.copy()
     held[p] = foreseen[p] = fitted.problem.sensor.initial[p]
-    there, here = _equations(fitted, arcs, foreseen), _equations(fitted, arcs, held)
+    there = _equations(fitted, arcs, foreseen)
+    if np.isinf(fitted.threshold) and there.chi2 <= batch.compute_chi2(arcs, held):
+        return foreseen, there
+    here = _equations(fitted, arcs, held)
     return (foreseen, there) if there.chi2 <= here.chi2 else (held, here)
 
 

@@ -6,6 +6,7 @@ Beyond `MOST_FRAMES` only frames spaced evenly over the set are looked at.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,18 +47,18 @@ class StarResiduals:
     M: FloatArray
     from_sky: FloatArray
 
-    @property
+    @cached_property
     def known(self) -> BoolArray:
         """(n_stars,) which stars have a residual."""
         return np.isfinite(self.r[:, 0])
 
-    @property
+    @cached_property
     def z(self) -> FloatArray:
         """(n_stars, 2) residuals over their own sigmas."""
         share = np.maximum(np.diagonal(self.M, axis1=1, axis2=2), LEAST_SHARE)
         return np.asarray(self.r / (self.arcs.sigma_px[:, None] * np.sqrt(share)))
 
-    @property
+    @cached_property
     def spread(self) -> float:
         """How many times the stated centroid noise the residuals scatter, from the median, which wrong matches hardly move."""
         return float(np.median(np.abs(self.z[self.known])) / 0.67449)

@@ -33,6 +33,10 @@ def _like_scipy(function: Callable[..., float]) -> Callable[..., Any]:
 
     @wraps(function)
     def called(*arguments: Any) -> Any:
+        if all(isinstance(each, float | int) for each in arguments) and all(
+            abs(each) <= MODERATE for each in arguments[:-1]
+        ):
+            return one(*map(float, arguments))
         shape = np.broadcast_shapes(*(np.shape(one) for one in arguments))
         few = math.prod(shape) <= FEW and all(np.max(np.abs(each), initial=0.0) <= MODERATE for each in arguments[:-1])
         if not few:
