@@ -204,16 +204,17 @@ def test_causes_come_first_in_their_order_with_their_share_and_what_they_leave_u
         drop_one=_dropped(clean, False, False, True),
         drop_one_sentence="spare",
     )
-    assert advise(spoiled, [_cause("places", 0.8), _cause("noise")]) == [
-        "Most likely cause (80%): places it is. Do so.", "stars", "Besides: noise it is. Do so.", "bound", "spare",
-    ]  # fmt: skip
+    said = advise(spoiled, [_cause("places", 0.8), _cause("noise")])
+    assert [sentence.code for sentence in said] == ["cause_places", "stars", "cause_noise", "efficiency", "drop_one"]
+    assert "(80%)" in said[0]
+    assert said[2].startswith("Besides: ")
 
 
 @pytest.mark.parametrize(("likelihood", "is_likely"), [(0.03, False), (0.49, False), (0.5, True), (0.9, True)])
 def test_a_cause_at_less_than_even_odds_is_not_called_the_likeliest(clean, likelihood, is_likely):
     (said,) = advise(clean, [_cause("places", likelihood)])
     assert said.code == "cause_places"
-    assert f"({likelihood:.0%}): places it is." in said
+    assert f"({likelihood:.0%})" in said
     assert said.startswith("Most likely cause") == is_likely
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from boresight.cli import main
+from boresight.cli import main, output
 from boresight.errors import BoresightError
 from tests.stores import environment_in, url_in
 
@@ -20,17 +20,19 @@ def accepted(done):
     return done
 
 
-def find_refusal(done):
-    """Return the refusal that a command ended with, which the exit of the command was raised for."""
-    error = done.exception
-    while error is not None and not isinstance(error, BoresightError):
-        error = error.__context__
-    return error
+#: The refusals that commands have printed, the newest last.
+PRINTED: list[BoresightError] = []
+
+
+@pytest.fixture(autouse=True)
+def _printed(monkeypatch):
+    show = output._print_refusal
+    monkeypatch.setattr(output, "_print_refusal", lambda error: show(PRINTED.append(error) or error))
 
 
 def assert_refused(done, *words, code=None, lines=None):
     assert done.exit_code == 1
-    assert code is None or find_refusal(done).code == code
+    assert code is None or (PRINTED[-1].code, str(PRINTED[-1]) in done.stderr) == (code, True)
     assert [word for word in words if word not in done.stderr] == [], done.stderr
     assert lines in {None, done.stderr.count("\n")}
 

@@ -96,8 +96,7 @@ def test_an_installation_moves_to_postgresql_and_back_with_its_log(filled, monke
     boresight, archive, sha256 = filled
     _into(monkeypatch, tmp_path / "second")
     monkeypatch.setenv("BORESIGHT_DATABASE_URL", postgresql.url.render_as_string(hide_password=False))
-    there = accepted(boresight("restore", archive))
-    assert "are as they were written" in there.stdout
+    accepted(boresight("restore", archive))
     added = boresight(
         *ADD[:2], "bo", *ADD[3:6], "Bo", ADD[-1], stdin=f"{PASSWORD}\n"
     )  # numbered after those that came over

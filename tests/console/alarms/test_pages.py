@@ -41,7 +41,7 @@ def test_a_drift_is_on_the_overview_the_bar_the_list_and_the_sensor(drifting, re
     visitor = drifting.visitor("ada")
     overview = visitor.get("/")
     assert "status-serious" in overview.split("<main")[0]
-    assert "It drifts: alarm 1." in overview
+    assert "alarm 1." in overview
     assert "Alarm 1: ST16-1 drifts." in read(overview)
     assert "unacknowledged, active" in read(visitor.get("/alarms"))
     assert "Recalibrate now? YES" in read(visitor.get("/sensors/1"))

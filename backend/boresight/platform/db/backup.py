@@ -340,7 +340,8 @@ def read_backup(archive: Archive, url: str, blobs: BlobStore, keys: KeyFile | No
             what = "is not as it was" if len(bad) == 1 else "are not as they were"
             raise ConflictError(
                 f"{len(bad)} of {len(found)} files in the backup {what} backed up, so no database was made: {named(bad)}. Use "
-                "another backup."
+                "another backup.",
+                code="altered-backup",
             )
         _lay_down_database(backup, manifest.database_sha256, database, url)
     return BackupSummary(
