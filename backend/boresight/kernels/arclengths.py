@@ -531,6 +531,18 @@ def _prior_cost(S, z, z_prior, n_free, y):
     return cost
 
 
+@_part
+def _frame_cost(
+    camera, x, pitch, first, last, star_start, row_px, col_px, phi, band, g, e, S_prior, z, z_prior, n_free, y
+):  # fmt: skip
+    """Cost of a frame at x, whose step is z: its departure from the prior plus its whitened residuals, both squared."""
+    _frame_residuals(camera, x, pitch, first, last, star_start, row_px, col_px, phi, band, g, e)
+    cost = _prior_cost(S_prior, z, z_prior, n_free, y)
+    for a in range(2 * (star_start[last] - star_start[first]) - 3 * (last - first)):
+        cost += e[a] * e[a]
+    return cost
+
+
 @_inlined
 def _frame_residuals(camera, x, pitch, first, last, star_start, row_px, col_px, phi, band, g, e):
     """Whitened residuals `e` of the exposures first <= m < last, one after another; returns their unweighted sum of squares."""
@@ -673,7 +685,8 @@ def unscented_filter(
     Called by `estimation.filters.unscented`, which derives it. A frame is regressed again about its own posterior until that
     moves by less than `rest` of its sigmas and no sigma shrinks by more than the share `shrunk`; or only once, where the residuals
     are `straight` (trace of C C^T) over a spread that the posterior stays inside. Where a star has no ray at some point the
-    spread is halved, down to the share `least`, and the frame is regressed again.
+    spread is halved, down to the share `least`, and the frame is regressed again. A frame that does not come to rest is taken in
+    once more from its prior, and now the spread is halved too where the posterior raises the frame's cost.
     """
     N = len(camera)
     n_free = free.shape[0]
@@ -692,6 +705,7 @@ def unscented_filter(
         np.empty(n_free),
     )
     gamma = math.sqrt(n_free)
+    cost = 0.0
     for p in range(n_free):
         x0[p] = x[free[p]] - scale[p] * z[p]
     for k in range(n_frames):
@@ -701,45 +715,65 @@ def unscented_filter(
         n_arcs = 2 * (star_start[k1] - star_start[k0]) - 3 * (k1 - k0)
         frame_nis = 0.0
         done = 0
-        for turn in range(linearisations):
-            _copy(camera, z, S, z_at, S_at)
-            share = 1.0
-            while True:
-                total = 0.0
-                for i in range(n_free):
-                    for side in range(2):
-                        reach = gamma if side == 0 else -gamma
-                        for p in range(N):
-                            point[p] = x[p]
+        for damped in range(2):
+            rests = False
+            if damped:
+                _copy(camera, z_prior, S_prior, z, S)
+                for p in range(n_free):
+                    x[free[p]] = x0[p] + scale[p] * z[p]
+                cost = _frame_cost(
+                    camera, x, pitch, k0, k1, star_start, row_px, col_px, phi, band, g, e, S_prior, z, z_prior, n_free, f
+                )  # fmt: skip
+            for turn in range(linearisations):
+                _copy(camera, z, S, z_at, S_at)
+                share, before = 1.0, cost
+                while True:
+                    total = 0.0
+                    for i in range(n_free):
+                        for side in range(2):
+                            reach = gamma if side == 0 else -gamma
+                            for p in range(N):
+                                point[p] = x[p]
+                            for p in range(n_free):
+                                point[free[p]] = x0[p] + scale[p] * (z_at[p] + reach * S_at[p, i])
+                            total += _frame_residuals(
+                                camera, point, pitch, k0, k1, star_start, row_px, col_px, phi, band, g,
+                                plus[i] if side == 0 else minus[i],
+                            )  # fmt: skip
+                    last = turn + 1 == linearisations or share < least
+                    if math.isfinite(total) or last:  # a frame does not end on points of less than the whole spread
+                        _regress(plus, minus, S_at, n_free, n_arcs, e, H, C)
+                        bent = _whiten_spread(C, n_free, n_arcs, e, H)
+                        _copy(camera, z_prior, S_prior, z, S)
+                        frame_nis = 0.0
+                        for a in range(n_arcs):
+                            innovation = e[a]
+                            for p in range(N):
+                                innovation += H[a, p] * (z[p] - z_at[p])
+                            frame_nis += carlson_update(camera, z, S, H[a], innovation, f, gain)
                         for p in range(n_free):
-                            point[free[p]] = x0[p] + scale[p] * (z_at[p] + reach * S_at[p, i])
-                        total += _frame_residuals(
-                            camera, point, pitch, k0, k1, star_start, row_px, col_px, phi, band, g,
-                            plus[i] if side == 0 else minus[i],
-                        )  # fmt: skip
-                if math.isfinite(total) or turn + 1 == linearisations or share < least:
-                    break  # a frame does not end on points of less than the whole spread
-                share *= 0.5
-                for i in range(n_free):
-                    for p in range(i + 1):
-                        S_at[p, i] *= 0.5
-            _regress(plus, minus, S_at, n_free, n_arcs, e, H, C)
-            bent = _whiten_spread(C, n_free, n_arcs, e, H)
-            _copy(camera, z_prior, S_prior, z, S)
-            frame_nis = 0.0
-            for a in range(n_arcs):
-                innovation = e[a]
-                for p in range(N):
-                    innovation += H[a, p] * (z[p] - z_at[p])
-                frame_nis += carlson_update(camera, z, S, H[a], innovation, f, gain)
-            for p in range(n_free):
-                x[free[p]] = x0[p] + scale[p] * z[p]
-            done = turn + 1
-            if share < 1.0:
-                continue
-            if bent < straight and _prior_cost(S_at, z, z_at, n_free, f) < 1.0:
-                break
-            if math.sqrt(_prior_cost(S, z, z_at, n_free, f)) < rest and _narrowing(S_at, S, n_free) < shrunk:
+                            x[free[p]] = x0[p] + scale[p] * z[p]
+                        if damped:
+                            cost = _frame_cost(
+                                camera, x, pitch, k0, k1, star_start, row_px, col_px, phi, band, g, e, S_prior, z, z_prior,
+                                n_free, f,
+                            )  # fmt: skip
+                        if not damped or last or cost <= before + n_free:
+                            break
+                    share *= 0.5
+                    for i in range(n_free):
+                        for p in range(i + 1):
+                            S_at[p, i] *= 0.5
+                done = turn + 1
+                if share < 1.0:
+                    continue
+                if bent < straight and _prior_cost(S_at, z, z_at, n_free, f) < 1.0:
+                    rests = True
+                    break
+                if math.sqrt(_prior_cost(S, z, z_at, n_free, f)) < rest and _narrowing(S_at, S, n_free) < shrunk:
+                    rests = True
+                    break
+            if rests or linearisations == 1:
                 break
         for p in range(N):
             states[k, p] = x[p]

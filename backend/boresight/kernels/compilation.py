@@ -37,7 +37,11 @@ from numba.core.registry import cpu_target
 from numba.core.runtime import rtsys
 from numba.extending import register_jitable
 
-#: Reordering of sums and fused products are allowed; NaN and infinity keep their meaning.
+#: Reordering of sums and fused products are allowed; NaN and infinity keep their meaning. A sum that may be reordered is taken in
+#: as many parts as the processor's vectors have places, so machines with other vectors differ in the last digits: chi-square of 200
+#: frames by 4e-16 of it, compiled for 512 bits and for 256, and an innovation by 4e-13. Without `reassoc` both have the same bits,
+#: but an evaluation takes 1.24 times as long and the filter 1.07 times. One machine has the same bits in whichever order loops are
+#: compiled.
 FAST = {"contract", "reassoc", "arcp", "nsz", "afn"}
 UNUSED_S = 30 * 86_400.0
 

@@ -127,7 +127,10 @@ def _scores(found: Calibration) -> Iterator[tuple[str, str]]:
 def _statistics(found: Calibration) -> Iterator[tuple[str, str]]:
     """Name what the residuals, the tests and the information say."""
     if found.chi2 is not None:
-        yield "chi2 per degree of freedom", _test(found.chi2_per_dof, found.chi2)
+        from boresight.calibration.process_noise import LAST_FRAMES, explains_chi2
+
+        word = LAST_FRAMES if explains_chi2(found) else None
+        yield "chi2 per degree of freedom", _test(found.chi2_per_dof, found.chi2, word)
     if found.tests:
         yield (
             "tests of the model",
@@ -192,8 +195,8 @@ def _pair(rms: Change) -> str:
     return f"{before} -> {after} µrad"
 
 
-def _test(value: float | None, test: ChiSquareTest | InnovationTest) -> str:
-    word = "consistent" if test.consistent else "NOT consistent"
+def _test(value: float | None, test: ChiSquareTest | InnovationTest, word: str | None = None) -> str:
+    word = word or ("consistent" if test.consistent else "NOT consistent")
     number, lower, upper = ("-" if one is None else f"{one:.4g}" for one in (value, test.lower, test.upper))
     return f"{number}, 95 % bounds {lower} to {upper}: {word}"
 

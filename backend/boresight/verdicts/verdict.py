@@ -18,6 +18,7 @@ from boresight.calibration.calibration import (
     Trust,
     parse_part,
 )
+from boresight.calibration.process_noise import LAST_FRAMES, explains_chi2
 from boresight.calibration.result import TrendEntry, trend_entry
 from boresight.calibration.trust.advice import TOO_SMALL
 from boresight.errors import RefusedInputError
@@ -124,6 +125,7 @@ def _chi_square(result: Calibration) -> VerdictMark:
         return _unknown(name, question, _not_yet(result, "No chi-square was computed."))
     detail = f"95 % bounds {_bounds(chi2)}, {count(chi2.dof)} degrees of freedom"
     if not is_doubted(result, "chi_square", chi2.consistent):
+        detail += f"; {LAST_FRAMES}" if explains_chi2(result) else ""
         return VerdictMark(name, question, "normal", "consistent", number(per_dof), detail)
     word = "noise above model" if per_dof > 1 else "noise below model"
     reason = f"{question} is {number(per_dof, 3)}: the noise is not as assumed."

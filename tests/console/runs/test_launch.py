@@ -285,7 +285,8 @@ def test_a_clone_shows_what_was_changed_of_its_run(site):
 
 
 def test_differences_are_told_in_the_words_of_the_form():
-    before, now = {"method": "batch"}, {"method": "svd", "singular_values": [1, 3], "leave_out_doubles": True}
+    before = CalibrationSettings(method="batch")
+    now = CalibrationSettings(method="svd", singular_values=(1, 3), leave_out_doubles=True)
     told = {one.title: (one.before, one.now) for one in differences(before, now)}
     assert told["Method"] == ("Batch", "Singular values")
     assert told["Singular values"][1] == OPTIONS["singular_values"].words["1,3"]

@@ -50,6 +50,7 @@ from boresight.sky.directions import star_directions
 from boresight.sky.identification import FEWEST_STARS, FIELD_ERROR, MOST_STARS, Recognised
 from boresight.telemetry.mapping import TelemetryMapping
 from boresight.telemetry.quality.detector import on_detector
+from boresight.telemetry.read.checks import EARLIEST, LATEST
 from boresight.telemetry.schema import Telemetry, find_exposures, joined, take_rows
 from boresight.telemetry.sensors import Sensor, sensor_document
 
@@ -528,6 +529,8 @@ class _Search:
         times = (self.bench.times if telemetry.time_utc is None else telemetry.time_utc) + np.timedelta64(
             round(shift_s * 1e6), "us"
         )
+        if np.any((times < EARLIEST) | (times >= LATEST)):  # no file has such times, nor does the Earth's ephemeris
+            return np.inf
         named, velocity = np.maximum(matches.star_id, 0), telemetry.velocity_m_s
         try:
             s_i = star_directions(named, None, None, times, velocity, self.bench.catalogue, sensor.site)

@@ -29,6 +29,17 @@ regression is over the whole spread of its posterior, as without a turn, and so 
 even that spread, or with one pass alone, the filter ends, and says which parameters' spread reached so far. (Julier's scaled
 transform would keep a narrow regression as if it held over the wide spread.)
 
+Nothing so far makes the passes contract. Of eleven parameters of a decentred lens the points of a ground calibration lie 33
+typical sigmas out, where a sixth order of the radius moves a corner star by thousands of pixels; a line through that may set the
+posterior eight sigmas of the prior away from it, the next line is about that place, and the passes run off (3 of 40 sets). So a
+frame that does not come to rest is taken in once more from its prior, and now a posterior that raises the frame's cost
+
+    |S_prior^-1 (z - z_prior)|^2 + |e'(z)|^2
+
+by more than n, what a posterior's own spread makes of it, is not believed: its points are drawn over half the spread again, as
+where a star has no ray. In the limit of a narrow spread this is the step of the iterated extended filter. A frame that rests at
+once is left as it is.
+
 References
 ----------
 van der Merwe, Wan, "The square-root unscented Kalman filter", ICASSP 2001. Garcia-Fernandez, Svensson, Morelande, Sarkka,

@@ -48,6 +48,7 @@ import numpy as np
 from boresight.arrays import FloatArray
 from boresight.calibration.calibration import Calibration, ChiSquareTest, Covariance, InnovationTest, TrustTest
 from boresight.calibration.matching.verification import MANY_REMOVED
+from boresight.calibration.process_noise import LAST_FRAMES, explains_chi2
 from boresight.calibration.trust.causes import get_cause_gate
 from boresight.calibration.trust.efficiency import field_arc_sigma
 from boresight.calibration.trust.trust_tests import MATTERS, get_test_gate
@@ -309,7 +310,10 @@ def measure_chi_square(inputs: GateInputs) -> Measurement:
     result = inputs.result
     if result is None or result.chi2_per_dof is None or result.chi2 is None:
         return absent(NO_RUN if result is None else "The run stored no chi-square: run it again.")
-    return _around_one(result.chi2_per_dof, result.chi2, "Residuals")
+    found = _around_one(result.chi2_per_dof, result.chi2, "Residuals")
+    if explains_chi2(result):
+        return replace(found, sentence=f"{found.sentence.removesuffix('.')}: {LAST_FRAMES}.")
+    return found
 
 
 def measure_nis(inputs: GateInputs) -> Measurement:
