@@ -18,7 +18,7 @@ from boresight.calibration.trust.field import (
     residual_outliers,
     two_sided,
 )
-from boresight.calibration.trust.fitted_set import probability
+from boresight.calibration.trust.fitted_set import nested, probability
 from boresight.calibration.trust.innovations import deviates, worst_frames
 from boresight.calibration.trust.residuals import OTHER_PARITY, compute_star_residuals
 from boresight.simulation.sensors import st16_sensor, st16_truth
@@ -347,3 +347,16 @@ def test_a_hundredth_of_wrong_centroids_makes_heavy_tails_and_a_set_too_small_sa
     trust = case(field(2, frames=3, stars=4, exposures=1), sensor, catalogue, free=("f_m",)).trust
     assert trust["residual_distribution"] is None
     assert " 50 " in trust["unavailable"]["residual_distribution"]
+
+
+def test_numbers_for_drawing_have_the_five_digits_that_text_would_give_them():
+    rng = np.random.default_rng(1)
+    values = rng.normal(size=4000) * 10.0 ** rng.uniform(-30, 30, 4000)
+    values[:500] = (rng.integers(10**4, 10**5, 500) * 10 + 5) * 10.0 ** rng.integers(
+        -12, 5, 500
+    )  # halves of the last digit
+    values[500:600] = rng.choice([np.nan, np.inf, 0.0, -0.0, 9.99995, 99999.5], 100)
+    expected = [float(f"{one:.5g}") if np.isfinite(one) else None for one in values.tolist()]
+    assert repr(nested(values)) == repr(expected)
+    assert repr(nested(values.reshape(40, 100))) == repr([expected[k : k + 100] for k in range(0, 4000, 100)])
+    assert repr(nested(values[495:505])) == repr(expected[495:505])

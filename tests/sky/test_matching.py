@@ -410,6 +410,16 @@ def test_the_catalogue_goes_down_to_the_magnitude_asked_for(catalogue):
     assert (len(none), none.find_index(np.array([1, 2])).tolist()) == (0, [-1, -1])
 
 
+@pytest.mark.parametrize("numbers", [[0, 3, 3, 7], [3, 7, 5_000_000]])
+def test_a_number_is_found_where_it_stands_first_and_no_other(catalogue, numbers):
+    few = catalogue.brighter_than(1.0)
+    small = replace(few, **{one.name: getattr(few, one.name)[: len(numbers)] for one in fields(few)})
+    small = replace(small, hip=np.array(numbers))
+    asked = np.array([-(2**62), -1, 0, 1, 3, 7, 8, 9, 5_000_000, 2**62])
+    expected = [numbers.index(one) if one in numbers else -1 for one in asked.tolist()]
+    assert small.find_index(asked).tolist() == expected
+
+
 def test_sirius_has_the_numbers_of_the_published_catalogue_in_which_most_stars_are_single(catalogue):
     k = star(catalogue, SIRIUS)
     assert np.degrees(catalogue.ra_rad[k]) == pytest.approx(101.28854105, abs=1e-6)

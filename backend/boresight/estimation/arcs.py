@@ -32,7 +32,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,8 @@ from boresight.cameras import CameraModel
 from boresight.estimation.blocks import in_blocks
 
 T = TypeVar("T")
+#: Rows that are copied: one by one, or whole stretches.
+Chosen: TypeAlias = NDArray[np.bool_] | list[slice]
 
 #: Sine of the smallest angle of a triangle below which an exposure counts as collinear: over 1,000 px the third star is
 #: then less than 5 px off the line, where the linear error model of R ends.
@@ -138,6 +140,8 @@ class ArcSet:
         in_frame = np.add.reduceat(chosen, self.frame_start[:-1], dtype=np.int64)
         in_exposure = np.diff(self.star_start)
         edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]])))
+        stars: Chosen
+        kept: Chosen
         if len(edges) * LONG_STRETCH < self.n_exposures:
             stars = _stretches(self.star_start[edges])
             kept = _stretches(2 * self.star_start[edges] - 3 * edges)
@@ -237,7 +241,7 @@ def _stretches(edges: IntArray) -> list[slice]:
     return [slice(first, last) for first, last in edges.reshape(-1, 2).tolist()]
 
 
-def _rows(values: NDArray[Any], chosen: NDArray[np.bool_] | list[slice]) -> NDArray[Any]:
+def _rows(values: NDArray[Any], chosen: Chosen) -> Any:
     """Copy chosen rows; whole stretches are copied three times as fast as rows that are asked for one by one."""
     return (
         np.concatenate([values[:0], *(values[one] for one in chosen)]) if isinstance(chosen, list) else values[chosen]
