@@ -143,7 +143,7 @@ def frames_of(one, begin, end):
 
 
 @pytest.mark.parametrize("large_rows", [1, 10**9], ids=["in pieces", "in memory"])
-def test_passes_that_share_some_frames_are_refused_with_how_many(sensor, catalogue, large_rows):
+def test_passes_that_share_some_frames_are_refused_with_how_many(large_rows):
     """Twenty of sixty frames in two files would make every sigma 13 % too small."""
     whole = a_pass(5, day=0.0, frames=60)
     sets = together(frames_of(whole, 0, 40), a_pass(6, day=1.0), frames_of(whole, 20, 60), large_rows=large_rows)

@@ -180,7 +180,9 @@ def refuse_shared_frames(names: Sequence[str], hashes: Sequence[NDArray[np.uint6
         held = f"{names[second]} holds the centroids of {names[first]}"
         if shared == len(own[second]):
             raise RefusedInputError(f"{held}: name each set once, or its stars count twice.")
-        raise RefusedInputError(f"{held} in {shared:,} of its frames: cut these out of one, or their stars count twice.")
+        raise RefusedInputError(
+            f"{held} in {shared:,} of its frames: cut these out of one, or their stars count twice."
+        )
 
 
 class _Account:

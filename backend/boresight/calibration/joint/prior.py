@@ -101,8 +101,8 @@ class TakenPrior:
     prior: Prior
     origin: PriorUse
     remarks: tuple[Advice, ...] = ()
-    of_noise: FloatArray | None = None
     remedy: str = "compare with a run without --prior, or allow a drift by --prior-drift-sigma"
+    of_noise: FloatArray | None = None
 
     def describe(
         self, problem: Problem, parameters: Parameters, settings: CalibrationSettings, estimate: Estimate
@@ -129,7 +129,7 @@ class TakenPrior:
         """What a person should know: of the prior's standing, and where the data contradict it or are its own."""
         if None not in use.share.values() and self._holds(parameters, estimate):
             same = (
-                f"These data agree with {use.name} better than other stars could (chance below {SAME:g}): it was probably made from "
+                f"These data agree with {use.name} better than other stars could (chance below {SAME:g}): it was probably made of "
                 "them, under another name or format, and then they count twice. Give other telemetry, or leave --prior out."
             )
             return [Advice(same, "prior"), *self.remarks]
@@ -140,7 +140,6 @@ class TakenPrior:
             f"These data contradict {use.name} ({size}): the camera changed, or one of the two is wrong; {self.remedy}."
         )
         return [Advice(disagree, "prior_contradicted"), *self.remarks]
-
 
     def _holds(self, parameters: Parameters, estimate: Estimate) -> bool:
         """Whether the data alone are nearer to the prior than data that it does not hold."""
@@ -275,7 +274,12 @@ def _remarks(source: PriorSource, begins: np.datetime64 | None) -> list[str]:
             "The prior does not name its telemetry, so nothing tells whether these stars are in it already: see that they are not, "
             "or they count twice."
         )
-    if begins is not None and source.began is not None and source.ended is not None and source.began <= begins <= source.ended:
+    if (
+        begins is not None
+        and source.began is not None
+        and source.ended is not None
+        and source.began <= begins <= source.ended
+    ):
         said.append(
             f"These data begin within the times of the prior ({source.began}Z to {source.ended}Z): see that they are other frames, "
             "or their stars count twice."
