@@ -464,9 +464,24 @@ def _pointings(found: Found) -> str:
         "exposures to the gate",
         "weakest direction after an hour, σ",
     )
-    return (
+    told = (
         "All begin at ten typical sigmas of each free parameter; the gate asks that the weakest direction be known to half of "
         "one.\n\n" + table(heads, rows, (0, 1))
+    )
+    if "sets" not in found:
+        return told
+    of_forecast = [
+        [
+            row["sensor"],
+            f"{number(min(row['forecast']['claimed']))} to {number(max(row['forecast']['claimed']))}",
+            f"{number(row['forecast']['errors'])} ± {number(row['forecast']['errors_sigma'])}",
+        ]
+        for row in found["sensors"]
+    ]
+    return (
+        f"{told}\n\nWhether the forecast of a plan of {found['forecast_minutes']:g} minutes comes true, by {found['sets']} sets a "
+        "sensor, simulated and calibrated: the sigmas that they claim, by parameter, and their errors, both over the forecast.\n\n"
+        + table(("sensor", "claimed over forecast", "errors over forecast"), of_forecast, (0,))
     )
 
 

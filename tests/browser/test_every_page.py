@@ -41,6 +41,7 @@ ADDRESSES = {
     "audit-record": "/audit/1",
     "alarms": "/alarms",
     "trend": "/sensors/{sensor}/trend",
+    "plan": "/sensors/{sensor}/plan",
     "webhooks": "/webhooks",
     "alignments": "/alignments",
     "new-alignment": "/alignments/new",

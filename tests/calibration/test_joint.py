@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.joint.passes import NamedTelemetry, join_sets
+from boresight.calibration.joint.passes import NamedTelemetry, hash_frames, join_sets
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem
 from boresight.calibration.telemetry_pieces import TelemetryFile
 from boresight.errors import RefusedInputError
 from boresight.estimation import batch
 from boresight.telemetry.schema import joined
+from boresight.telemetry.working_table import ARRAYS
 from tests.calibration.conftest import telemetry
 from tests.calibration.sets import differences, written
 from tests.estimation.fields import FREE, SCALE, whitened, whitened_plainly, whitened_rows
@@ -132,3 +133,34 @@ def test_a_pass_is_counted_once(sensor, catalogue):
         calibrated(together(a_pass(1), a_pass(2), a_pass(1)), sensor, catalogue)
     with pytest.raises(RefusedInputError, match=r"^b .* a again", check=has_code("same-file")):
         join_sets([NamedTelemetry(a_pass(1), "a", "ff"), NamedTelemetry(a_pass(2), "b", "ff")])
+
+
+def frames_of(one, begin, end):
+    """Some frames of a set, numbered from 0 as another download would have them."""
+    inside = (one.frame >= begin) & (one.frame < end)
+    named = [name for name in ARRAYS if getattr(one, name) is not None]
+    cut = replace(one, **{name: getattr(one, name)[inside] for name in named})
+    return replace(cut, frame=cut.frame - begin)
+
+
+@pytest.mark.parametrize("large_rows", [1, 10**9], ids=["in pieces", "in memory"])
+def test_passes_that_share_some_frames_are_refused_with_how_many(large_rows):
+    """Twenty of sixty frames in two files would make every sigma 13 % too small."""
+    whole = a_pass(5, day=0.0, frames=60)
+    sets = together(frames_of(whole, 0, 40), a_pass(6, day=1.0), frames_of(whole, 20, 60), large_rows=large_rows)
+    with pytest.raises(RefusedInputError, match="pass 2 holds the centroids of pass 0 in 20 of its frames: cut"):
+        for _ in sets.chunks():
+            pass
+    apart = together(frames_of(whole, 0, 20), frames_of(whole, 20, 60))
+    assert sum(len(part) for part in apart.chunks()) == len(whole)
+
+
+def test_frames_in_whole_pixels_or_of_one_star_are_alike_by_chance():
+    whole = a_pass(5, frames=20)
+    rounded = replace(whole, row_px=np.rint(whole.row_px), col_px=np.rint(whole.col_px))
+    single = replace(whole, frame=np.arange(len(whole)))
+    assert len(hash_frames(whole)) == 20
+    assert len(hash_frames(rounded)) == len(hash_frames(single)) == 0
+    turned = np.argsort(-np.arange(len(whole)) + 1e6 * whole.frame, kind="stable")  # other order within each frame
+    other = replace(whole, row_px=whole.row_px[turned], col_px=whole.col_px[turned], frame=whole.frame[turned])
+    np.testing.assert_array_equal(hash_frames(other), hash_frames(whole))

@@ -120,6 +120,32 @@ def test_a_prior_ages_by_its_times_and_inflates_and_fades(former, sensor, catalo
     np.testing.assert_allclose(list(aged.sigma.values()), expected, rtol=1e-9)
 
 
+def test_a_prior_of_later_stars_ages_as_much_as_one_of_earlier_stars(former, sensor, catalogue):
+    """It ended at day 0; a camera that walks is as far from it 30 days before as 30 days after."""
+    ages = [
+        run(a_pass(22, day=day), sensor, catalogue, PriorSource(former), prior_drift_sigma=0.1).prior.age_days
+        for day in (30.0, -30.0)
+    ]
+    np.testing.assert_allclose(ages, 30.0, atol=0.01)
+
+
+def test_data_that_a_prior_holds_under_another_name_are_told_and_others_are_not(former, first_set, sensor, catalogue):
+    """The SHA-256 is of a file; the same stars in another file differ from the prior by nothing, which chance does not do."""
+    again = replace(first_set, row_px=np.round(first_set.row_px, 3), time_utc=None)
+    for settings in (NOISE, {"prior_inflation": 3.0}, {"method": "sqrf"}):
+        found = run(again, sensor, catalogue, PriorSource(former), {"telemetry": "bb"}, **settings)
+        assert any("count twice" in sentence for sentence in found.advice), settings
+    for seed in range(70, 76):
+        found = run(a_pass(seed, frames=60), sensor, catalogue, PriorSource(former), {"telemetry": "bb"}, **NOISE)
+        assert not any("count twice" in sentence for sentence in found.advice)
+
+
+def test_data_within_the_times_of_a_prior_are_said_to_be(former, sensor, catalogue):
+    within, after = (run(a_pass(22, day=day), sensor, catalogue, PriorSource(former)) for day in (0.0, 1.0))
+    assert any("within the times of the prior" in sentence for sentence in within.advice)
+    assert not any("within the times of the prior" in sentence for sentence in after.advice)
+
+
 def test_a_camera_that_changed_since_is_said_to_contradict_the_prior(former, sensor, catalogue):
     moved = TRUTH.copy()
     moved[0] += 3e-6

@@ -42,8 +42,9 @@ def covariances(rng, n, sigma):
 class Body:
     """A body that turns, and two frames on it that measure their attitudes."""
 
-    def __init__(self, rng, n=60, offset_s=0.0, step_s=2.0, slope=None, drift=None, rate=0.001, per_pass=1e-5):
-        self.rng, self.rate = rng, rate
+    def __init__(self, rng, n=60, offset_s=0.0, step_s=2.0, slope=None, drift=None, rate=0.001, per_pass=1e-5,
+                 wobble=0.0, late_s=0.0):  # fmt: skip
+        self.rng, self.rate, self.wobble = rng, rate, wobble
         t = step_s * np.arange(n)
         self.axis = Rotation.random(rng=rng).as_matrix()[0]
         self.first = Rotation.random(rng=rng)
@@ -56,13 +57,15 @@ class Body:
         self.M = Rotation.from_rotvec(TURN)
         self.a = self.series(t, OWN, SHARED, per_pass, Rotation.identity())
         self.b = self.series(t + offset_s, 1.5 * OWN, 0.7 * SHARED, per_pass, Rotation.from_rotvec(phi) * self.M)
+        self.b = replace(self.b, time_s=self.b.time_s + late_s)
 
     def series(self, t, own, shared, spread, mounting):
         rng, n = self.rng, len(t)
         P, u = covariances(rng, n, own), rng.normal(size=3)
         self.common = [*getattr(self, "common", []), shared * u]
         G = np.diag(shared) + spread * 0.2 * rng.normal(size=(n, 3, 3))
-        true = mounting * Rotation.from_rotvec(self.rate * t[:, None] * self.axis) * self.first
+        turned = self.rate * t + self.wobble * np.sin(2 * np.pi * t / 40.0)
+        true = mounting * Rotation.from_rotvec(turned[:, None] * self.axis) * self.first
         error = np.einsum("nij,nj->ni", np.linalg.cholesky(P), rng.normal(size=(n, 3))) + G @ u
         C = (Rotation.from_rotvec(error) * true).as_matrix()
         return AttitudeSeries(t, C, P, G, 20.0 + self.warmth if len(t) == len(self.warmth) else np.full(n, np.nan))
@@ -280,6 +283,26 @@ def test_taking_neighbouring_pairs_for_independent_claims_too_little():
 
 
 @pytest.mark.full
+@pytest.mark.full
+@pytest.mark.parametrize("late_s", [0.0, 0.3])
+def test_clocks_that_differ_are_told_with_their_sigma_where_the_rate_changes(late_s):
+    """The body nods by a degree every 40 s; standard scores of the offset are normal, with a delay and without."""
+    found = [run(seed, n=60, offset_s=0.2, wobble=0.02, late_s=late_s)[2].clock for seed in range(effort(20, 100))]
+    scores = np.array([(one.offset_s - late_s) / one.sigma_s for one in found])
+    assert_chi_square((scores**2).tolist(), 1)
+    assert all(one.sigma_s < 0.05 for one in found)
+    assert np.mean([one.needed for one in found]) == (1.0 if late_s else pytest.approx(0.0, abs=0.1))
+
+
+def test_a_steady_turn_tells_no_clock_and_says_how_fast_it_was():
+    """0.3 s of 206 arcsec/s are 62 arcsec of the rotation, and no pair is off by any of it."""
+    body, _, found = run(3, n=100, late_s=0.3)
+    assert np.abs(body.error(found)).max() > 8 * np.sqrt(np.diag(found.fit.covariance)[:3]).min()
+    assert found.clock.needed is False
+    assert found.clock.sigma_s > 0.1
+    assert found.clock.steady_rad_s == pytest.approx(0.001, rel=0.05)
+
+
 def test_a_slope_over_temperature_is_found_and_recovered_and_none_is_invented():
     """On as many sets as are tried: bias below 0.2 sigma, intervals of 68 and 95 %, false alarms at their rate."""
     slope, rounds = np.array([1.0, -0.6, 2.0]) * ARCSEC, effort(40, 100)

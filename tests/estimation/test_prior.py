@@ -31,6 +31,10 @@ def test_root_share_and_agreement_are_those_of_the_dense_forms(seed, n):
     d = x_d - x_p
     assert dof == n
     assert chi2 == pytest.approx(d @ np.linalg.inv(prior.P + np.linalg.inv(A)) @ d, rel=1e-6)
+    other = 2.0 * prior.P + np.eye(n)
+    chi2, dof = prior.distance(A, P @ (A_0 @ x_p + A @ x_d) - x_p, other)
+    assert dof == n
+    assert chi2 == pytest.approx(d @ np.linalg.inv(other + np.linalg.inv(A)) @ d, rel=1e-6)
 
 
 def test_a_direction_that_data_leave_open_is_no_degree_of_freedom():

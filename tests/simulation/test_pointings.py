@@ -25,9 +25,9 @@ from boresight.simulation.pointings import (
     plan_pointings,
     spread_over_sky,
 )
-from boresight.simulation.scenes import calibration_scenario, expose, is_on_detector, simulate
+from boresight.simulation.scenes import calibration_scenario, expose, simulate
 from boresight.sky.catalogue import load_catalogue
-from boresight.telemetry.schema import Telemetry, find_exposures
+from boresight.telemetry.schema import find_exposures
 from tests.effort import effort
 
 SCENE = replace(calibration_scenario(1, 40), exposures=1, false_stars=0.0, blanked_share=0.0)
@@ -74,31 +74,8 @@ def test_the_information_of_exposures_is_that_of_their_arclengths(catalogue):
 
 
 def _observe(plan, candidates, catalogue, rng):
-    """Telemetry of a plan, its stars named, with noise."""
-    exposures = HALF_HOUR.exposures
-    s_i = np.stack(
-        [
-            np.cos(catalogue.dec_rad) * np.cos(catalogue.ra_rad),
-            np.cos(catalogue.dec_rad) * np.sin(catalogue.ra_rad),
-            np.sin(catalogue.dec_rad),
-        ],
-        axis=-1,
-    )
-    bright = np.flatnonzero(catalogue.magnitude < SENSOR.magnitude_limit)
-    columns = []
-    for k, C in enumerate(candidates.attitude[np.repeat(plan.place, exposures)]):
-        s_d = s_i[bright] @ C.T * np.array([1.0, SENSOR.parity, 1.0])
-        ahead = np.flatnonzero(s_d[:, 2] > 0.5)
-        row, col = CAMERA.project(SCENE.truth, s_d[ahead], SENSOR.pixel_pitch_m)
-        on = is_on_detector(SENSOR, row, col)
-        noise = SENSOR.centroid_sigma_px * rng.standard_normal((2, on.sum()))
-        star = bright[ahead[on]]
-        columns.append((np.full(on.sum(), k), star, row[on] + noise[0], col[on] + noise[1]))
-    frame, star, row, col = (np.concatenate(one) for one in zip(*columns, strict=True))
-    return Telemetry(
-        frame=frame, exposure=np.zeros_like(frame), row_px=row, col_px=col, star_id=catalogue.hip[star],
-        ra_rad=catalogue.ra_rad[star], dec_rad=catalogue.dec_rad[star],
-    )  # fmt: skip
+    attitude = candidates.attitude[np.repeat(plan.place, HALF_HOUR.exposures)]
+    return pointings.observe(attitude, SENSOR, SCENE.truth, catalogue, rng)
 
 
 @pytest.mark.full
@@ -264,6 +241,7 @@ def test_a_plan_chooses_among_the_attitudes_of_a_list_only(catalogue):
 
 @pytest.mark.full
 def test_a_plan_passes_the_gate_before_chance_and_the_paper_s_set_do():
-    (row,) = pointings.measure(lambda *_: None, sensors=(6,), draws=3)["sensors"]
+    (row,) = pointings.measure(lambda *_: None, sensors=(6,), draws=3, sets=2)["sensors"]
+    assert row["forecast"]["claimed"] == pytest.approx([1.0] * len(FREE), rel=0.1)
     assert row["plan"]["minutes"] < min(row["chance_best"]["minutes"], row["paper"]["minutes"])
     assert row["plan"]["exposures"] < min(row["chance_best"]["exposures"], row["paper"]["exposures"])

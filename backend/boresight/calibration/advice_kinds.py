@@ -11,6 +11,7 @@ from typing import Protocol, Self
 #: A sentence on a cause has the code `CAUSE` with the cause's name.
 CAUSE = "cause_"
 ADVICE_KINDS = {
+    "alignment_clock": "an alignment whose two clocks differ, or may",
     "alignment_covariance": "a side of an alignment whose parameters have no covariance",
     "alignment_parameters": "a side of an alignment without a calibration",
     "alignment_removed": "pairs of an alignment that were left out",

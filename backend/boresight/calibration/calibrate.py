@@ -332,7 +332,9 @@ class _Begun:
         if self.taken is None or ended is None or ended.estimate.status == "diverged":
             return found
         use = self.taken.describe(ended.matched.problem, self.parameters, settings, ended.estimate)
-        return with_advice(replace(found, prior=use), *self.taken.advice(use), *self.advice)
+        return with_advice(
+            replace(found, prior=use), *self.taken.advice(use, self.parameters, ended.estimate), *self.advice
+        )
 
 
 def _begin(

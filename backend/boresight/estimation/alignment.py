@@ -63,6 +63,15 @@ the second part because other exposures, with other stars, turn a little otherwi
 differ by what the pairs tell of the cameras' error, and their sigmas by far more: (m0, a2) and (n0, a1) turn a frame and leave the
 arcs alone.
 
+Clocks
+------
+Where B's time stamps are late by d, its attitude at a stamp is that of d before, C(-w_k d) C_b with the rate w_k about its axes,
+and every residual has -w_k d in it. Beside what was fitted, with N = R^-1 - R^-1 X (X^T R^-1 X + diag(0, I))^-1 X^T R^-1,
+
+    d = -w^T N r / w^T N w          sigma_d^2 = 1 / w^T N w
+
+tells it as far as the rate changes: a body that turns steadily about one axis has w d as a constant, which is the rotation itself.
+
 Outliers
 --------
 After a fit, r_k has the covariance S_k = R_kk - X_k C X_k^T where the pair took part and R_kk + X_k C X_k^T where it did not (C the
@@ -95,6 +104,8 @@ FALSE_REMOVAL = 0.01
 HIGHEST_POWER = 2
 #: Temperatures and times that lie nearer together tell nothing of their effect.
 LEAST_SPREAD_C, LEAST_SPREAD_D = 1.0, 0.5 / 24
+#: Fewest pairs with a rate that tell of the clocks, and the share of the rates below which they are as good as steady.
+FEWEST_RATES, TOLD_APART = 6, 1e-9
 #: Pairs among which the start is looked for.
 FOR_START = 200
 _ROUNDS, _ITERATIONS, _AT_REST = 12, 20, 1e-9
@@ -180,6 +191,8 @@ class Pairs:
         (K,) how far the nearest measured attitude of the other series is away.
     place
         (K, 2) of the attitude of A and of B that each pair is made of, the nearer one where it is made of two.
+    rate
+        (K, 3) of B about its axes, rad/s, by its neighbours or A's; NaN where none is near.
     """
 
     time_s: FloatArray
@@ -190,6 +203,7 @@ class Pairs:
     temperature_c: FloatArray
     offset_s: FloatArray
     place: IntArray
+    rate: FloatArray
 
     def __len__(self) -> int:
         """Count the pairs."""
@@ -200,7 +214,8 @@ class Pairs:
         number = np.cumsum(keep) - 1
         links = {(int(number[k]), int(number[j])): R for (k, j), R in self.links.items() if keep[k] and keep[j]}
         arrays = {
-            name: getattr(self, name)[keep] for name in ("time_s", "M", "R", "G", "temperature_c", "offset_s", "place")
+            name: getattr(self, name)[keep]
+            for name in ("time_s", "M", "R", "G", "temperature_c", "offset_s", "place", "rate")
         }
         return replace(self, links=links, **arrays)
 
@@ -323,11 +338,13 @@ def make_pairs(a: AttitudeSeries, b: AttitudeSeries, rule: PairingRule = Pairing
     p = a.shared.shape[2] + b.shared.shape[2]
     if of_a is None or of_b is None:
         return Pairs(np.empty(0), np.empty((0, 3, 3)), np.empty((0, 3, 3)), {}, np.empty((0, 3, p)), np.empty((0, 2)),
-                     np.empty(0), np.empty((0, 2), np.int64))  # fmt: skip
+                     np.empty(0), np.empty((0, 2), np.int64), np.empty((0, 3)))  # fmt: skip
     kept = np.flatnonzero(of_a.known & of_b.known)
     M = of_b.C[kept] @ np.swapaxes(of_a.C[kept], 1, 2)
     G = np.concatenate([-M @ of_a.shared[kept], of_b.shared[kept]], axis=2)
     lone = of_a.unknown_rad2[kept] + of_b.unknown_rad2[kept]
+    of_b_itself = rates_at(b, times[kept], rule)
+    by_a = np.einsum("kij,kj->ki", M, rates_at(a, times[kept], rule))
     R, links = _noise(((of_a, a.covariance, -M), (of_b, b.covariance, np.eye(3))), kept)
     return Pairs(
         time_s=times[kept],
@@ -338,7 +355,18 @@ def make_pairs(a: AttitudeSeries, b: AttitudeSeries, rule: PairingRule = Pairing
         temperature_c=np.column_stack([of_a.temperature_c[kept], of_b.temperature_c[kept]]),
         offset_s=np.maximum(*(np.abs(one.time_s[_nearest(one.time_s, times[kept])] - times[kept]) for one in (a, b))),
         place=np.column_stack([_nearest(one.time_s, times[kept]) for one in (a, b)]),
+        rate=np.where(np.isfinite(of_b_itself), of_b_itself, by_a),
     )
+
+
+def rates_at(series: AttitudeSeries, time_s: FloatArray, rule: PairingRule) -> FloatArray:
+    """Rate (m, 3) of a series about its axes at times (m,), rad/s, over both gaps about the nearest attitude; NaN where long."""
+    at = _nearest(series.time_s, time_s)
+    first, last = np.maximum(at - 1, 0), np.minimum(at + 1, len(series) - 1)
+    gap = series.time_s[last] - series.time_s[first]
+    known = (gap > 0) & (gap <= 2.0 * rule.longest_gap_s)
+    turn = log_rotation(series.C[last] @ np.swapaxes(series.C[first], 1, 2))
+    return np.asarray(np.where(known[:, None], turn / np.where(known, gap, 1.0)[:, None], np.nan))
 
 
 def _nearest(own: FloatArray, time_s: FloatArray) -> IntArray:
@@ -553,11 +581,51 @@ class TermTest:
 
 
 @dataclass(frozen=True)
+class ClockTest:
+    """By how much B's time stamps are later than A's, as far as the rate tells: s, its sigma, and its chance if they are equal.
+
+    `steady_rad_s`: length of the mean rate, at which each second turns the rotation unseen.
+    """
+
+    offset_s: float
+    sigma_s: float
+    p: float
+    needed: bool
+    steady_rad_s: float
+
+
+def compare_clocks(pairs: Pairs, keep: BoolArray, variation: Variation, found: Fit) -> ClockTest | None:
+    """Test whether the pairs' time stamps are of one clock; None where hardly any rate is known."""
+    some = keep & np.isfinite(pairs.rate).all(axis=1)
+    if some.sum() < FEWEST_RATES:
+        return None
+    taking, basis = pairs.chosen(some), variation.basis(found.terms)
+    scale = np.maximum(np.abs(basis).max(axis=0), 1e-300)
+    r, E = residuals(taking, (basis / scale)[some], found.M, found.beta * scale[:, None])
+    X = np.concatenate([E, taking.G], axis=2)
+    columns = np.concatenate([X, r[:, :, None], -taking.rate[:, :, None]], axis=2)
+    inner = np.einsum("kia,kib->ab", columns, taking.whitened(columns))
+    n, p = E.shape[2], taking.G.shape[2]
+    inner[n : n + p, n : n + p] += np.eye(p)
+    beside = np.linalg.solve(inner[: n + p, : n + p], inner[: n + p, n + p :])
+    left = inner[n + p :, n + p :] - inner[n + p :, : n + p] @ beside
+    steady = float(np.linalg.norm(taking.rate.mean(axis=0)))
+    if left[1, 1] <= TOLD_APART * inner[-1, -1]:
+        return ClockTest(0.0, np.inf, 1.0, needed=False, steady_rad_s=steady)
+    fall = left[0, 1] ** 2 / left[1, 1]
+    scatter = max((found.chi2 - fall) / (found.dof - 1), 1.0) if found.dof > 1 else 1.0
+    chance = float(chdtrc(1, fall / scatter))
+    sigma = float(np.sqrt(scatter / left[1, 1]))
+    return ClockTest(float(left[0, 1] / left[1, 1]), sigma, chance, chance < SIGNIFICANCE / 3, steady)
+
+
+@dataclass(frozen=True)
 class Estimate:
     """A rotation with its terms chosen and its outliers left out.
 
     `tests`: of every term that could be told, those taken in first; a term that is not in the fit was tested beside it. `keep`,
     `probability`: (K,) which pairs take part, and the chance of so large a chi-square of each. `scatter`: of the bulk, at least 1.
+    `clock`: whether the time stamps are of one clock.
     """
 
     fit: Fit
@@ -565,6 +633,7 @@ class Estimate:
     probability: FloatArray
     tests: tuple[TermTest, ...]
     scatter: float
+    clock: ClockTest | None = None
 
 
 def find_start(pairs: Pairs) -> FloatArray:
@@ -601,7 +670,8 @@ def estimate(
         found, keep, scatter = _settle(pairs, keep, variation, terms, start, robust=robust)
     if wanted is not None:
         tests = _tests_beside(pairs, keep, variation, found)
-    return Estimate(found, keep, _chances(found.pair_chi2, scatter), tests, scatter)
+    clock = compare_clocks(pairs, keep, variation, found)
+    return Estimate(found, keep, _chances(found.pair_chi2, scatter), tests, scatter, clock)
 
 
 def _chances(pair_chi2: FloatArray, scatter: float) -> FloatArray:

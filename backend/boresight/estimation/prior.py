@@ -85,3 +85,13 @@ class Prior:
         values, vectors, known = batch.determined(A)
         of_data = float(((vectors.T @ pull)[known] ** 2 / values[known]).sum())
         return float(z @ pull) + of_data, int(known.sum())
+
+    def distance(self, A: FloatArray, z: FloatArray, P: FloatArray) -> tuple[float, int]:
+        """Chi-square of the fit of the data alone against the prior's mean under another covariance P, and its degrees of freedom.
+
+        `A`, `z`: as of `disagreement`; `P`: (n_free, n_free) typical sigmas.
+        """
+        values, vectors, known = batch.determined(A)
+        V, information = vectors[:, known], values[known]
+        d = V.T @ z + (V.T @ (self.A @ z)) / information
+        return float(d @ np.linalg.solve(V.T @ P @ V + np.diag(1.0 / information), d)), int(known.sum())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -32,17 +32,7 @@ class PointingPlan(Summarised, Tabular, plans.PointingPlan):
         return cls(**{item.name: getattr(found, item.name) for item in fields(found) if item.init})
 
     def _columns(self) -> pa.Table:
-        rows = [asdict(one) for one in self.pointings]
-        for row in rows:
-            row |= dict(zip(("q_x", "q_y", "q_z", "q_w"), row.pop("quaternion"), strict=True))
-        names = ("start_utc", "slew_s", "dwell_s", *CANDIDATE_COLUMNS, "q_x", "q_y", "q_z", "q_w", "stars", "weakest")
-        return pa.table({name: [row[name] for row in rows] for name in names})
-
-    def to_csv(self) -> bytes:
-        """Return the pointings as CSV."""
-        sink = pa.BufferOutputStream()
-        csv.write_csv(self._columns(), sink, csv.WriteOptions(quoting_style="needed"))
-        return bytes(sink.getvalue())
+        return self.to_table()
 
     def save(self, path: str | Path) -> None:
         """Write the pointings as CSV."""

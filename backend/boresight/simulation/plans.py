@@ -25,6 +25,8 @@ from boresight.simulation.pointings import (
 )
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from boresight.calibration.calibration import Calibration
     from boresight.sky.catalogue import Catalogue
     from boresight.telemetry.sensors import Sensor
@@ -79,6 +81,25 @@ class PointingPlan:
     def to_dict(self) -> dict[str, Any]:
         """Return the document that `boresight plan --json` writes."""
         return {"schema": self.schema} | asdict(self)
+
+    def to_table(self) -> pa.Table:
+        """Return the pointings as a table, a row each."""
+        import pyarrow as pa  # noqa: PLC0415 - loaded where a plan is written
+
+        rows = [asdict(one) for one in self.pointings]
+        for row in rows:
+            row |= dict(zip(("q_x", "q_y", "q_z", "q_w"), row.pop("quaternion"), strict=True))
+        names = ("start_utc", "slew_s", "dwell_s", *CANDIDATE_COLUMNS, "q_x", "q_y", "q_z", "q_w", "stars", "weakest")
+        return pa.table({name: [row[name] for row in rows] for name in names})
+
+    def to_csv(self) -> bytes:
+        """Return the pointings as CSV."""
+        import pyarrow as pa  # noqa: PLC0415 - as above
+        from pyarrow import csv  # noqa: PLC0415 - as above
+
+        sink = pa.BufferOutputStream()
+        csv.write_csv(self.to_table(), sink, csv.WriteOptions(quoting_style="needed"))
+        return bytes(sink.getvalue())
 
 
 def parse_candidates(angles_deg: Sequence[FloatArray], named: Callable[[int], str]) -> Candidates:

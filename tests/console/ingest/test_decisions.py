@@ -3,11 +3,13 @@
 from datetime import UTC, datetime, timedelta
 from types import SimpleNamespace
 
+import numpy as np
 import orjson
 import pytest
 
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.tables import Approval
+from boresight.console.fleet.tables import Sensor
 from boresight.console.fleet.trend_document import Advice
 from boresight.console.ingest import policies, service
 from boresight.console.ingest.change_tests import PolicyFinding, Reason
@@ -25,6 +27,7 @@ from boresight.platform.blobs.store import register_blob
 from boresight.platform.db.sessions import open_reading, open_writing, utc_now, utc_text
 from boresight.platform.jobs.forecasts import ForecastSources
 from tests.console.conftest import SENSOR, _result
+from tests.missions import add_run, add_set, make_baseline
 from tests.passwords import approve
 
 NAMES = list(SENSOR["initial"])
@@ -57,12 +60,14 @@ class Pipeline:
             policies.enable(session, self.people["root"], row.id, row.version)
             return row.id
 
-    def bring(self, day, moved=0.0, *, state="SUCCEEDED", status="converged"):
-        """Bring in a set of a day, whose focal length moved by so many of its sigmas; returns its decision."""
+    def bring(self, day, moved=0.0, *, every=False, state="SUCCEEDED", status="converged"):
+        """Bring in a set of a day, whose focal length, or every parameter, moved by so many of its sigmas; returns its decision."""
         self.count += 1
         at = datetime(2026, 1, 1, tzinfo=UTC) + timedelta(days=day)
         span = {"start_utc": utc_text(at), "end_utc": utc_text(at + timedelta(minutes=9)), "span_s": 540.0}
-        parameters = SENSOR["initial"] | {"f_m": SENSOR["initial"]["f_m"] + moved * SIGMA["f_m"]}
+        parameters = SENSOR["initial"] | {
+            name: SENSOR["initial"][name] + moved * SIGMA[name] for name in (NAMES if every else ["f_m"])
+        }
         matrix = [[SIGMA[a] ** 2 if a == b else 0.0 for b in NAMES] for a in NAMES]
         trend = {"camera_model": "inverted_wang", "names": NAMES, "parameters": parameters, "covariance": matrix}
         summary = {"status": status, "level": "normal", "stars": 5000, "trend": trend}
@@ -235,6 +240,26 @@ def test_too_many_requests_stop_the_policy_and_the_last_question_stands(pipeline
     second = pipeline.bring(1, OUT)
     row = pipeline.read(policy, IngestPolicy)
     assert (second.state, row.state, row.pause_code) == ("ASKED", "PAUSED", "TOO MANY REQUESTS")
+
+
+def test_a_set_of_a_sensor_of_the_same_design_stops_the_policy_and_prepares_nothing(pipeline):
+    with open_writing(pipeline.engine) as session:
+        twin = Sensor(name="ST-TWIN", document=SENSOR | {"name": "ST-TWIN"}, created_utc=utc_now())
+        session.put(twin)
+        audit.append(session, INGEST, "brought in", f"sensors/{twin.id}")
+        data = add_set(session, twin.id, 0.0)
+        run = add_run(session, data, np.random.default_rng(1), 0.5, share=1e-3)
+        make_baseline(session, run)
+        number = twin.id
+    policy = pipeline.enable()
+    for day in range(9):
+        pipeline.bring(day)
+    found = pipeline.bring(9, moved=0.5 / 1e-3, every=True)
+    assert (found.state, _codes(found)[:2], found.parameter_set_id) == ("NOT JUDGED", ["WRONG SENSOR", "OUTSIDE"], None)
+    assert found.evidence["other_sensor_id"] == number
+    assert "ST-TWIN" in found.sentence
+    row = pipeline.read(policy, IngestPolicy)
+    assert (row.state, row.pause_code, row.pause_reason) == ("PAUSED", "WRONG SENSOR", found.sentence)
 
 
 def test_an_answer_needs_a_reason_and_days_within_bounds():

@@ -11,7 +11,7 @@ from boresight.console import pages
 from boresight.console.access.openid_connect import ProviderLogOut
 from boresight.console.alignments.tables import Alignment, AlignmentRequest
 from boresight.console.approvals.pages import gates as gate_report
-from boresight.console.fleet.pages import new_sensor
+from boresight.console.fleet.pages import new_sensor, plan
 from boresight.console.ingest import policies
 from boresight.console.ingest import service as ingest
 from boresight.console.jobs.message_sender import MessageSender
@@ -80,6 +80,7 @@ FORMS = {  # who sends which form to which page
     "/telemetry/{set_id}/accept-mapping": ("ada", {}),
     "/sensors": ("ada", {"document": "{}"}),
     "/sensors/propose": ("ada", {}),
+    "/sensors/{sensor_id:int}/plan": ("victor", {"start_utc": "2026-10-01T00:00:00Z"}),
     "/sensors/{sensor_id:int}/ingest": ("ada", {"reason": "x"}),
     "/sensors/{sensor_id:int}/ingest/{step}": ("ada", {"reason": "x", "version": "1", "policy_id": "1"}),
     "/ingest/{decision_id:int}/answer": ("ada", {"answer": "WAIT", "reason": "x", "version": "1"}),
@@ -132,6 +133,9 @@ NEEDED = {  # fixtures
     "/alignment-requests/{request_id:int}/sign": "asked",
     "/alignment-requests/{request_id:int}/withdraw": "asked",
 }
+
+
+STORES_NOTHING = {"/sensors/propose": (new_sensor, "_solve"), "/sensors/{sensor_id:int}/plan": (plan, "_compute")}
 
 
 @pytest.fixture
@@ -208,12 +212,12 @@ def test_a_full_disk_is_503_with_retry_after_by_every_form(request, site, monkey
         raise StorageError(full("the database"))
         yield
 
-    if route == "/sensors/propose":  # it stores nothing, and an upload that cannot be kept is all that may fail
+    if of := STORES_NOTHING.get(route):  # what it reads or keeps meanwhile is all that may fail
 
         def on_a_full_folder(*_: object) -> None:
-            raise StorageError(full("the folder of uploads"))
+            raise StorageError(full("the folder"))
 
-        monkeypatch.setattr(new_sensor, "_solve", on_a_full_folder)
+        monkeypatch.setattr(*of, on_a_full_folder)
     visitor = site.visitor(name)
     monkeypatch.setattr(attempts, "_transaction", on_a_full_disk)
     step = "pause" if "/ingest/" in route else "acknowledge"

@@ -43,6 +43,9 @@ from boresight.estimation.statistics.special import chdtri
 #: Pairs whose residuals are kept, evenly spread, beside those that were removed; and removed ones that are listed.
 MOST_RESIDUALS, MOST_REMOVED = 2000, 200
 
+#: Difference of two clocks that is easily overlooked, s.
+UNSEEN_S = 0.1
+
 TemperatureOf = Literal["a", "b", "difference"]
 TEMPERATURES: tuple[TemperatureOf, ...] = ("a", "b", "difference")
 
@@ -196,6 +199,30 @@ def _sigmas(P: FloatArray) -> list[float]:
     return [float(one) for one in np.sqrt(np.diag(P)) * ARCSEC_PER_RAD]
 
 
+def _advice_on_clocks(a: Side, b: Side, found: Estimate) -> Iterator[Advice]:
+    """Say by how much the clocks differ, or what a difference that nothing tells would do."""
+    clock = found.clock
+    if clock is not None and clock.needed:
+        yield Advice(
+            f"The time stamps of {b.name} are {clock.offset_s:+.3g} ± {clock.sigma_s:.2g} s later than those of {a.name}, as pairs "
+            "differ with the rate: correct them and align again, for what a steady turn makes of it hides in the rotation.",
+            "alignment_clock",
+        )
+    elif clock is not None and clock.steady_rad_s * min(3 * clock.sigma_s, UNSEEN_S) > 3 * max(_known_rad(found.fit)):
+        rate = clock.steady_rad_s * ARCSEC_PER_RAD
+        yield Advice(
+            f"The body turned steadily by {rate:.3g} arcsec/s: time stamps {UNSEEN_S:g} s apart would turn the rotation by "
+            f"{UNSEEN_S * rate:.3g} arcsec, and nothing here would show it. Make sure that both are of one clock, or include turns "
+            "about other axes.",
+            "alignment_clock",
+        )
+
+
+def _known_rad(fit: Fit) -> FloatArray:
+    """One sigma of the rotation to load about each axis of B, rad."""
+    return np.asarray(np.sqrt(np.diag(fit.covariance_to_load)[:3]))
+
+
 def _told(side: Side) -> AlignedSide:
     return AlignedSide(
         name=side.name,
@@ -313,6 +340,7 @@ def _advice(a: Side, b: Side, found: Estimate) -> Iterator[Advice]:
             "check time stamps, the reference's sigma, and jitter between the frames.",
             "alignment_scatter",
         )
+    yield from _advice_on_clocks(a, b, found)
     names = {one.term.kind for one in found.tests}
     if "temperature" not in names and not any(one.kind == "temperature" for one in fit.terms):
         yield Advice(

@@ -6,12 +6,12 @@ whose frames are numbered through, in memory or piece by piece, by every method 
 their first time where each has one, else in the order in which they were named, for a filter forgets by order.
 
 Frames keep their numbers where these ascend from pass to pass; else a pass is moved so that it begins after the one before it.
-A column that a pass lacks is absent there. Two passes of the same centroids are one pass that was named twice, and refused.
+A column that a pass lacks is absent there. A frame counts once: passes that hold the same one, bit for bit in its centroids, are
+refused, whatever the files are called and whether they share all frames or some.
 """
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -94,7 +94,7 @@ class JointTelemetry:
     def chunks(self) -> Iterator[Telemetry]:
         """Return them piece by piece, numbered through."""
         self.passes.clear()
-        seen: dict[bytes, str] = {}
+        hashes: list[NDArray[np.uint64]] = []
         rows, first_row, next_frame = 0, self.in_order[0].head.first_row, 0
         for number, one in enumerate(self.in_order):
             offset = 0 if number == 0 else max(next_frame - one.head.frame, 0)
@@ -106,13 +106,8 @@ class JointTelemetry:
                 yield moved
             self.passes.append(account.describe())
             next_frame = account.last_frame + 1
-            digest = account.digest()
-            if digest in seen:
-                raise RefusedInputError(
-                    f"{one.name} holds the centroids of {seen[digest]}: name each set once, or its stars count twice.",
-                    code="same-centroids",
-                )
-            seen[digest] = one.name
+            hashes.append(account.frame_hashes())
+        refuse_shared_frames([one.name for one in self.in_order], hashes)
 
     @cached_property
     def in_order(self) -> Sequence[NamedTelemetry]:
@@ -158,12 +153,45 @@ def span(telemetry: Telemetry) -> tuple[np.datetime64, np.datetime64]:
     return known.min(), known.max()
 
 
+def hash_frames(part: Telemetry) -> NDArray[np.uint64]:
+    """Return a number for each frame that follows from its centroids alone, in whatever order.
+
+    None for those that may be alike by chance: of one star, or rounded to whole pixels.
+    """
+    place = np.ascontiguousarray(np.column_stack([part.row_px, part.col_px]), np.float64)
+    words = place.view(np.uint64)
+    mixed = words[:, 0] * np.uint64(0x9E3779B97F4A7C15) ^ words[:, 1] * np.uint64(0xC2B2AE3D27D4EB4F)
+    mixed = (mixed ^ mixed >> np.uint64(29)) * np.uint64(0xBF58476D1CE4E5B9)
+    starts = np.flatnonzero(np.diff(part.frame, prepend=part.frame[0] - 1))
+    counts = np.diff(starts, append=len(part))
+    fractions = np.logical_or.reduceat((place != np.rint(place)).any(axis=1), starts)
+    return np.asarray(np.add.reduceat(mixed ^ mixed >> np.uint64(32), starts)[(counts > 1) & fractions])
+
+
+def refuse_shared_frames(names: Sequence[str], hashes: Sequence[NDArray[np.uint64]]) -> None:
+    """Refuse passes of which two hold the same frames."""
+    own = [np.unique(one) for one in hashes]
+    frames, owner = np.concatenate(own), np.repeat(np.arange(len(own)), [len(one) for one in own])
+    order = np.argsort(frames, kind="stable")
+    frames, owner = frames[order], owner[order]
+    if len(twice := np.flatnonzero(frames[1:] == frames[:-1])):
+        first, second = owner[twice[0]], owner[twice[0] + 1]
+        shared = len(np.intersect1d(own[first], own[second]))
+        held = f"{names[second]} holds the centroids of {names[first]}"
+        if shared == len(own[second]):
+            raise RefusedInputError(f"{held}: name each set once, or its stars count twice.", code="same-centroids")
+        raise RefusedInputError(
+            f"{held} in {shared:,} of its frames: cut these out of one, or their stars count twice.",
+            code="shared-frames",
+        )
+
+
 class _Account:
     """What is told of a pass, piece by piece."""
 
     def __init__(self, of: NamedTelemetry, frame_offset: int, row_offset: int) -> None:
         self._of, self._frame_offset, self._row_offset = of, frame_offset, row_offset
-        self._digest = hashlib.sha256()
+        self._hashes: list[NDArray[np.uint64]] = []
         self._frames = self._rows = self._warm = 0
         self._first_frame: int | None = None
         self.last_frame = 0
@@ -177,16 +205,16 @@ class _Account:
         self.last_frame = int(part.frame[-1])
         self._frames += 1 + int(np.count_nonzero(np.diff(part.frame)))
         self._rows += len(part)
-        self._digest.update(np.column_stack([part.row_px, part.col_px]).tobytes())
+        self._hashes.append(hash_frames(part))
         self._times += [time for time in span(part) if not np.isnat(time)]
         if part.temperature_c is not None:
             warm = within(part.temperature_c, TEMPERATURES_C)
             self._degrees += float(np.nansum(warm))
             self._warm += int(np.isfinite(warm).sum())
 
-    def digest(self) -> bytes:
-        """Return what two passes of the same centroids share."""
-        return self._digest.digest()
+    def frame_hashes(self) -> NDArray[np.uint64]:
+        """Return what two passes with the same frames share."""
+        return np.concatenate(self._hashes)
 
     def describe(self) -> InputPass:
         """Say what it was."""

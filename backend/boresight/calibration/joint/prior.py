@@ -12,6 +12,9 @@ parameters that it freed, and those it held stay where it held them: the run sta
 
 Counted once. A calibration names its telemetry by SHA-256, and one with a prior that of the prior too. A set that the prior holds
 already is left out of a joint run, which equals taking its information out of one of the two, and refused where nothing is left.
+The same stars in another file have another SHA-256. Under the covariance of noise alone, data that are independent of a prior
+differ from it by chi-square; data that the prior holds do not differ at all. So where that chi-square is smaller than one in
+`SAME` would have it by chance, and where the data begin within the times of the prior, it is said.
 """
 
 from __future__ import annotations
@@ -40,6 +43,8 @@ TELEMETRY, VALIDATION = "telemetry", "validation"
 DAY_S = 86_400.0
 #: Chance below which a prior and data that agree would look as far apart as they do.
 DISAGREE = 1e-3
+#: Chance that data which the prior does not hold agree with it so well.
+SAME = 1e-6
 
 
 @dataclass(frozen=True)
@@ -66,27 +71,38 @@ class PriorSource:
     @property
     def ended(self) -> np.datetime64 | None:
         """When its last star was taken, as far as it says."""
+        return max(self._list_times(self.ended_utc, "end_utc", -1), default=None)
+
+    @property
+    def began(self) -> np.datetime64 | None:
+        """When its first star was taken, as far as it says; where it has a prior of its own, after that."""
+        return min(self._list_times(None, "start_utc", 0), default=None)
+
+    def _list_times(self, told: str | None, of_pass: str, of_history: int) -> list[np.datetime64]:
         found = self.calibration
-        times = [self.ended_utc, *(one.end_utc for one in found.inputs.passes)]
+        times = [told, *(getattr(one, of_pass) for one in found.inputs.passes)]
         if found.history is not None and found.history.time_utc:
-            times.append(found.history.time_utc[-1])
+            times.append(found.history.time_utc[of_history])
         try:
-            known = parse_times([time for time in times if time])
+            return list(parse_times([time for time in times if time]))
         except ValueError as error:
             raise RefusedInputError(
                 f"{self.name} has a time that is none ({error}): write times as 2026-11-21T03:04:05Z."
             ) from error
-        return known.max() if len(known) else None
 
 
 @dataclass(frozen=True)
 class TakenPrior:
-    """A prior as a run takes it in: the Gaussian, what is told of its origin, and what is to be said of how it was taken."""
+    """A prior as a run takes it in: the Gaussian, what is told of its origin, and what is to be said of how it was taken.
+
+    `of_noise`: (n_free, n_free) its covariance by noise alone, neither inflated nor aged, typical sigmas; None where none is told.
+    """
 
     prior: Prior
     origin: PriorUse
     remarks: tuple[Advice, ...] = ()
     remedy: str = "compare with a run without --prior, or allow a drift by --prior-drift-sigma"
+    of_noise: FloatArray | None = None
 
     def describe(
         self, problem: Problem, parameters: Parameters, settings: CalibrationSettings, estimate: Estimate
@@ -109,8 +125,14 @@ class TakenPrior:
         )
         return replace(found, sentence=_sentence(found))
 
-    def advice(self, use: PriorUse) -> list[Advice]:
-        """What a person should know: of the prior's standing, and where the data contradict it."""
+    def advice(self, use: PriorUse, parameters: Parameters, estimate: Estimate) -> list[Advice]:
+        """What a person should know: of the prior's standing, and where the data contradict it or are its own."""
+        if None not in use.share.values() and self._holds(parameters, estimate):
+            same = (
+                f"These data agree with {use.name} better than other stars could (chance below {SAME:g}): it was probably made of "
+                "them, under another name or format, and then they count twice. Give other telemetry, or leave --prior out."
+            )
+            return [Advice(same, "prior"), *self.remarks]
         if use.agreement is None or use.agreement.p_value >= DISAGREE:
             return list(self.remarks)
         size = f"chi-square {use.agreement.chi2:.3g} of {use.agreement.dof} degrees of freedom"
@@ -118,6 +140,14 @@ class TakenPrior:
             f"These data contradict {use.name} ({size}): the camera changed, or one of the two is wrong; {self.remedy}."
         )
         return [Advice(disagree, "prior_contradicted"), *self.remarks]
+
+    def _holds(self, parameters: Parameters, estimate: Estimate) -> bool:
+        """Whether the data alone are nearer to the prior than data that it does not hold."""
+        if self.of_noise is None:
+            return False
+        z = (estimate.x - self.prior.x)[parameters.free] / parameters.scale
+        chi2, dof = self.prior.distance(estimate.A, z, self.of_noise)
+        return dof > 0 and 1.0 - chdtrc(dof, chi2) < SAME
 
 
 def _agreement(prior: Prior, A: FloatArray, z: FloatArray) -> PriorAgreement | None:
@@ -160,7 +190,11 @@ def take_prior(
     if missing := [name for name in names if name not in found.parameters]:
         raise RefusedInputError(f"{source.name} has no parameter {missing[0]}: give the file as it was written.")
     x = np.array([found.parameters[name] for name in names], np.float64)
-    P = _covariance(found, wanted, settings) / np.outer(parameters.scale, parameters.scale)
+    unit = np.outer(parameters.scale, parameters.scale)
+    P = _covariance(found, wanted, settings) / unit
+    # stated noise that was too large makes agreement look too good
+    of_noise = _covariance(found, wanted, replace(settings, prior_covariance="noise")) / unit
+    of_noise *= min(1.0, found.chi2_per_dof or 1.0)
     age = _age_days(source, settings, begins)
     aged = settings.prior_inflation**2 * P + settings.prior_drift_sigma**2 * (age or 0.0) * np.eye(len(P))
     if not np.isfinite(x).all() or not np.isfinite(aged).all() or np.linalg.eigvalsh(aged)[0] <= 0:
@@ -174,7 +208,7 @@ def take_prior(
         age_days=age,
         drift_sigma=settings.prior_drift_sigma,
     )
-    return TakenPrior(Prior(x, aged), origin, tuple(make_advice("prior", _remarks(source))))
+    return TakenPrior(Prior(x, aged), origin, tuple(make_advice("prior", _remarks(source, begins))), of_noise=of_noise)
 
 
 def _check_same_camera(source: PriorSource, sensor: Sensor) -> None:
@@ -211,7 +245,10 @@ def _covariance(found: Calibration, wanted: Sequence[str], settings: Calibration
 
 
 def _age_days(source: PriorSource, settings: CalibrationSettings, begins: np.datetime64 | None) -> float | None:
-    """Days from the prior's last star to the first of the run, or as the settings say; None where neither is known."""
+    """Days between the prior's stars and the run's, or as the settings say; None where neither is known.
+
+    A prior may be of later stars than the run: the camera walked between them all the same.
+    """
     if settings.prior_age_days is not None:
         if settings.prior_drift_sigma == 0.0:
             raise RefusedInputError(
@@ -222,10 +259,12 @@ def _age_days(source: PriorSource, settings: CalibrationSettings, begins: np.dat
         if settings.prior_drift_sigma > 0.0:
             raise RefusedInputError(f"How old {source.name} is cannot be told from its times: give --prior-age-days.")
         return None
-    return max(float((begins - source.ended) / np.timedelta64(1, "us")) / 1e6 / DAY_S, 0.0)
+    before = source.ended if source.began is None else source.began
+    apart = max(begins - source.ended, before - begins, np.timedelta64(0, "us"))
+    return float(apart / np.timedelta64(1, "us")) / 1e6 / DAY_S
 
 
-def _remarks(source: PriorSource) -> list[str]:
+def _remarks(source: PriorSource, begins: np.datetime64 | None) -> list[str]:
     entry = trend_entry(source.calibration)
     said = []
     if entry is not None and entry.left_out not in {None, ON_A_PRIOR, OF_SEVERAL}:
@@ -234,6 +273,16 @@ def _remarks(source: PriorSource) -> list[str]:
         said.append(
             "The prior does not name its telemetry, so nothing tells whether these stars are in it already: see that they are not, "
             "or they count twice."
+        )
+    if (
+        begins is not None
+        and source.began is not None
+        and source.ended is not None
+        and source.began <= begins <= source.ended
+    ):
+        said.append(
+            f"These data begin within the times of the prior ({source.began}Z to {source.ended}Z): see that they are other frames, "
+            "or their stars count twice."
         )
     return said
 

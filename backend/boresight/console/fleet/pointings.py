@@ -9,10 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from boresight.calibration.calibration import Calibration, parse_calibration
+from boresight.calibration.calibration import USABLE, Calibration, parse_calibration
 from boresight.console.fleet.tables import Sensor
+from boresight.console.list_queries import list_newest
+from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.results import read_result
-from boresight.console.runs.starts import find_start
+from boresight.console.runs.starts import find_start, is_trusted
+from boresight.console.runs.tables import Run
 from boresight.errors import OverloadedError, RefusedInputError
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session
@@ -21,11 +24,17 @@ from boresight.simulation.pointings import Candidates, Constraints, Criterion
 from boresight.simulation.scenes import parse_orbit, parse_start
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.sensors import parse_sensor
+from boresight.verdicts.verdict import parse_run_summary
 
 #: What one request may ask for: seconds of one core.
 MOST_CANDIDATES, MOST_DWELLS = 5_000, 60
 #: How long a request waits for the one before it, and when it may come back.
 PATIENCE_S, COME_BACK_S = 5.0, 5
+#: Sets and runs that a form offers.
+MOST_OFFERED = 20
+
+#: What begins a line of candidates that is a heading.
+_HEADING = CANDIDATE_COLUMNS[0]
 
 #: A plan keeps a core busy: of those that come together one is computed at a time.
 _computing = threading.Semaphore()
@@ -60,6 +69,33 @@ def read_candidates(attitudes_deg: Sequence[Sequence[float]] | None) -> Candidat
         return None
     columns = np.array(attitudes_deg, np.float64).reshape(-1, len(CANDIDATE_COLUMNS)).T
     return parse_candidates(list(columns), lambda index: f"candidates[{index}]")
+
+
+def read_candidate_lines(text: str) -> list[list[float]] | None:
+    """Read attitudes as they are typed or pasted, one a line, under a heading or without; None where there are none."""
+    lines = [(k, line.strip()) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
+    lines = [(k, line) for k, line in lines if not line.startswith(_HEADING)]
+    if len(lines) > MOST_CANDIDATES:
+        raise RefusedInputError(f"{len(lines):,} candidates were given: give up to {MOST_CANDIDATES:,}.")
+    rows = []
+    for k, line in lines:
+        try:
+            row = [float(one) for one in line.replace(",", " ").replace(";", " ").split()]
+        except ValueError:
+            row = []
+        if len(row) != len(CANDIDATE_COLUMNS):
+            raise RefusedInputError(
+                f"Line {k} of the candidates is {line[:40]!r}: write {', '.join(CANDIDATE_COLUMNS)} in degrees, one a line."
+            )
+        rows.append(row)
+    return rows or None
+
+
+def list_known(session: Session, sensor: Sensor) -> tuple[list[ParameterSet], list[Run]]:
+    """Return what a plan may add to: the sets of a sensor that may be started from, and its newest runs that converged."""
+    sets = [one for one in list_newest(session, ParameterSet, sensor=sensor.id, limit=MOST_OFFERED) if is_trusted(one)]
+    runs = list_newest(session, Run, sensor=sensor.id, state="SUCCEEDED", limit=MOST_OFFERED)
+    return sets, [run for run in runs if parse_run_summary(run.summary).status == USABLE]
 
 
 def compute(

@@ -99,6 +99,10 @@ class WatchedBucket:
     def _missing(self) -> str:
         return f"There is no bucket for {self.address}; make it, or correct BORESIGHT_WATCH_BUCKET."
 
+    def look_again(self) -> None:
+        """Make the next look due at once: not all of the last one was dealt with."""
+        self._due_s = self._clock()
+
     def count_waiting(self, sensor: str) -> int:
         """Count the objects of a sensor that were not taken yet, as of the last look."""
         return self._waiting.get(sensor, 0)
@@ -110,7 +114,9 @@ class WatchedBucket:
             self._waiting[arrived.sensor] = max(0, self._waiting.get(arrived.sensor, 0) - 1)
 
     def take(self, arrived: ArrivedObject, into: Path, most_bytes: int) -> TakenFile | None:
-        """Copy an object, or return None where it is another since or gone; refuse one that is too large."""
+        """Copy an object, or return None where it is another since, gone or dealt with; refuse one that is too large."""
+        if arrived.key in self._known:
+            return None
         refuse_too_large(arrived.name, arrived.size_bytes, most_bytes)
         digest, size = hashlib.sha256(), 0
         key = arrived.address.removeprefix(f"{self.address}/")

@@ -61,12 +61,22 @@ class Reason:
 
 
 @dataclass(frozen=True)
+class OtherSensor:
+    """A sensor that a set fits better than its own: with `own` against what the own one's sets say, `other` against its."""
+
+    sensor_id: int
+    name: str
+    own: ChiSquareTest
+    other: ChiSquareTest
+
+
+@dataclass(frozen=True)
 class PolicyFinding:
     """What a policy finds in one calibration.
 
     `state`: as of a decision. `holds`: what is known of the camera against the baseline. `forecast`: the set against its forecast;
     None where there is none. `largest`: the parameter that moved most, and by how many of its sigmas. `in_row`: sets in a row that
-    did not hold, this one with them.
+    did not hold, this one with them. `other`: the sensor that it is of instead, see `other_sensor`.
     """
 
     state: str
@@ -76,6 +86,7 @@ class PolicyFinding:
     forecast: ChiSquareTest | None = None
     largest: tuple[str, float] | None = None
     in_row: int = 0
+    other: OtherSensor | None = None
 
     @property
     def sentence(self) -> str:

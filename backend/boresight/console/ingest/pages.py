@@ -116,6 +116,9 @@ class Watcher(Protocol):
     def count_waiting(self, sensor: str) -> int:
         """Count the files of a sensor that were not taken yet."""
 
+    def describe_work(self, sensor: str) -> str:
+        """Say which file of a sensor is being read; empty where none is."""
+
 
 ServerWatcher = Annotated[Watcher, depend_on_server("ingest_watcher")]
 
@@ -127,6 +130,7 @@ class PolicyLine:
     policy: IngestPolicy
     sensor: str
     waiting: int
+    work: str
     asked: IngestDecision | None
 
 
@@ -143,6 +147,7 @@ def ingest_page(request: Request, session: Reading, watcher: ServerWatcher) -> H
             row,
             names.sensors[row.sensor_id],
             watcher.count_waiting(names.sensors[row.sensor_id]),
+            watcher.describe_work(names.sensors[row.sensor_id]),
             rows.find_asked(session, row.sensor_id),
         )
         for row in in_force

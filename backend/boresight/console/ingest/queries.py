@@ -96,10 +96,11 @@ def count_failures_in_row(session: Session, sensor_id: int, since_utc: str) -> i
 
 
 def list_due(session: Session) -> Sequence[int]:
-    """Return the numbers of the decisions whose run has ended, oldest first."""
+    """Return the numbers of the decisions whose run has ended, the oldest of each sensor first."""
     query = sa.select(IngestDecision.id).join(Run, Run.id == IngestDecision.run_id)
     query = query.where(IngestDecision.state == "CALIBRATING", Run.state.in_(TERMINAL_RUN_STATES))
-    return session.scalars(query.order_by(IngestDecision.id)).all()
+    turn = sa.func.row_number().over(partition_by=IngestDecision.sensor_id, order_by=IngestDecision.id)
+    return session.scalars(query.order_by(turn, IngestDecision.id)).all()
 
 
 IN_QUERY = 500  # addresses in one query

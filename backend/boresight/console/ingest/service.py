@@ -14,7 +14,7 @@ import hashlib
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -26,11 +26,12 @@ from boresight.console.approvals import queries as approval_rows
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.gates import GateAssessment
 from boresight.console.fleet.tables import Sensor
-from boresight.console.fleet.trend import Trend, read_trend
+from boresight.console.fleet.trend import Trend, read_trend, read_trends
 from boresight.console.fleet.trend_document import Advice, advise
 from boresight.console.ingest import policies
 from boresight.console.ingest import queries as rows
-from boresight.console.ingest.change_tests import PolicyFinding, Reason, agree, judge_newest
+from boresight.console.ingest.change_tests import OtherSensor, PolicyFinding, Reason, agree, judge_newest
+from boresight.console.ingest.other_sensor import find_other_sensor, is_of_one_design
 from boresight.console.ingest.rules import PolicyRules
 from boresight.console.ingest.tables import ANSWERS, IngestDecision, IngestPolicy
 from boresight.console.parameter_sets import queries as set_rows
@@ -39,6 +40,7 @@ from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs import service as runs
 from boresight.console.runs.presets import choose_settings
 from boresight.console.runs.tables import Run
+from boresight.console.telemetry import queries as telemetry_rows
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.telemetry.profiles import find_profile
 from boresight.console.telemetry.service import (
@@ -58,7 +60,7 @@ from boresight.platform.db.sessions import Session, utc_after, utc_now, utc_text
 from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.web.text_validation import refuse_control_characters
 from boresight.telemetry.read.limits import Limits
-from boresight.verdicts.numbers import urad
+from boresight.verdicts.numbers import number, urad
 from boresight.verdicts.verdict import parse_run_summary
 
 log = logging.getLogger(__name__)
@@ -261,11 +263,39 @@ def examine(session: Session, decision_id: int) -> Found:
     rules = policies.read_rules(policy)
     trend = read_trend(session, row.sensor_id)
     found = judge_newest(trend, run.id, rules)
+    if found.in_row and (other := _find_other_sensor(session, trend, run.id, rules)) is not None:
+        return Found(row.id, _report_other_sensor(found, trend.sensor.name, other))
     if found.state == "ASKED":
         found = _as_answered(session, row, found, trend, rules) or found
     if found.state != "ASKED":
         return Found(row.id, found)
     return Found(row.id, found, _list_alternatives(found, run), advise(trend))
+
+
+def _find_other_sensor(session: Session, own: Trend, run_id: int, rules: PolicyRules) -> OtherSensor | None:
+    """Find the sensor of the same design that a set outside of its forecast is of."""
+    point = own.find_run(run_id)
+    measured = telemetry_rows.read_measured_baselines(session)
+    alike = [
+        sensor_id
+        for sensor_id, document in telemetry_rows.read_sensor_documents(session)
+        if sensor_id in measured and sensor_id != own.sensor.id and is_of_one_design(own.sensor.document, document)
+    ]
+    if point is None or not alike:
+        return None
+    sensors = [session.get_known(Sensor, sensor_id) for sensor_id in alike]
+    return find_other_sensor(point, own, list(read_trends(session, sensors).values()), rules)
+
+
+def _report_other_sensor(found: PolicyFinding, name: str, other: OtherSensor) -> PolicyFinding:
+    """Say whose set it is, with the numbers; nothing is asked, and `conclude` pauses the policy."""
+    instead, own = other.other, other.own
+    said = (
+        f"The stars fit {other.name} better than {name}: χ² {number(instead.statistic, 3)} of {instead.dof} against what the sets "
+        f"of {other.name} say, {number(own.statistic, 3)} against those of {name}, limit {number(own.limit, 3)}. Send the file to "
+        f"{other.name}, and see who puts files into the folder of {name}; where {name} really moved there, submit its run by hand."
+    )
+    return replace(found, state="NOT JUDGED", reasons=(Reason("WRONG SENSOR", said), *found.reasons), other=other)
 
 
 def _report_failure(run: Run) -> PolicyFinding:
@@ -356,6 +386,8 @@ def conclude(session: Session, found: Found, assessment: GateAssessment | None =
     evidence = _write_evidence(judged)
     if assessment is None:
         _end(session, row, judged.state, judged.reasons, evidence)
+        if judged.other is not None:
+            policies.pause(session, policy, judged.reasons[0].code, judged.sentence)
         return row
     report = gates.record_report(session, INGEST, assessment)
     blocking = assessment.report.blocking
@@ -387,6 +419,7 @@ def _write_evidence(found: PolicyFinding) -> dict[str, Any]:
         "reference": None if found.reference is None else found.reference.name,
         "reference_id": None if found.reference is None else found.reference.parameter_set_id,
         "in_row": found.in_row,
+        "other_sensor_id": None if found.other is None else found.other.sensor_id,
         "largest": None if found.largest is None else {"name": found.largest[0], "sigmas": found.largest[1]},
         **{
             name: None if one is None else {"statistic": one.statistic, "dof": one.dof, "limit": one.limit, "p": one.p}

@@ -1,8 +1,9 @@
 """The ingest watcher: takes files from the watched folder and bucket, and decides on what was calibrated.
 
 `console.ingest.service` says what a file goes through. Reading, checking and judging happen outside transactions, and each write is
-one. Every step may be repeated: what was received is known by its bytes, a decision is written only while it is CALIBRATING, and
-several servers may watch the same places.
+one. Files of several sensors are taken side by side (`lanes`), and what was calibrated is judged beside that. Every step may be
+repeated: what was received is known by its bytes, a decision is written only while it is CALIBRATING, and several servers may watch
+the same places.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from boresight.console.ingest.folder import DONE, REFUSED, Arrival, TakenFile, W
 from boresight.console.ingest.service import SentFile
 from boresight.console.ingest.tables import IngestPolicy
 from boresight.console.jobs.intake import Intake, write_nothing
+from boresight.console.jobs.lanes import Lanes, WaitingFile
 from boresight.errors import BoresightError, ConflictError, RefusedInputError, UnavailableError
 from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing
 from boresight.platform.jobs.forecasts import ForecastSources
@@ -75,15 +77,20 @@ class IngestWatcher:
         self._folder = None if watched is None else WatchedFolder(watched, settings.watch_settle_s)
         self._bucket = open_watched_bucket(settings)
         self._faults = {"folder": "", "bucket": ""}
-        self._thread = PeriodicThread("ingest", [self.look, self.look_into_bucket, self.decide], lambda: ROUND_S)
+        self._lanes = Lanes("ingest")
+        self._thread = PeriodicThread("ingest", [self.look, self.look_into_bucket], lambda: ROUND_S)
+        self._judge = PeriodicThread("judgement", [self.decide], lambda: ROUND_S)
 
     def start(self) -> None:
-        """Start the thread."""
+        """Start the threads."""
         self._thread.start()
+        self._judge.start()
 
     def close(self) -> None:
         """Stop; safe to call twice."""
         self._thread.close()
+        self._judge.close()
+        self._lanes.close()
 
     @property
     def places(self) -> list[str]:
@@ -93,8 +100,12 @@ class IngestWatcher:
 
     @property
     def fault(self) -> str:
-        """What is wrong with the watched folder or bucket."""
-        return " ".join(filter(None, self._faults.values()))
+        """What is wrong with the watched folder or bucket, or with the files that are under way."""
+        return " ".join(filter(None, [*self._faults.values(), self._lanes.fault]))
+
+    def describe_work(self, sensor: str) -> str:
+        """Say which file of a sensor is being read; empty where none is."""
+        return self._lanes.describe(sensor)
 
     def count_waiting(self, sensor: str) -> int:
         """Count the files of a sensor that were not taken yet."""
@@ -105,15 +116,14 @@ class IngestWatcher:
         """Take in the files that are complete, of sensors whose policy is active."""
         if self._folder is None or not (complete := self._list(self._folder.list_complete, "folder")):
             return
-        sensors = self._read_active()
+        sensors, files = self._read_active(), list[WaitingFile]()
         for arrival in complete:
-            if self._thread.closing:
-                return
             if arrival.sensor in sensors:
                 sent = SentFile("FOLDER", arrival.name, None, arrival.size_bytes)
                 settle = partial(self._settle, self._folder, arrival)
                 found = FoundFile(partial(self._folder.take, arrival), settle)
-                self._thread.take(partial(self._take, sensors[arrival.sensor], sent, found))
+                files.append(self._wait(arrival.sensor, sensors[arrival.sensor], sent, found))
+        self._lanes.take_all(files, lambda: self._thread.closing)
 
     def look_into_bucket(self) -> None:
         """Take in the objects that are new, of sensors whose policy is active."""
@@ -124,16 +134,21 @@ class IngestWatcher:
             return
         with open_reading(self._database) as session:
             taken = rows.find_taken_objects(session, {one.address for one in arrived})
+        files: list[WaitingFile] = []
         for one in arrived:
-            if self._thread.closing:
-                return
             if one.key in taken:
                 self._bucket.note_known(one)
                 continue
             sent = SentFile("BUCKET", one.name, None, one.size_bytes)
             beside = partial(rows.note_taken_object, address=one.address, version=one.version)
             found = FoundFile(partial(self._bucket.take, one), partial(self._know, one), beside)
-            self._thread.take(partial(self._take, sensors[one.sensor], sent, found))
+            files.append(self._wait(one.sensor, sensors[one.sensor], sent, found))
+        if not self._lanes.take_all(files, lambda: self._thread.closing):
+            self._bucket.look_again()
+
+    def _wait(self, sensor: str, sensor_id: int, sent: SentFile, found: FoundFile) -> WaitingFile:
+        take = partial(self._thread.take, partial(self._take, sensor_id, sent, found))
+        return WaitingFile(sensor, sent.name, take)
 
     def _read_active(self) -> dict[str, int]:
         """Return the sensors whose policy is active, by their names."""
@@ -222,9 +237,9 @@ class IngestWatcher:
             with open_writing(self._database) as session:
                 service.supersede_overtaken(session, decision_id)
         for decision_id in due:
-            if self._thread.closing:
+            if self._judge.closing:
                 return
-            self._thread.take(partial(self._decide, decision_id))
+            self._judge.take(partial(self._decide, decision_id))
         if due or overtaken:
             self._tell()
 

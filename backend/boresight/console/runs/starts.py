@@ -67,6 +67,11 @@ def find_start(session: Session, sensor: Sensor, prior_run_id: int | None, prior
     return Start(run, named, frozenset(queries.list_held_sets(session, run)))
 
 
+def is_trusted(row: ParameterSet) -> bool:
+    """Whether a run may start from a parameter set: estimated, and approved or on board."""
+    return row.run_id is not None and (row.ground_state in TRUSTED or row.onboard_state == "ACTIVE")
+
+
 def _get_trusted_set(session: Session, sensor: Sensor, set_id: int) -> ParameterSet:
     """Return a parameter set that a run may start from."""
     found = session.get_known(ParameterSet, set_id)
@@ -76,7 +81,7 @@ def _get_trusted_set(session: Session, sensor: Sensor, set_id: int) -> Parameter
         raise RefusedInputError(
             f"{found.name} is the ground calibration, whose covariance was declared and not measured; choose a set made from a run."
         )
-    if found.ground_state not in TRUSTED and found.onboard_state != "ACTIVE":
+    if not is_trusted(found):
         raise ConflictError(
             f"{found.name} is {found.ground_state}; start from an approved set, or name run {found.run_id} itself."
         )
