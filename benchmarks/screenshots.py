@@ -238,7 +238,8 @@ def draw_metrics(prometheus: httpx.Client, page: Page) -> None:
                 said = " ".join(labels) or target.get("legendFormat", title)
                 figure.add_scatter(
                     x=[datetime.fromtimestamp(one, UTC) for one in times], y=[float(one) for one in values],
-                    text=[""] * (len(times) - 1) + [said], mode="lines+text", textposition="top left",
+                    text=[""] * (len(times) - 1) + [said if float(values[-1]) else ""], mode="lines+text",
+                    textposition="bottom left",
                     row=row + 1, col=column + 1,
                 )  # fmt: skip
         unit = panels[title].get("fieldConfig", {}).get("defaults", {}).get("unit", "short")
