@@ -10,7 +10,7 @@ import boresight
 sys.path.insert(0, str(Path(__file__).parent / "extensions"))
 
 project = "Boresight"
-author = "The authors of Boresight"
+author = copyright = "The Boresight authors"  # noqa: A001 - Sphinx calls it so
 version = release = boresight.__version__
 language = "en"
 extensions = [

@@ -64,7 +64,8 @@ class Scan:
         for one in self.found:
             yield f"{one.package} {one.version}: {', '.join(one.names)} {one.summary}".rstrip()
         yield from (f"Not scanned: {reason}" for reason in self.unknown)
-        yield f"{self.looked_up} packages looked up, {len(self.found)} known vulnerabilities."
+        if self.looked_up:
+            yield f"{self.looked_up} packages looked up, {len(self.found)} known vulnerabilities."
 
 
 def scan_offline(packages: Sequence[Package], database: Path) -> Scan:
@@ -126,8 +127,9 @@ def scan_online(packages: Sequence[Package]) -> Scan:
     try:
         told = json.loads(done.stdout)["dependencies"]
     except (ValueError, KeyError):
-        why = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
-        return Scan(0, (), (f"pip-audit gave no answer ({why}): install it, or give --database.",))
+        why = (done.stderr.strip().splitlines() or ["it said nothing"])[-1].rpartition(": ")[2]
+        reason = f"no offline database is here, and pip-audit gave no answer ({why}): give --database, or install it."
+        return Scan(0, (), (reason,))
     return read_answer(told, packages)
 
 

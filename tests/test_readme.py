@@ -109,9 +109,9 @@ def test_the_reference_names_every_choice_of_a_calibration(option, words):
     assert all(f"`{word}`" in row for word in words[1:])
 
 
-def test_the_readme_gives_a_reason_for_every_dependency_and_for_no_other():
-    told = set(re.findall(r"^\| `([a-z][a-z0-9-]*)` \| .+ \|$", README, re.MULTILINE))
-    paragraph = README.partition("For development:")[2].partition("\n\n")[0]
+def test_the_reference_gives_a_reason_for_every_dependency_and_for_no_other():
+    told = set(re.findall(r"^\| `([a-z][a-z0-9-]*)` \| .+ \|$", REFERENCE["dependencies"], re.MULTILINE))
+    paragraph = REFERENCE["dependencies"].partition("For development:")[2].partition("\n\n")[0]
     assert told | set(re.findall(r"`([a-z-]+)`", paragraph)) == _packages()
 
 

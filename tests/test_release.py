@@ -17,7 +17,7 @@ import pytest
 import boresight
 from boresight.platform.audit.signing import SigningKey
 from release import __main__ as command
-from release import licences
+from release import licences, vulnerabilities
 from release.licences import Package, list_packages
 from release.sbom import write_sbom
 from release.vulnerabilities import is_affected, read_answer, scan_offline
@@ -130,6 +130,12 @@ def test_what_the_database_did_not_answer_for_is_not_called_sound(packages):
     assert read_answer(skipped, packages).exit_code == 3
     flawed = [*sound[1:], {"name": packages[0].name, "version": "1", "vulns": [{"id": "PYSEC-1", "aliases": []}]}]
     assert read_answer(flawed, packages).exit_code == 1
+
+
+def test_without_any_database_one_sentence_says_that_nothing_was_scanned(packages, monkeypatch):
+    monkeypatch.setattr(vulnerabilities.sys, "executable", shutil.which("false"))
+    told = vulnerabilities.scan(packages, None)
+    assert (told.looked_up, told.exit_code, len([*told.lines()])) == (0, 3, 1)
 
 
 RELEASE = (sys.executable, "-m", "release", "--without-documentation")

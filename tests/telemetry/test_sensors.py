@@ -221,7 +221,7 @@ def test_every_wrong_field_is_listed(document):
     ("content", "words"),
     [
         (b"", "is empty"),
-        (b'{\n "name": "x",\n}', "row 3: this is not JSON"),
+        (b'{\n "name": x\n}', "row 2: this is not JSON"),
         (b"[1]", "is not a sensor file"),
         (b"[" * 100_000, "not JSON"),
         (b'{"name": "\xe9"}', "not UTF-8"),

@@ -10,14 +10,7 @@ import httpx
 import pytest
 import sqlalchemy as sa
 
-from boresight.console.access.external_identities import NO_ROLE
-from boresight.console.access.openid_connect import ALGORITHMS, read_provider_settings
-from boresight.console.access.tables import ExternalIdentity, LoginSession, User
-from boresight.errors import RefusedInputError
-from boresight.platform.audit import log as audit
-from boresight.platform.db.sessions import open_reading, open_writing, utc_after
-from tests.console.access.authenticators import App
-from tests.console.access.provider import (
+from benchmarks.identity_provider import (
     CLIENT_ID,
     CLIENT_SECRET,
     LOG_OUT,
@@ -26,6 +19,13 @@ from tests.console.access.provider import (
     providing,
     symmetric_key,
 )
+from boresight.console.access.external_identities import NO_ROLE
+from boresight.console.access.openid_connect import ALGORITHMS, read_provider_settings
+from boresight.console.access.tables import ExternalIdentity, LoginSession, User
+from boresight.errors import RefusedInputError
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import open_reading, open_writing, utc_after
+from tests.console.access.authenticators import App
 from tests.served import PASSWORD, PLAIN, House, add_people, serving, settings_in
 from tests.sites import codes
 

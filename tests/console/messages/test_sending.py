@@ -1,17 +1,15 @@
 """Messages over the wire: a real receiver and a real mail server get them, and a service reaches nothing else."""
 
 import json
-import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from socketserver import StreamRequestHandler, ThreadingTCPServer
 from typing import Any
 
 import pytest
 import sqlalchemy as sa
 
+from benchmarks.receivers import listening, receiving_mail
 from boresight.console.jobs.message_sender import MessageSender
 from boresight.console.messages import service as messages
 from boresight.console.messages.service import Choice, Outlets
@@ -25,18 +23,6 @@ from boresight.platform.jobs.message_transport import OutboundMessage
 from boresight.platform.web.targets import WebhookTargets
 
 LOCAL = WebhookTargets(local=True)
-
-
-@contextmanager
-def _serving(server: Any) -> Iterator[int]:
-    thread = threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True)
-    thread.start()
-    try:
-        yield server.server_address[1]
-    finally:
-        server.shutdown()
-        server.server_close()
-        thread.join()
 
 
 @pytest.fixture
@@ -56,31 +42,14 @@ def received() -> Iterator[tuple[int, list[Any]]]:
         def log_message(self, *_: Any) -> None:
             """Keep quiet."""
 
-    with _serving(ThreadingHTTPServer(("127.0.0.1", 0), Handler)) as port:
+    with listening(ThreadingHTTPServer(("127.0.0.1", 0), Handler)) as port:
         yield port, heard
 
 
 @pytest.fixture
 def mailed() -> Iterator[tuple[int, list[str]]]:
-    """A mail server that keeps what it is given."""
-    heard: list[str] = []
-
-    class Handler(StreamRequestHandler):
-        def handle(self) -> None:
-            self.wfile.write(b"220 sink\r\n")
-            while line := self.rfile.readline():
-                word = line[:4].upper()
-                if word == b"DATA":
-                    self.wfile.write(b"354 go on\r\n")
-                    text = b"".join(iter(self.rfile.readline, b".\r\n"))
-                    heard.append(text.decode())
-                self.wfile.write(b"221 bye\r\n" if word == b"QUIT" else b"250 fine\r\n")
-                heard.append(line.decode().strip()) if word in {b"RCPT", b"MAIL"} else None
-
-    server = ThreadingTCPServer(("127.0.0.1", 0), Handler)
-    server.daemon_threads = True
-    with _serving(server) as port:
-        yield port, heard
+    with receiving_mail() as received:
+        yield received
 
 
 def test_a_message_goes_the_whole_way_to_a_receiver_and_to_a_mail_server(engine, people, received, mailed, tmp_path):

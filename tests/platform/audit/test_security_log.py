@@ -101,8 +101,9 @@ def test_a_log_that_was_rotated_away_goes_on_in_a_new_file(tmp_path):
     assert [line["event"] for line in _lines(file)] == ["sys_shutdown"]
 
 
-def test_a_log_that_cannot_be_written_holds_nobody_up(tmp_path, caplog):
-    with _kept(tmp_path / "absent" / "log") as kept, kept.following():
+@pytest.mark.parametrize("place", ["absent/log", "/dev/full"])  # cannot be opened; has no room
+def test_a_log_that_cannot_be_written_holds_nobody_up(place, tmp_path, caplog):
+    with _kept(tmp_path / place) as kept, kept.following():
         tell("sys_startup", "success")
     assert "cannot be written" in caplog.text
 

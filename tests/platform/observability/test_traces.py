@@ -3,15 +3,13 @@
 import re
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 import pytest
-from opentelemetry.proto.collector.trace.v1.trace_service_pb2 import ExportTraceServiceRequest
 
+from benchmarks.receivers import collecting_spans
 from boresight.platform.observability.traces import NO_SPAN, Traces, read_traceparent
 from tests.served import House, add_people, serving, settings_in
 
@@ -21,31 +19,10 @@ STAGES = {"arcs", "fit", "judge"}
 
 
 class Collector:
-    """What is behind an OTLP/HTTP endpoint: it keeps each span with the service that made it."""
+    """What is behind an OTLP/HTTP endpoint."""
 
-    def __init__(self) -> None:
-        self.spans: list[tuple[str, Any]] = []
-        collector = self
-
-        class Handler(BaseHTTPRequestHandler):
-            def do_POST(self) -> None:
-                assert (self.path, self.headers["Content-Type"]) == ("/v1/traces", "application/x-protobuf")
-                asked = ExportTraceServiceRequest.FromString(self.rfile.read(int(self.headers["Content-Length"])))
-                for of in asked.resource_spans:
-                    service = next(
-                        one.value.string_value for one in of.resource.attributes if one.key == "service.name"
-                    )
-                    collector.spans += [(service, span) for scope in of.scope_spans for span in scope.spans]
-                self.send_response(200)
-                self.send_header("Content-Length", "0")
-                self.end_headers()
-
-            def log_message(self, *_: Any) -> None:
-                """Keep quiet."""
-
-        self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        self.url = f"http://127.0.0.1:{self.server.server_address[1]}"
-        threading.Thread(target=self.server.serve_forever, args=(0.05,), daemon=True).start()
+    def __init__(self, url: str, spans: list[tuple[str, Any]]) -> None:
+        self.url, self.spans = url, spans
 
     def of(self, trace_id: str) -> list[tuple[str, Any]]:
         return [(service, span) for service, span in self.spans if span.trace_id.hex() == trace_id]
@@ -53,10 +30,8 @@ class Collector:
 
 @pytest.fixture(scope="module")
 def collector() -> Iterator[Collector]:
-    made = Collector()
-    yield made
-    made.server.shutdown()
-    made.server.server_close()
+    with collecting_spans() as (url, spans):
+        yield Collector(url, spans)
 
 
 def _attributes(span: Any) -> dict[str, Any]:

@@ -17,7 +17,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from logging.handlers import WatchedFileHandler
@@ -178,15 +178,17 @@ class SecurityLog:
         if self._handler is None:
             return
         text = json.dumps(line, ensure_ascii=True, separators=(",", ":"), default=str)
+        record = logging.LogRecord("boresight.security", logging.INFO, "", 0, text, None, None)
         try:
-            self._handler.emit(logging.LogRecord("boresight.security", logging.INFO, "", 0, text, None, None))
-        except OSError as error:  # what it tells of goes on: the audit log has what must not be lost
-            log.error("The security log cannot be written (%s): %s", error, text)  # noqa: TRY400 - the sentence says it all
+            self._handler.emit(record)
+        except OSError:  # of opening, before Python 3.14; all else the handler hands to `handleError` itself
+            self._handler.handleError(record)
 
     def close(self) -> None:
         """Close the file."""
         if isinstance(self._handler, WatchedFileHandler):
-            self._handler.close()
+            with suppress(OSError):  # what it could not write was told
+                self._handler.close()
 
 
 def _open(place: str) -> logging.StreamHandler[Any] | None:
@@ -194,7 +196,14 @@ def _open(place: str) -> logging.StreamHandler[Any] | None:
         return None
     if place == STANDARD_OUTPUT:
         return logging.StreamHandler(sys.stdout)
-    return WatchedFileHandler(Path(place).expanduser(), encoding="utf-8", delay=True)
+    handler = WatchedFileHandler(Path(place).expanduser(), encoding="utf-8", delay=True)
+    handler.handleError = _tell_of_failure  # type: ignore[method-assign]  # instead of a traceback on standard error
+    return handler
+
+
+def _tell_of_failure(record: logging.LogRecord) -> None:
+    """Say what could not be written; what it tells of goes on, for the audit log has what must not be lost."""
+    log.error("The security log cannot be written (%s): %s", sys.exception(), record.getMessage())
 
 
 @dataclass

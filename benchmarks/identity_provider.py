@@ -47,6 +47,7 @@ class Provider:
     _last_log_in_s: dict[str, int] = field(default_factory=dict)
 
     def document(self) -> dict[str, Any]:
+        """Return the discovery document."""
         return {
             "issuer": self.issuer,
             "authorization_endpoint": f"{self.issuer}/authorize",
