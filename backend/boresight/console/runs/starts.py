@@ -109,11 +109,15 @@ def check_start(
     refuse_cosine(settings)
     _check_same_parameters(sensor, free, start)
     if validation is not None and validation.id in start.held:
-        raise RefusedInputError(f"{validation.name} took part in {start.name}; choose a validation set that did not.")
+        raise RefusedInputError(
+            f"{validation.name} took part in {start.name}; choose a validation set that did not.",
+            code="prior-holds-validation",
+        )
     if all(one.id in start.held for one in sets):
         raise RefusedInputError(
             f"{start.name} holds {', '.join(one.name for one in sets)} already, and stars count once; choose newer telemetry, or "
-            "start from another calibration."
+            "start from another calibration.",
+            code="prior-holds-telemetry",
         )
 
 
