@@ -467,7 +467,7 @@ def test_the_view_holds_the_numbers_that_its_sentence_says_and_open_sigmas_where
     assert view["frames"] == 40
     np.testing.assert_allclose(to_matrix(np.array(view["quaternion"])).T, view["c_sd_update"], atol=1e-15)
     assert (np.array(view["sigma_arcsec"]) > view["sigma_of_mean_arcsec"]).all()
-    assert f"{np.linalg.norm(view['rotation_arcsec']):.0f}"[:3] in view["sentence"]
+    assert f"{np.linalg.norm(view['rotation_arcsec']):,.1f}" in view["sentence"]
     assert "multiply C_SD from the right" in view["sentence"]
     view = to_plain(alignment_view(make_frame_problem(10), GROUND, TRUTH, np.full((8, 8), np.nan)))
     assert view["sigma_arcsec"] == [None] * 3

@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.calibration import (
     Calibration,
+    ChiSquareTest,
+    ProcessNoise,
     RemovedOf,
     Shadow,
     TrustTest,
@@ -18,6 +20,7 @@ from boresight.calibration.calibration import (
     to_plain,
 )
 from boresight.calibration.options import CalibrationSettings
+from boresight.calibration.process_noise import LAST_FRAMES
 from boresight.calibration.trust.trust_tests import TRUST_TESTS
 from boresight.figures.tables import parameter_rows, printed_rows
 from boresight.platform.db.documents import canonical
@@ -32,7 +35,14 @@ from boresight.verdicts.gates.assessment import (
     started_from,
     take_scores,
 )
-from boresight.verdicts.gates.measurements import NO_RUN, NO_TESTS, Measurement, Score, ValidationScores
+from boresight.verdicts.gates.measurements import (
+    NO_RUN,
+    NO_TESTS,
+    Measurement,
+    Score,
+    ValidationScores,
+    measure_chi_square,
+)
 from boresight.verdicts.numbers import (
     MINUS,
     QUANTITIES,
@@ -45,6 +55,7 @@ from boresight.verdicts.numbers import (
     unit,
     with_reach,
 )
+from boresight.verdicts.verdict import make_verdict_marks
 from tests.calibrations import changed
 from tests.effort import effort
 from tests.verdicts.gate_cases import NAMES, SENSOR, SIGMA, a_result, a_set, as_read, gate_inputs
@@ -500,3 +511,21 @@ def test_a_file_whose_identities_are_removed_in_numbers_does_not_pass(removed, e
     result = a_result(removed_of=RemovedOf(proposed=500, removed=removed))
     report = judge(parse_profile({}), measure(gate_inputs(result=result)))
     assert next(one.status for one in report.gates if one.name == "identities") == expected
+
+
+def test_a_chi_square_that_only_follows_the_last_frames_is_told_so_by_gate_and_verdict_and_no_other_is():
+    noise = ProcessNoise(per="frame", source="given", sigma=Values({"f_m": 0.01}), sentence="")
+    high = ChiSquareTest(value=1220.0, dof=1000, lower=0.91, upper=1.09, consistent=False)
+    result = a_result(method="sqrf", chi2_per_dof=1.22, chi2=high, process_noise=noise)
+    seen_by_tests = [dataclasses.replace(one, noticed=one.name == "chi_square") for one in result.tests]
+    cases = {
+        "of the last state alone": (result, True),
+        "without process noise": (dataclasses.replace(result, process_noise=None), False),
+        "of the best fit too": (dataclasses.replace(result, tests=seen_by_tests), False),
+        "within its bounds": (dataclasses.replace(result, chi2_per_dof=1.02), False),
+    }
+    for case, (one, is_told) in cases.items():
+        found = measure_chi_square(gate_inputs(result=one))
+        mark = next(mark for mark in make_verdict_marks(one) if mark.name == "chi_square")
+        assert (LAST_FRAMES in found.sentence, LAST_FRAMES in mark.detail) == (is_told, is_told), case
+        assert (found.value, found.bounds) == (one.chi2_per_dof, (0.91, 1.09)), case
