@@ -40,7 +40,7 @@ def writing(place: Path | str) -> Iterator[None]:
         yield
     except OSError as error:
         why = f"{place} cannot be written ({error.strerror or error}): choose another place."
-        raise storage_error(error) or RefusedInputError(why) from error
+        raise storage_error(error) or RefusedInputError(why, code="unwritable") from error
 
 
 def full(place: object) -> str:

@@ -97,11 +97,12 @@ def test_the_bar_tells_who_acts_and_what_the_fleet_is_at(site):
 
 def test_a_flash_is_shown_once_and_escaped(site):
     visitor = site.visitor("ada")
-    visitor.cookies.set(FLASH_COOKIE, quote(json.dumps(["normal", "<b>done</b>"])), domain="test.local")
+    visitor.cookies.set(FLASH_COOKIE, quote(json.dumps(["normal", "<b>done</b>", "done"])), domain="test.local")
     first = visitor.get("/audit")
     assert "&lt;b&gt;done&lt;/b&gt;" in first
+    assert codes(first) == ["done"]
     assert "done" not in visitor.get("/audit")
-    for unreadable in ("nonsense", quote('["red","x"]'), quote("[1]"), quote('{"a":1}')):
+    for unreadable in ("nonsense", quote('["red","x"]'), quote("[1]"), quote('{"a":1}'), quote('["normal","x"]')):
         visitor.cookies.set(FLASH_COOKIE, unreadable, domain="test.local")
         assert visitor.send("GET", "/audit").status_code == 200
 

@@ -12,6 +12,7 @@ from boresight.calibration.options import METHODS
 from boresight.console.runs.figure_routes import _stacked
 from boresight.console.runs.pages.compare import method_panel
 from boresight.console.runs.pages.run import list_history_facts, read_run_view, sight_facts, tail_facts
+from boresight.console.runs.tables import Run
 from boresight.figures import FIGURES
 from boresight.figures.charts.methods import method_scores
 from boresight.verdicts.verdict import make_verdict_marks
@@ -211,7 +212,7 @@ def test_a_comparison_that_there_cannot_be_is_refused(house, asked, status):
 
 
 def one(run_id=1, method="batch", set_id=1, result=None, **settings):
-    run = SimpleNamespace(id=run_id, method=method, telemetry_set_id=set_id, settings={"method": method} | settings)
+    run = Run(id=run_id, method=method, telemetry_set_id=set_id, settings={"method": method} | settings)
     calibration = parse_calibration(result or {"status": "running"})
     return SimpleNamespace(run=run, result=result or {}, calibration=calibration)
 

@@ -13,6 +13,8 @@ from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.store import register_blob
 from boresight.platform.db.sessions import utc_now
+from boresight.simulation.sensors import wu_sensor
+from boresight.telemetry.sensors import sensor_document
 from tests.console.conftest import SENSOR
 from tests.refusals import has_code
 
@@ -161,7 +163,7 @@ def test_a_calibration_of_another_camera_model_or_without_an_end_or_archived_is_
     model, gone = finished_run(session), finished_run(session)
     failed, new = finished_run(session, status="rank_deficient"), upload("new")
     queued = launch(new)
-    model.sensor_document = {**model.sensor_document, "camera_model": "pinhole_radial"}
+    model.sensor_document = sensor_document(wu_sensor())
     session.flush()
     archive.archive_run(session, people["ana"], gone.id)
     with pytest.raises(RefusedInputError, match="pinhole_radial", check=has_code("other-camera-model")):
