@@ -48,6 +48,8 @@ from boresight.telemetry.read.readers import read_telemetry, write_parquet
 from boresight.telemetry.sensors import Sensor
 
 LIMIT = 12.0
+#: How long sets of so many frames may take in a running process.
+SMALL_FRAMES, SMALL_LIMIT_S, LARGE_FRAMES, LARGE_LIMIT_S = 200, 0.06, 20_000, 0.9
 #: The limit holds for a set of this size or more; of small ones the constants are told.
 LIMIT_FROM_FRAMES = 20_000
 REPEATS = 3
@@ -74,6 +76,10 @@ def measure(
                 found["rematch"]["over_c_fit"] = found["rematch"]["total_s"] / found["given"]["c_fit_s"]
     limit = held(LIMIT, found["given"].get("over_c_fit"))
     found["limits"] = {"over_c_fit": limit if frames >= LIMIT_FROM_FRAMES else limit | {"kept": None}}
+    if small_frames == SMALL_FRAMES:
+        found["limits"]["small_set"] = held(SMALL_LIMIT_S, found["small"]["total_s"], "s")
+    if frames == LARGE_FRAMES:
+        found["limits"]["large_set"] = held(LARGE_LIMIT_S, found["given"]["total_s"], "s")
     report(1.0, "done")
     return found
 
