@@ -24,7 +24,6 @@ resampled in blocks, is the one to believe.
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import TypeVar
 
 import numpy as np
@@ -44,7 +43,6 @@ from boresight.calibration.calibration import (
 )
 from boresight.calibration.corrections import put_right
 from boresight.calibration.evaluation import bootstrap
-from boresight.calibration.matching.flight_check import FLIGHT_REASONS
 from boresight.calibration.matching.matched_frames import MatchedFrames, common_arcs, match_under_states
 from boresight.calibration.matching.rematch import Matches
 from boresight.calibration.options import CalibrationSettings
@@ -144,7 +142,7 @@ def evaluate_matched_frames(
             rms_arc_rad=IntervalChange(**_sides(interval, "rms_arc_rad")),
             rms_ratio=interval["rms_ratio"],
         ),
-        reasons=ReasonChange(initial=_counted(initial), final=_counted(final)),
+        reasons=ReasonChange(initial=initial.count_reasons(), final=final.count_reasons()),
     )
 
 
@@ -195,10 +193,6 @@ def _score(
         ratios = sums[:, 0] / sums[:, 1]
     interval = bootstrap.interval if under else bootstrap.share_interval
     return score, interval(score, np.sqrt(ratios) if root else ratios, len(columns) / length)
-
-
-def _counted(seen: MatchedFrames) -> dict[str, int]:
-    return dict(Counter(reason for reason in seen.frame_reasons if reason != FLIGHT_REASONS[0]))
 
 
 #: Frames kept one by one; the summary is of all.
