@@ -31,7 +31,13 @@ from boresight.calibration.matching.flight_check import (
     check_flight,
     compute_flight_tolerance,
 )
-from boresight.calibration.matching.matched_frames import GivenMatches, MatchedFrames, common_arcs, match_under_states
+from boresight.calibration.matching.matched_frames import (
+    REASONS_OF_FRAMES,
+    GivenMatches,
+    MatchedFrames,
+    common_arcs,
+    match_under_states,
+)
 from boresight.calibration.options import METHODS, CalibrationSettings
 from boresight.calibration.problem import build_problem
 from boresight.cameras.inverted_wang import INVERTED_WANG
@@ -290,7 +296,7 @@ def test_the_counts_of_reasons_are_those_of_the_frames_in_the_order_in_which_the
     none = np.zeros(0)
     view = FlightCheck(none, flight == 0, flight.astype(np.int8), frames, valid, none)
     seen = MatchedFrames(none, GivenMatches(none, none, none, frame, found.astype(np.int8)), view, 0.0)
-    plain = Counter(reason for reason in seen.frame_reasons if reason != "valid")
+    plain = Counter(REASONS_OF_FRAMES[code] for code in seen.reasons if code != 0)
     assert list(seen.count_reasons().items()) == list(plain.items())
 
 

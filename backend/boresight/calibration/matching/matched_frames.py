@@ -74,19 +74,8 @@ class MatchedFrames:
         return EXPOSURE_REASONS[found] if flight == 1 and found > 0 else FLIGHT_REASONS[flight]
 
     @cached_property
-    def frame_reasons(self) -> list[str]:
-        """Why each frame is not available, (n_frames,) phrases, `valid` where it is: of the exposure that came farthest."""
-        return list(REASONS_OF_FRAMES[self._reasons])
-
-    def count_reasons(self) -> dict[str, int]:
-        """How many frames are not available for each reason, the first met first."""
-        codes, first, counts = np.unique(self._reasons, return_index=True, return_counts=True)
-        met = [place for place in np.argsort(first) if codes[place] != 0]
-        return {REASONS_OF_FRAMES[codes[place]]: int(counts[place]) for place in met}
-
-    @cached_property
-    def _reasons(self) -> IntArray:
-        """Place of each frame's reason in `REASONS_OF_FRAMES`, (n_frames,)."""
+    def reasons(self) -> IntArray:
+        """Why each frame is not available, (n_frames,) places in `REASONS_OF_FRAMES`: of the exposure that came farthest."""
         _, first, of = np.unique(self.matches.frame, return_index=True, return_inverse=True)
         farthest = np.flatnonzero(self.view.reason == np.maximum.reduceat(self.view.reason, first)[of])
         _, place = np.unique(of[farthest], return_index=True)
@@ -94,6 +83,12 @@ class MatchedFrames:
         flight, found = self.view.reason[exposure].astype(np.int64), self.matches.reason[exposure]
         code = np.where((flight == 1) & (found > 0), len(FLIGHT_REASONS) + found, flight)
         return np.where(self.view.valid_frames, 0, code)
+
+    def count_reasons(self) -> dict[str, int]:
+        """How many frames are not available for each reason, the first met first."""
+        codes, first, counts = np.unique(self.reasons, return_index=True, return_counts=True)
+        met = [place for place in np.argsort(first) if codes[place] != 0]
+        return {REASONS_OF_FRAMES[codes[place]]: int(counts[place]) for place in met}
 
 
 def match_under_states(
