@@ -2,6 +2,7 @@
 
 import itertools
 import re
+from collections import Counter
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,8 +25,19 @@ from boresight.calibration.evaluation.evaluate import (
     shadow_view,
 )
 from boresight.calibration.evaluation.forecast import MOST_FRAMES, MOST_STARS, forecast
-from boresight.calibration.matching.flight_check import FLIGHT_REASONS, check_flight, compute_flight_tolerance
-from boresight.calibration.matching.matched_frames import common_arcs, match_under_states
+from boresight.calibration.matching.flight_check import (
+    FLIGHT_REASONS,
+    FlightCheck,
+    check_flight,
+    compute_flight_tolerance,
+)
+from boresight.calibration.matching.matched_frames import (
+    REASONS_OF_FRAMES,
+    GivenMatches,
+    MatchedFrames,
+    common_arcs,
+    match_under_states,
+)
 from boresight.calibration.options import METHODS, CalibrationSettings
 from boresight.calibration.problem import build_problem
 from boresight.cameras.inverted_wang import INVERTED_WANG
@@ -273,6 +285,19 @@ def test_every_reason_is_given_where_it_is_due(make_telemetry, catalogue, checke
     assert seen.valid_frames.tolist() == [reason == 0]
     assert seen.matched_stars == (matched - wrong if reason == 0 else 0)
     assert FLIGHT_REASONS[0] == "valid"
+
+
+@given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3), st.integers(1, 3)), min_size=1, max_size=40), st.data())
+def test_the_counts_of_reasons_are_those_of_the_frames_in_the_order_in_which_they_are_met(exposures, data):
+    flight, found, step = np.array(exposures).T
+    frame = np.cumsum(step - 1)
+    frames = np.unique(frame)
+    valid = np.array(data.draw(st.lists(st.booleans(), min_size=len(frames), max_size=len(frames))))
+    none = np.zeros(0)
+    view = FlightCheck(none, flight == 0, flight.astype(np.int8), frames, valid, none)
+    seen = MatchedFrames(none, GivenMatches(none, none, none, frame, found.astype(np.int8)), view, 0.0)
+    plain = Counter(REASONS_OF_FRAMES[code] for code in seen.reasons if code != 0)
+    assert list(seen.count_reasons().items()) == list(plain.items())
 
 
 @pytest.mark.parametrize("number", [3, 4])

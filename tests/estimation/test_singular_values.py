@@ -31,6 +31,8 @@ from boresight.estimation.statistics.references import (
     weighted_information,
     whitened_information,
 )
+from boresight.kernels.references import decompose_windows
+from boresight.kernels.singular import _combinations, _window
 from tests.effort import effort
 from tests.estimation.fields import (
     FREE,
@@ -435,6 +437,22 @@ def test_the_runs_in_which_frames_are_taken_change_nothing(field, monkeypatch, m
     assert sum(len(run.frame_start) - 1 for run in runs) == field.n_frames
     np.testing.assert_allclose(smallest, np.concatenate([found[0] for found in one_by_one], axis=1), rtol=1e-9)
     np.testing.assert_allclose(information, sum(found[1] for found in one_by_one), rtol=1e-9, atol=1e-6)
+
+
+@pytest.mark.parametrize("model", STAR_MODELS)
+@pytest.mark.parametrize("n", [3, 7, 12, 19])
+def test_windows_decomposed_together_have_the_singular_values_and_vectors_of_each(model, n):
+    s = _stars(np.random.default_rng(n), n)
+    prefix = np.zeros((n + 1, 6))
+    prefix[1:] = np.cumsum((s[:, :, None] * s[:, None, :])[:, *np.triu_indices(3)], axis=0)
+    value, P = np.empty((n, 3)), np.empty((n, 3, 3))
+    decompose_windows(prefix, n, model, np.empty(120), value, P)
+    for c in range(_combinations(n, model)):
+        first, size = _window(n, model, c)
+        W = s[np.arange(first, first + size) % n].T
+        np.testing.assert_allclose(value[c] ** 2, np.linalg.eigvalsh(W @ W.T)[::-1], atol=1e-14 * n)
+        np.testing.assert_allclose(P[c] @ np.diag(value[c] ** 2) @ P[c].T, W @ W.T, atol=1e-14 * n)
+        np.testing.assert_allclose(P[c].T @ P[c], np.eye(3), atol=1e-14)
 
 
 @pytest.mark.parametrize("noise_px", [0.1, 40.0])  # values that lie apart, and some that noise does not tell apart

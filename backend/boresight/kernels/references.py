@@ -22,8 +22,9 @@ import numpy as np
 from boresight.kernels.compilation import FAST, loop, part
 from boresight.kernels.singular import (
     _SIX,
+    _SMALL,
+    _SWEEPS,
     _combinations,
-    _decompose,
     _over_window,
     _prefix,
     _prefix_slopes,
@@ -35,9 +36,13 @@ from boresight.kernels.singular import (
 _MODELS = 4
 #: Squarings of M at most: eigenvalues that 2^40 does not tell apart are equal.
 _SQUARINGS = 40
-_ALONE = 1e-15  # share of the trace beside the largest eigenvalue that is rounding
+#: Share of the trace beside the largest eigenvalue: Rayleigh's quotient errs by its square, which is rounding.
+_ALONE = 1e-9
+_PLACES = 8  # numbers in the longest vector of a processor
+_TINY = 1e-300
 
 _part = part(fastmath=FAST)
+_inlined = part(fastmath=FAST, forceinline=True)
 
 
 @_part
@@ -49,8 +54,94 @@ def _combinations_of_star(n, model, i):
     return (first, i + 1, n, n) if first >= 0 else (0, i + 1, n + first, n)
 
 
+@_inlined
+def _rotation(p, q, off):
+    """Tangent, cosine and sine of the Jacobi rotation that makes `off`, between diagonals p and q, zero; none where it is."""
+    d = q - p
+    t = 2.0 * math.copysign(1.0, d) * off / (abs(d) + math.sqrt(d * d + 4.0 * off * off) + _TINY)
+    c = 1.0 / math.sqrt(t * t + 1.0)
+    return t, c, t * c
+
+
+@_inlined
+def _turn(c, s, a, b):
+    """Turn a pair of numbers."""
+    return c * a - s * b, s * a + c * b
+
+
 @_part
-def _catalogue_products(s, sigma, model, wanted, prefix, sums, A, P, value, values, worst, T, products):
+def decompose_windows(prefix, n, model, A, value, P):
+    """Singular values (., 3), descending, and left vectors as columns of P (., 3, 3), of every combination of n stars.
+
+    As `singular._decompose` takes one of them, by Jacobi's rotations, but eight at a time: one in each place of a processor's
+    vector, where roots and divisions cost what they cost for one. A (15 times 8,) holds xx xy xz yy yz zz of the eight, and then
+    their nine of P, rows first; places without a combination hold ones on the diagonal.
+    """
+    count = _combinations(n, model)
+    for begin in range(0, count, _PLACES):
+        filled = min(_PLACES, count - begin)
+        for i in range(15 * _PLACES):
+            A[i] = 0.0
+        for at in range(_PLACES):
+            A[at] = A[3 * _PLACES + at] = A[5 * _PLACES + at] = 1.0
+            A[6 * _PLACES + at] = A[10 * _PLACES + at] = A[14 * _PLACES + at] = 1.0
+        for at in range(filled):
+            first, size = _window(n, model, begin + at)
+            last = first + size
+            for i in range(_SIX):
+                total = prefix[min(last, n), i] - prefix[first, i]
+                A[i * _PLACES + at] = total if last <= n else total + prefix[last - n, i]
+        for _ in range(_SWEEPS):
+            unsettled = 0
+            for at in range(_PLACES):
+                xy, xz, yz = A[_PLACES + at], A[2 * _PLACES + at], A[4 * _PLACES + at]
+                trace = A[at] + A[3 * _PLACES + at] + A[5 * _PLACES + at]
+                unsettled += xy * xy + xz * xz + yz * yz > _SMALL * trace * trace
+            if unsettled == 0:
+                break
+            for at in range(_PLACES):
+                xx, xy, xz = A[at], A[_PLACES + at], A[2 * _PLACES + at]
+                yy, yz, zz = A[3 * _PLACES + at], A[4 * _PLACES + at], A[5 * _PLACES + at]
+                ax, ay, az = A[6 * _PLACES + at], A[7 * _PLACES + at], A[8 * _PLACES + at]
+                bx, by, bz = A[9 * _PLACES + at], A[10 * _PLACES + at], A[11 * _PLACES + at]
+                cx, cy, cz = A[12 * _PLACES + at], A[13 * _PLACES + at], A[14 * _PLACES + at]
+                t, c, s = _rotation(xx, yy, xy)
+                xx, yy = xx - t * xy, yy + t * xy
+                xz, yz = _turn(c, s, xz, yz)
+                ax, ay = _turn(c, s, ax, ay)
+                bx, by = _turn(c, s, bx, by)
+                cx, cy = _turn(c, s, cx, cy)
+                t, c, s = _rotation(xx, zz, xz)
+                xx, zz = xx - t * xz, zz + t * xz
+                xy, yz = -s * yz, c * yz  # of the pair xy, yz: the first rotation left xy zero
+                ax, az = _turn(c, s, ax, az)
+                bx, bz = _turn(c, s, bx, bz)
+                cx, cz = _turn(c, s, cx, cz)
+                t, c, s = _rotation(yy, zz, yz)
+                yy, zz = yy - t * yz, zz + t * yz
+                xy, xz = c * xy, s * xy  # and the second xz
+                ay, az = _turn(c, s, ay, az)
+                by, bz = _turn(c, s, by, bz)
+                cy, cz = _turn(c, s, cy, cz)
+                A[at], A[_PLACES + at], A[2 * _PLACES + at] = xx, xy, xz
+                A[3 * _PLACES + at], A[4 * _PLACES + at], A[5 * _PLACES + at] = yy, 0.0, zz
+                A[6 * _PLACES + at], A[7 * _PLACES + at], A[8 * _PLACES + at] = ax, ay, az
+                A[9 * _PLACES + at], A[10 * _PLACES + at], A[11 * _PLACES + at] = bx, by, bz
+                A[12 * _PLACES + at], A[13 * _PLACES + at], A[14 * _PLACES + at] = cx, cy, cz
+        for at in range(filled):
+            x, y, z = A[at], A[3 * _PLACES + at], A[5 * _PLACES + at]
+            to_x = int(x < y) + int(x < z)
+            to_y = int(not x < y) + int(y < z)
+            for k in range(3):
+                to = to_x if k == 0 else to_y if k == 1 else 3 - to_x - to_y
+                square = x if k == 0 else y if k == 1 else z
+                value[begin + at, to] = math.nan if math.isnan(square) else math.sqrt(max(square, 0.0))
+                for i in range(3):
+                    P[begin + at, i, to] = A[(6 + 3 * i + k) * _PLACES + at]
+
+
+@_part
+def _catalogue_products(s, sigma, model, wanted, prefix, A, P, values, worst, T, products):
     """Take the catalogue's `values` (most, 3), the largest error of each combination, and the products of their spreads.
 
     Place k + 3 c of `products` (3 most, 3 most), lower triangle, is value k of combination c; only the wanted ones are filled.
@@ -64,21 +155,18 @@ def _catalogue_products(s, sigma, model, wanted, prefix, sums, A, P, value, valu
         for t in range(r + 1):
             products[r, t] = 0.0
     _prefix(s, prefix)
+    decompose_windows(prefix, n, model, A, values, P)
     for c in range(count):
         first, size = _window(n, model, c)
-        _over_window(prefix, n, first, size, sums)
-        _decompose(sums, A, P, value)
         worst[c] = 0.0
-        for k in range(3):
-            values[c, k] = value[k]
         for turn in range(first, first + size):
             i = turn if turn < n else turn - n
             worst[c] = max(worst[c], sigma[i])
             for k in range(3):
                 if wanted[k]:
-                    x, y, z = P[0, k], P[1, k], P[2, k]
+                    x, y, z = P[c, 0, k], P[c, 1, k], P[c, 2, k]
                     along = x * s[i, 0] + y * s[i, 1] + z * s[i, 2]
-                    weight = sigma[i] * along / value[k]
+                    weight = sigma[i] * along / values[c, k]
                     T[3 * i, 3 * c + k] = weight * (x - along * s[i, 0])
                     T[3 * i + 1, 3 * c + k] = weight * (y - along * s[i, 1])
                     T[3 * i + 2, 3 * c + k] = weight * (z - along * s[i, 2])
@@ -101,18 +189,17 @@ def _add_multiple(weight, T, t, first, last, products, r):
 
 
 @_part
-def _measured_slopes(s, model, wanted, free, scale, prefix, slopes, sums, slope, A, P, value, h, H):
+def _measured_slopes(s, model, wanted, free, scale, prefix, slopes, slope, A, P, value, h, H):
     """Fill rows k + 3 c of `H` (3 most, n_free) with the slope of value k of combination c, in units of `scale`."""
     n = s.shape[0]
     _prefix(s, prefix)
+    decompose_windows(prefix, n, model, A, value, P)
     for c in range(_combinations(n, model)):
         first, size = _window(n, model, c)
-        _over_window(prefix, n, first, size, sums)
         _over_window(slopes, n, first, size, slope)
-        _decompose(sums, A, P, value)
         for k in range(3):
             if wanted[k]:
-                _slope_of_value(slope, P[0, k], P[1, k], P[2, k], 0.5 / value[k], h)
+                _slope_of_value(slope, P[c, 0, k], P[c, 1, k], P[c, 2, k], 0.5 / value[c, k], h)
                 for p in range(free.shape[0]):
                     H[3 * c + k, p] = h[free[p]] * scale[p]
 
@@ -288,9 +375,9 @@ def judge_selections(
         fullest = max(fullest, 3 * (star_start[frame_start[f + 1]] - star_start[frame_start[f]]))
     for e in range(star_start.shape[0] - 1):
         most = max(most, star_start[e + 1] - star_start[e])
-    prefix, sums = np.empty((most + 1, _SIX)), np.empty(_SIX)
+    prefix = np.empty((most + 1, _SIX))
     slopes, slope = np.empty((most + 1, _SIX * D.shape[2])), np.empty(_SIX * D.shape[2])
-    E, P, value, h = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(D.shape[2])
+    E, P, value, h = np.empty(15 * _PLACES), np.empty((most, 3, 3)), np.empty((most, 3)), np.empty(D.shape[2])
     values, worst, row = np.empty((most, 3)), np.empty(most), np.empty((most, 3), np.int64)
     T, products, R = np.empty((3 * most, 3 * most)), np.empty((3 * most, 3 * most)), np.empty((3 * most, 3 * most))
     L, left, H, kept = (
@@ -315,10 +402,8 @@ def judge_selections(
                 if not asked[model - 1]:
                     continue
                 of = wanted[model - 1]
-                _catalogue_products(
-                    s_i[s0:s1], sigma[s0:s1], model, of, prefix, sums, E, P, value, values, worst, T, products
-                )
-                _measured_slopes(s[s0:s1], model, of, free, scale, prefix, slopes, sums, slope, E, P, value, h, H)
+                _catalogue_products(s_i[s0:s1], sigma[s0:s1], model, of, prefix, E, P, values, worst, T, products)
+                _measured_slopes(s[s0:s1], model, of, free, scale, prefix, slopes, slope, E, P, value, h, H)
                 for t in range(models.shape[0]):
                     if models[t] != model:
                         continue

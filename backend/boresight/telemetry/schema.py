@@ -200,6 +200,12 @@ def within(values: FloatArray, ends: tuple[float, float]) -> FloatArray:
 
 def time_text(telemetry: Telemetry, row: int) -> str | None:
     """When a row was taken, ISO 8601; None where that is not known."""
-    if telemetry.time_utc is None or np.isnat(telemetry.time_utc[row]):
-        return None
-    return f"{telemetry.time_utc[row]}Z"
+    return time_texts(telemetry, np.array([row]))[0]
+
+
+def time_texts(telemetry: Telemetry, rows: IntArray) -> list[str | None]:
+    """The same of rows (n,)."""
+    if telemetry.time_utc is None:
+        return [None] * len(rows)
+    texts = np.datetime_as_string(telemetry.time_utc[rows]).tolist()
+    return [None if text == "NaT" else f"{text}Z" for text in texts]

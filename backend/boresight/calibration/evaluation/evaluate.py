@@ -24,7 +24,6 @@ resampled in blocks, is the one to believe.
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import TypeVar
 
 import numpy as np
@@ -44,8 +43,12 @@ from boresight.calibration.calibration import (
 )
 from boresight.calibration.corrections import put_right
 from boresight.calibration.evaluation import bootstrap
-from boresight.calibration.matching.flight_check import FLIGHT_REASONS
-from boresight.calibration.matching.matched_frames import MatchedFrames, common_arcs, match_under_states
+from boresight.calibration.matching.matched_frames import (
+    REASONS_OF_FRAMES,
+    MatchedFrames,
+    common_arcs,
+    match_under_states,
+)
 from boresight.calibration.matching.rematch import Matches
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import whiten_at
@@ -54,7 +57,7 @@ from boresight.estimation.arcs import ArcSet
 from boresight.estimation.metrics import arc_errors
 from boresight.estimation.statistics.special import bdtr
 from boresight.sky.catalogue import Catalogue
-from boresight.telemetry.schema import Telemetry, time_text
+from boresight.telemetry.schema import Telemetry, time_texts
 from boresight.telemetry.sensors import Sensor
 
 #: Every score is a ratio of two columns of `_columns`, or its root: numerator, denominator, whether the root is taken.
@@ -144,7 +147,7 @@ def evaluate_matched_frames(
             rms_arc_rad=IntervalChange(**_sides(interval, "rms_arc_rad")),
             rms_ratio=interval["rms_ratio"],
         ),
-        reasons=ReasonChange(initial=_counted(initial), final=_counted(final)),
+        reasons=ReasonChange(initial=initial.count_reasons(), final=final.count_reasons()),
     )
 
 
@@ -197,10 +200,6 @@ def _score(
     return score, interval(score, np.sqrt(ratios) if root else ratios, len(columns) / length)
 
 
-def _counted(seen: MatchedFrames) -> dict[str, int]:
-    return dict(Counter(reason for reason in seen.frame_reasons if reason != FLIGHT_REASONS[0]))
-
-
 #: Frames kept one by one; the summary is of all.
 MOST_FRAMES = 2000
 #: Of these, at most so many places are kept for frames that one state alone solves.
@@ -216,20 +215,19 @@ def shadow_view(telemetry: Telemetry, baseline: MatchedFrames, candidate: Matche
     lost, gained = _moved(baseline, candidate), _moved(candidate, baseline)
     ends = np.searchsorted(telemetry.frame, baseline.view.frames, side="right")
     rows = np.stack([np.append(0, ends[:-1]), ends], axis=1)
-    reasons = baseline.frame_reasons, candidate.frame_reasons
     kept = _kept(baseline.view.valid_frames, candidate.view.valid_frames)
-    ids = zip(_ids(baseline, lost, rows[kept]), _ids(candidate, gained, rows[kept]), strict=True)
+    columns = (
+        baseline.view.frames[kept].tolist(),
+        time_texts(telemetry, rows[kept, 0]),
+        _answers(baseline, kept),
+        _answers(candidate, kept),
+        _ids(baseline, lost, rows[kept]),
+        _ids(candidate, gained, rows[kept]),
+    )
     return ShadowOfSet(
         frames=[
-            ShadowFrame(
-                frame=int(baseline.view.frames[k]),
-                time_utc=time_text(telemetry, rows[k, 0]),
-                baseline=_answer(baseline, k, reasons[0]),
-                candidate=_answer(candidate, k, reasons[1]),
-                lost=lost_of,
-                gained=gained_of,
-            )
-            for k, (lost_of, gained_of) in zip(kept.tolist(), ids, strict=True)
+            ShadowFrame(frame=frame, time_utc=time, baseline=before, candidate=after, lost=lost_of, gained=gained_of)
+            for frame, time, before, after, lost_of, gained_of in zip(*columns, strict=True)
         ],
         frames_in_set=len(rows),
         flight_tolerance_rad=candidate.tolerance_rad,
@@ -257,9 +255,13 @@ def _thinned(places: IntArray, most: int) -> IntArray:
     return places[np.linspace(0, len(places) - 1, most).round().astype(np.int64)]
 
 
-def _answer(seen: MatchedFrames, k: int, reasons: list[str]) -> ShadowAnswer:
-    valid = bool(seen.view.valid_frames[k])
-    return ShadowAnswer(valid=valid, matched=int(seen.view.matched_in_frame[k]), reason=None if valid else reasons[k])
+def _answers(seen: MatchedFrames, kept: IntArray) -> list[ShadowAnswer]:
+    valid, matched = seen.view.valid_frames[kept].tolist(), seen.view.matched_in_frame[kept].tolist()
+    reasons = REASONS_OF_FRAMES[seen.reasons[kept]].tolist()
+    return [
+        ShadowAnswer(valid=right, matched=stars, reason=None if right else why)
+        for right, stars, why in zip(valid, matched, reasons, strict=True)
+    ]
 
 
 def _ids(seen: MatchedFrames, moved: BoolArray, rows: IntArray) -> list[list[int]]:

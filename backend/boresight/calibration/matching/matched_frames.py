@@ -36,6 +36,9 @@ from boresight.telemetry.quality.detector import on_detector
 from boresight.telemetry.schema import Telemetry, find_exposures
 from boresight.telemetry.sensors import Sensor
 
+#: Why a frame may not be available, phrases; the first says that it is.
+REASONS_OF_FRAMES = np.array([*FLIGHT_REASONS, *EXPOSURE_REASONS], dtype=object)
+
 
 @dataclass(frozen=True)
 class GivenMatches:
@@ -71,16 +74,21 @@ class MatchedFrames:
         return EXPOSURE_REASONS[found] if flight == 1 and found > 0 else FLIGHT_REASONS[flight]
 
     @cached_property
-    def frame_reasons(self) -> list[str]:
-        """Why each frame is not available, (n_frames,) phrases, `valid` where it is: of the exposure that came farthest."""
+    def reasons(self) -> IntArray:
+        """Why each frame is not available, (n_frames,) places in `REASONS_OF_FRAMES`: of the exposure that came farthest."""
         _, first, of = np.unique(self.matches.frame, return_index=True, return_inverse=True)
         farthest = np.flatnonzero(self.view.reason == np.maximum.reduceat(self.view.reason, first)[of])
         _, place = np.unique(of[farthest], return_index=True)
         exposure = farthest[place]
-        phrases = np.array([*FLIGHT_REASONS, *EXPOSURE_REASONS], dtype=object)
         flight, found = self.view.reason[exposure].astype(np.int64), self.matches.reason[exposure]
         code = np.where((flight == 1) & (found > 0), len(FLIGHT_REASONS) + found, flight)
-        return list(phrases[np.where(self.view.valid_frames, 0, code)])
+        return np.where(self.view.valid_frames, 0, code)
+
+    def count_reasons(self) -> dict[str, int]:
+        """How many frames are not available for each reason, the first met first."""
+        codes, first, counts = np.unique(self.reasons, return_index=True, return_counts=True)
+        met = [place for place in np.argsort(first) if codes[place] != 0]
+        return {REASONS_OF_FRAMES[codes[place]]: int(counts[place]) for place in met}
 
 
 def match_under_states(

@@ -213,6 +213,11 @@ class ScoreSums:
     chi2: float
     n_arcs: int
 
+    @cached_property
+    def P(self) -> FloatArray:
+        """A^-1, once for all departures."""
+        return covariance(self.A)
+
     def __add__(self, other: ScoreSums) -> ScoreSums:
         """The sums over the arcs of both."""
         values = {one.name: getattr(self, one.name) + getattr(other, one.name) for one in fields(self)[1:]}
@@ -334,7 +339,7 @@ def find_unseen(sums: ScoreSums, score: Score, level: float, least_share: float 
     """
     if score.dof == 0:
         return None
-    P, places = covariance(sums.A), sums.places[score.name]
+    P, places = sums.P, sums.places[score.name]
     noise = score.left / (sums.n_arcs - len(P) - score.dof)
     apart = _find_apart(sums, P, places, noise, least_share)
     moving = -P @ sums.G_H[places].T @ apart
@@ -375,8 +380,7 @@ class _Directions:
 
 
 def _find_directions(sums: ScoreSums, places: IntArray) -> _Directions:
-    P = covariance(sums.A)
-    G_H = sums.G_H[places]
+    P, G_H = sums.P, sums.G_H[places]
     F = sums.G_G[np.ix_(places, places)] - G_H @ P @ G_H.T
     s = sums.G_e[places] - G_H @ P @ sums.b
     size = 1 / np.sqrt(np.maximum(sums.squares[places], np.finfo(float).tiny))

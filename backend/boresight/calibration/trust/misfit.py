@@ -272,7 +272,7 @@ def _measure_zero_points(fitted: FittedSet, sums: ScoreSums, taken: Sequence[str
             continue
         both = find_score(sums, name, f"{name} stretch")
         reach = float(np.abs(np.quantile(values, REACH)).max())
-        d = reach * covariance(sums.A) @ sums.G_H[sums.places["alike"]].T @ both.clear
+        d = reach * sums.P @ sums.G_H[sums.places["alike"]].T @ both.clear
         shift, uncertainty = expect(sums, [name, f"{name} stretch"])
         total += np.outer(d, d) + np.outer(shift, shift) + uncertainty
     return total

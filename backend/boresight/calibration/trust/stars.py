@@ -145,25 +145,35 @@ def stars(fitted: FittedSet, table: StarTable) -> list[StarTrust]:
     """The worst stars first, at most `MOST_SHOWN`, every suspect among the first."""
     order = np.lexsort((-table.z, ~table.suspect))[:MOST_SHOWN]
     said = _describe_catalogue(fitted, table.star_id[order], table.pixel_rad[order])
-    return [_entry(table, place, phrases_of) for place, phrases_of in zip(order, said, strict=True)]
-
-
-def _entry(table: StarTable, i: int, said: list[str]) -> StarTrust:
-    flags = list(said)
-    if table.sightings[i] > 1 and table.worst_z[i] > FAR_OFF and table.worst_z[i] > 0.9 * table.z[i]:
-        flags.append("one sighting far off")
-    d = table.displacement_rad[i]
-    return StarTrust(
-        star_id=int(table.star_id[i]),
-        sightings=int(table.sightings[i]),
-        mean_residual_px=float(np.hypot(*d) / table.pixel_rad[i]),
-        rms_px=float(table.rms_px[i]),
-        z=float(table.z[i]),
-        east_north_arcsec=[float(value) for value in d * ARCSEC],
-        sigma_arcsec=[float(value) for value in table.sigma_rad[i] * ARCSEC],
-        suspect=bool(table.suspect[i]),
-        flags=flags,
+    d, worst, z = table.displacement_rad[order], table.worst_z[order], table.z[order]
+    alone = (table.sightings[order] > 1) & (worst > FAR_OFF) & (worst > 0.9 * z)
+    columns = (
+        table.star_id[order],
+        table.sightings[order],
+        np.hypot(d[:, 0], d[:, 1]) / table.pixel_rad[order],
+        table.rms_px[order],
+        z,
+        d * ARCSEC,
+        table.sigma_rad[order] * ARCSEC,
+        table.suspect[order],
+        alone,
     )
+    return [
+        StarTrust(
+            star_id=star_id,
+            sightings=sightings,
+            mean_residual_px=mean_residual_px,
+            rms_px=rms_px,
+            z=z_of,
+            east_north_arcsec=east_north_arcsec,
+            sigma_arcsec=sigma_arcsec,
+            suspect=suspect,
+            flags=[*flags, "one sighting far off"] if far_off else list(flags),
+        )
+        for flags, star_id, sightings, mean_residual_px, rms_px, z_of, east_north_arcsec, sigma_arcsec, suspect, far_off in zip(
+            said, *(column.tolist() for column in columns), strict=True
+        )
+    ]
 
 
 def _describe_catalogue(fitted: FittedSet, star_id: IntArray, pixel_rad: FloatArray) -> list[list[str]]:
