@@ -39,7 +39,7 @@ def on_detector(telemetry: Telemetry, sensor: Sensor) -> BoolArray:
     return on_rows & (col_px >= -0.5) & (col_px <= sensor.columns - 0.5)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class StarOff:
     """A matched star off the detector: its row as an editor counts, its numbers, and how far it lies past the edge, pixels."""
 
@@ -91,7 +91,11 @@ class OffDetector:
         for entry in entries[: MOST_FAULTS - len(self.first)].tolist():
             star = None if telemetry.star_id is None else int(telemetry.star_id[entry])
             frame, exposure = int(telemetry.frame[entry]), int(telemetry.exposure[entry])
-            self.first.append(StarOff(int(number[entry]), frame, exposure, star, float(off_px[entry])))
+            self.first.append(
+                StarOff(
+                    row=int(number[entry]), frame=frame, exposure=exposure, star_id=star, off_px=float(off_px[entry])
+                )
+            )
         for column, values, size in (
             ("row_px", telemetry.row_px, sensor.rows),
             ("col_px", telemetry.col_px, sensor.columns),
