@@ -43,6 +43,7 @@ from boresight.console.telemetry import queries as set_rows
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.uplinks import packages, table_definitions
 from boresight.console.uplinks import service as uplinks
+from boresight.disks import compute_digest
 from boresight.errors import BoresightError, NotFoundError
 from boresight.platform.actors import COMMAND_LINE, POLICY, Actor, Policy
 from boresight.platform.audit.signing import SigningKey
@@ -325,7 +326,7 @@ class _Fleet:
         with tempfile.TemporaryDirectory(prefix="boresight-demo-") as folder:
             path = Path(folder) / f"{scenario.sensor.name}-new-pass.parquet"
             write_parquet(telemetry, path)
-            sent = ingest.SentFile("REST", path.name, ingest.compute_sha256_of_file(path), path.stat().st_size)
+            sent = ingest.SentFile("REST", path.name, compute_digest(path), path.stat().st_size)
             with (
                 telemetry_sets.hold_prepared(document, self.catalogue, path, path.name) as prepared,
                 open_writing(self.engine) as session,

@@ -19,9 +19,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from boresight.arrays import BoolArray, FloatArray, IntArray
+from boresight.arrays import ARCSEC_PER_RAD, BoolArray, FloatArray, IntArray
 from boresight.calibration.calibration import StarTrust
-from boresight.calibration.trust.fitted_set import ARCSEC, UNLIKELY, FittedSet, Unavailable
+from boresight.calibration.trust.fitted_set import UNLIKELY, FittedSet, Unavailable
 from boresight.calibration.trust.residuals import StarResiduals, compute_star_residuals
 from boresight.sky.guide_stars import flag_stars, phrases
 
@@ -159,8 +159,8 @@ def _entry(table: StarTable, i: int, said: list[str]) -> StarTrust:
         mean_residual_px=float(np.hypot(*d) / table.pixel_rad[i]),
         rms_px=float(table.rms_px[i]),
         z=float(table.z[i]),
-        east_north_arcsec=[float(value) for value in d * ARCSEC],
-        sigma_arcsec=[float(value) for value in table.sigma_rad[i] * ARCSEC],
+        east_north_arcsec=[float(value) for value in d * ARCSEC_PER_RAD],
+        sigma_arcsec=[float(value) for value in table.sigma_rad[i] * ARCSEC_PER_RAD],
         suspect=bool(table.suspect[i]),
         flags=flags,
     )

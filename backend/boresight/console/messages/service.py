@@ -20,11 +20,12 @@ from boresight.console import list_queries as lists
 from boresight.console.messages import queries as rows
 from boresight.console.messages.kinds import KINDS, KindNews, list_news
 from boresight.console.messages.tables import Message, MessageAddress
-from boresight.console.webhooks.queries import list_records_after, read_newest_audit_id
+from boresight.console.webhooks.queries import list_records_after
 from boresight.console.webhooks.service import FIRST_WAIT_S, LEASE_S, MOST_ATTEMPTS, RECORDS_A_TURN, WAIT_GROWS
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import SYSTEM, Actor, Policy, require_person
 from boresight.platform.audit import log as audit
+from boresight.platform.audit import queries as audit_rows
 from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.db.secret_box import SecretBox
 from boresight.platform.db.sessions import Session, utc_after, utc_now, utc_text
@@ -150,7 +151,7 @@ def add_address(
         service=checked.service,
         shown=checked.shown,
         address=box.seal(address),
-        told_audit_id=read_newest_audit_id(session),
+        told_audit_id=audit_rows.read_newest_id(session),
         created_utc=utc_now(),
         kinds=[],
         quiet_zone="",
