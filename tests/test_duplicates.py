@@ -35,9 +35,21 @@ def describe_constant(node):
     return ast.unparse(node.value) if is_literal else None
 
 
+def describe_class(node):
+    """The members of a class but for its name, bases, decorators and docstring."""
+    if not isinstance(node, ast.ClassDef):
+        return None
+    body = node.body[1:] if ast.get_docstring(node) is not None else node.body
+    return "\n".join(map(ast.unparse, body)) if len(body) > 1 else None
+
+
 def test_no_function_is_written_twice():
     assert find_repeated(describe_function) == []
 
 
 def test_no_constant_is_written_twice():
     assert find_repeated(describe_constant) == []
+
+
+def test_no_class_is_written_twice():
+    assert find_repeated(describe_class) == []
