@@ -21,7 +21,7 @@ from boresight.cli.calibrate import Choice
 from boresight.cli.calibrate import calibrate as command
 from boresight.disks import compute_digest
 from boresight.simulation.sensors import st16_sensor, wu_sensor
-from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.sensors import sensor_document
 from tests.cli.conftest import accepted, assert_refused, read_rows, write_rows
 

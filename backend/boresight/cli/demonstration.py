@@ -52,8 +52,8 @@ from boresight.platform.db.sessions import Engine, Session, open_reading, open_w
 from boresight.simulation.scenes import Scenario, calibration_scenario, simulate, validation_scenario
 from boresight.simulation.sensors import SENSOR_NUMBERS, st16_sensor, st16_truth
 from boresight.sky.catalogue import Catalogue
-from boresight.telemetry.read.readers import write_parquet
 from boresight.telemetry.sensors import parse_sensor, sensor_document
+from boresight.telemetry.writing import write_parquet
 from boresight.uplink.table_definition import plain_definition
 
 WATCHED_NUMBERS, WATCHED_FRAMES, WATCHED_FRAMES_PER_S = (1, 5), 600, 1.0

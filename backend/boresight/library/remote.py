@@ -416,7 +416,7 @@ def _make_file(telemetry: TelemetrySource) -> tuple[str, Path | bytes]:
     import pyarrow.parquet as pq
 
     read = read_telemetry(telemetry)
-    from boresight.telemetry.read.readers import contract_table
+    from boresight.telemetry.writing import contract_table
 
     content = io.BytesIO()
     pq.write_table(contract_table(read), content, compression="zstd")

@@ -47,9 +47,10 @@ from boresight.telemetry.quality.findings import Finding
 from boresight.telemetry.quality.report import QualityParts, put_finding_first
 from boresight.telemetry.read.frames import frame_index
 from boresight.telemetry.read.limits import LIMITS, Limits
-from boresight.telemetry.read.readers import read_chunks, write_parquet
+from boresight.telemetry.readers import read_chunks
 from boresight.telemetry.sensors import Sensor, parse_sensor
 from boresight.telemetry.working_table import MEDIA_TYPE, WorkingTableParts, find_image
+from boresight.telemetry.writing import write_parquet
 
 PURPOSES = ("calibration", "validation")
 MEDIA_TYPES = {

@@ -38,9 +38,9 @@ from boresight.telemetry.imports.times import read_constant, read_times, tell_le
 from boresight.telemetry.read.checks import Checks, Faults, floats, integers, scale_quaternions, texts
 from boresight.telemetry.read.compression import expanded
 from boresight.telemetry.read.limits import LIMITS, Limits
-from boresight.telemetry.read.readers import contract_table, write_table
 from boresight.telemetry.schema import OPTIONAL_COLUMNS, REQUIRED_COLUMNS, UNMATCHED, Telemetry, find_exposures
 from boresight.telemetry.sensors import Sensor
+from boresight.telemetry.writing import contract_table, write_table
 
 SCHEMA: Final = "boresight.import/1"
 METADATA: Final = b"boresight.import"
