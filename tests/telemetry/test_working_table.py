@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from boresight.disks import compute_digest
 from boresight.errors import CorruptFileError, NotFoundError, RefusedInputError
 from boresight.library.results import save_telemetry
-from boresight.telemetry.read import formats, parquet, readers
+from boresight.telemetry import readers
+from boresight.telemetry.read import formats, parquet
 from boresight.telemetry.read.frames import evenly, frame_index, read_sample
 from boresight.telemetry.read.limits import Limits
 from boresight.telemetry.readers import read_chunks, read_telemetry, rows_in, stretches

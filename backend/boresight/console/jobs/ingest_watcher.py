@@ -28,7 +28,7 @@ from boresight.console.jobs.lanes import Lanes, WaitingFile
 from boresight.errors import BoresightError, ConflictError, RefusedInputError, UnavailableError
 from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing
 from boresight.platform.jobs.forecasts import ForecastSources
-from boresight.platform.jobs.periodic_thread import PeriodicThread
+from boresight.platform.jobs.periodic_thread import PeriodicThread, PeriodicWorker
 from boresight.settings import Settings
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ class FoundFile:
     beside: Callable[[Session], None] = write_nothing
 
 
-class IngestWatcher:
+class IngestWatcher(PeriodicWorker):
     """The watcher of one server; without a folder or bucket it only decides on what was calibrated."""
 
     def __init__(
@@ -83,12 +83,12 @@ class IngestWatcher:
 
     def start(self) -> None:
         """Start the threads."""
-        self._thread.start()
+        super().start()
         self._judge.start()
 
     def close(self) -> None:
         """Stop; safe to call twice."""
-        self._thread.close()
+        super().close()
         self._judge.close()
         self._lanes.close()
 
