@@ -447,7 +447,7 @@ def launch(
 
 
 def _name_prior(prior: StoredPrior | None) -> Operation[dict[str, int]]:
-    """Return how an order names the calibration that it starts from; nothing where it is none."""
+    """Return the members of an order that name the calibration it starts from; none without a prior."""
     if prior is None:
         return {}
     if isinstance(prior, str) and not prior.isdecimal():

@@ -70,7 +70,7 @@ def star_table(fitted: FittedSet, first: StarResiduals) -> StarTable:
             break
         worst = new & (table.z >= table.z[new].max() / 2)
         named = table.suspect | worst
-        again = _judged(ids, compute_star_residuals(fitted, _kept(ids, table.star_id[named], first)))
+        again = _judged(ids, compute_star_residuals(fitted, _select_for_attitudes(ids, table.star_id[named], first)))
         table = _merged(table, again, named)
     return table
 
@@ -80,8 +80,8 @@ def _suspect(table: StarTable) -> BoolArray:
     return np.asarray(table.z**2 > -2 * np.log(UNLIKELY / len(table.z)))
 
 
-def _kept(ids: IntArray, out: IntArray, found: StarResiduals) -> BoolArray:
-    """Sightings that attitudes may rest on: none of these stars, unless too few would be left in the exposure."""
+def _select_for_attitudes(ids: IntArray, out: IntArray, found: StarResiduals) -> BoolArray:
+    """Which detections attitudes are estimated from: those of other stars, or all of an exposure where too few would be left."""
     kept = ~np.isin(ids, out)
     start = found.arcs.star_start
     left = np.add.reduceat(kept.astype(int), start[:-1])

@@ -286,7 +286,7 @@ async def authenticate(scope: Scope) -> None:
     state.pop(TIMES, None)
     if not carries_credentials(scope, server.log_in_cookie.name):
         return
-    state[DATA_VERSION] = await server.data_version_poller.now()
+    state[DATA_VERSION] = await server.data_version_poller.read_now()
     with suppress(
         UnauthenticatedError, PasswordDueError, FactorEnrolmentDueError
     ):  # the endpoint says so, where it asks for somebody

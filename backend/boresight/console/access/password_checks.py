@@ -197,7 +197,7 @@ class PasswordWorker(PeriodicWorker):
             fits = await self._read(partial(second_factors.fits, user_id=owner_id, code=typed, rules=rules))
             failed = not fits
         finally:
-            self._limiter.ended(tried, failed=failed)
+            self._limiter.record_outcome(tried, failed=failed)
         if failed:
             self._note(FailedAttempt.of(tried.name, tried.place))
         return replace(proof, given=replace(given, fits=fits))
@@ -239,7 +239,7 @@ class PasswordWorker(PeriodicWorker):
             proof = await lane.run(partial(passwords.check, stored, password))
             failed = not proof.fits
         finally:
-            self._limiter.ended(tried, failed=failed)
+            self._limiter.record_outcome(tried, failed=failed)
         if failed:
             tell("authn_login_fail", "failure", name=attempt.name, reason="password", method="password")
             self._note(attempt)

@@ -58,7 +58,7 @@ class Outlets:
 
 
 @dataclass(frozen=True)
-class Choice:
+class AddressChoice:
     """Which kinds a person wants at an address, and when nothing is sent there."""
 
     kinds: Collection[str] = ()
@@ -137,7 +137,13 @@ def mask_mail(address: str) -> CheckedAddress:
 
 
 def add_address(
-    session: Session, actor: Actor, box: SecretBox, label: str, address: str, checked: CheckedAddress, choice: Choice
+    session: Session,
+    actor: Actor,
+    box: SecretBox,
+    label: str,
+    address: str,
+    checked: CheckedAddress,
+    choice: AddressChoice,
 ) -> MessageAddress:
     """Add an address of the acting person, checked before; it is told of what happens from now on."""
     user_id = require_person(actor, "have messages sent")
@@ -162,7 +168,7 @@ def add_address(
     return row
 
 
-def change_address(session: Session, actor: Actor, address_id: int, choice: Choice) -> MessageAddress:
+def change_address(session: Session, actor: Actor, address_id: int, choice: AddressChoice) -> MessageAddress:
     """Choose other kinds and quiet hours for one's address."""
     row = get_address(session, actor, address_id)
     choice.check()
@@ -173,7 +179,7 @@ def change_address(session: Session, actor: Actor, address_id: int, choice: Choi
     return row
 
 
-def _apply(row: MessageAddress, choice: Choice) -> None:
+def _apply(row: MessageAddress, choice: AddressChoice) -> None:
     row.kinds = [kind for kind in KINDS if kind in choice.kinds]
     row.quiet_from, row.quiet_until = choice.quiet_from or None, choice.quiet_until or None
     row.quiet_zone = choice.quiet_zone if choice.quiet_from else ""

@@ -31,7 +31,7 @@ from boresight.console.access.dependencies import (
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.pages.sensors import list_sensor_choices
 from boresight.console.fleet.tables import Sensor
-from boresight.console.operation import Beside
+from boresight.console.operation import RowWithFields
 from boresight.console.pages.drawings import Drawing, detector_map, histogram, number_bars
 from boresight.console.pages.rendering import (
     AttemptResult,
@@ -186,10 +186,10 @@ def telemetry_csv(request: Request, session: Reading) -> Response:
     return write_csv(view, rows)
 
 
-def _csv_row(row: TelemetrySet, names: RunNames) -> Beside:
+def _csv_row(row: TelemetrySet, names: RunNames) -> RowWithFields:
     quality = find_quality(row.quality)
     time, temperature = quality.time, quality.temperature_c
-    return Beside(
+    return RowWithFields(
         row,
         set=row.id,
         verdict=quality.verdict,

@@ -16,7 +16,7 @@ from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading, Who, csrf, same_for_roles
 from boresight.console.fleet import queries as sensor_queries
 from boresight.console.fleet.pages.sensors import list_sensor_choices
-from boresight.console.operation import Beside
+from boresight.console.operation import RowWithFields
 from boresight.console.pages.formats import instant, seconds_since
 from boresight.console.pages.rendering import make_change, render
 from boresight.console.pages.tables import (
@@ -235,10 +235,10 @@ def runs_csv(request: Request, session: Reading) -> Response:
     return write_csv(view, (_csv_row(run, names) for run in read_all(session, view, **view.hide_archived())))
 
 
-def _csv_row(run: Run, names: RunNames) -> Beside:
+def _csv_row(run: Run, names: RunNames) -> RowWithFields:
     line, summary = make_run_line(run, names), parse_run_summary(run.summary)
     told = {"run": run.id, "sensor": line.sensor, "telemetry_set": line.data, "launched_by": line.by}
-    return Beside(run, duration_s=line.seconds, **told, **{name: getattr(summary, name) for name in OF_SUMMARY})
+    return RowWithFields(run, duration_s=line.seconds, **told, **{name: getattr(summary, name) for name in OF_SUMMARY})
 
 
 preset_router = APIRouter(dependencies=[Depends(csrf)])
