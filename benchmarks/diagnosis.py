@@ -37,7 +37,7 @@ from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_truth
 from boresight.sky.catalogue import Catalogue, load_catalogue
 from boresight.telemetry.mapping import parse_mapping
-from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor, parse_sensor, read_sensor
 

@@ -41,8 +41,8 @@ from boresight.arrays import FloatArray
 from boresight.settings import read_settings
 from boresight.simulation.sensors import st16_sensor
 from boresight.sky.catalogue import load_catalogue
-from boresight.telemetry.read.readers import write_parquet
 from boresight.telemetry.sensors import sensor_document
+from boresight.telemetry.writing import write_parquet
 
 SIZES, REMATCH_SIZES = (1_000, 10_000, 100_000, 1_000_000), (10_000, 100_000)
 METHODS = ("batch", "sqrf")

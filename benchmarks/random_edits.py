@@ -52,9 +52,9 @@ from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import wu_sensor
 from boresight.sky.catalogue import Catalogue, load_catalogue
 from boresight.sky.directions import star_directions
-from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor, parse_sensor, sensor_document
+from boresight.telemetry.writing import write_csv
 from boresight.verdicts.gates import parse_profile
 from boresight.verdicts.gates.assessed_set import ground_set
 from boresight.verdicts.gates.assessment import assess

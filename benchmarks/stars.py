@@ -33,9 +33,9 @@ from boresight.simulation.sensors import (
 from boresight.sky.apparent import apparent_directions
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.guide_stars import guide_stars
-from boresight.telemetry.read.readers import ROW_GROUP
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
+from boresight.telemetry.writing import ROW_GROUP
 
 STARS, EXPOSURES_A_FRAME = 12, 2
 SENSOR = 1

@@ -26,8 +26,8 @@ from benchmarks.stars import repeated_fields
 from boresight.settings import read_settings
 from boresight.simulation.sensors import st16_sensor
 from boresight.sky.catalogue import load_catalogue
-from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.sensors import sensor_document
+from boresight.telemetry.writing import write_csv
 
 COLD_LIMIT_S, HELP_LIMIT_S, IMPORT_LIMIT_S, CALIBRATION_LIMIT_S = 12.0, 0.2, 0.15, 0.9
 CALIBRATE = ["-m", "boresight", "calibrate", "set.csv", "--sensor", "sensor.json"]

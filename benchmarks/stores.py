@@ -40,10 +40,10 @@ from boresight.settings import Settings, read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import SENSOR_NUMBERS, st16_sensor
 from boresight.sky.catalogue import Catalogue, load_catalogue
-from boresight.telemetry.read.readers import write_parquet
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import sensor_document
 from boresight.telemetry.working_table import WorkingTable
+from boresight.telemetry.writing import write_parquet
 
 PEOPLE = 10
 PASSWORD = "a long enough password"  # noqa: S105 - of people who exist for a measurement

@@ -44,8 +44,9 @@ from boresight.estimation.blocks import computing_on
 from boresight.settings import read_settings
 from boresight.simulation.sensors import st16_sensor
 from boresight.sky.catalogue import Catalogue, load_catalogue
-from boresight.telemetry.read.readers import read_telemetry, write_parquet
+from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.sensors import Sensor
+from boresight.telemetry.writing import write_parquet
 
 LIMIT = 12.0
 #: How long sets of so many frames may take in a running process.

@@ -31,8 +31,8 @@ from boresight.platform.db.engines import open_engine
 from boresight.platform.db.sessions import open_writing, utc_now
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import load_catalogue
-from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.sensors import parse_sensor, sensor_document
+from boresight.telemetry.writing import write_csv
 from boresight.verdicts.gates import judge, parse_profile
 from boresight.verdicts.gates.assessed_set import ground_set
 from boresight.verdicts.gates.assessment import assess

@@ -35,8 +35,8 @@ from boresight.server import _Server, configured, create_app
 from boresight.settings import Settings, read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import Catalogue
-from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.sensors import sensor_document
+from boresight.telemetry.writing import write_csv
 from tests.choices import made_choice
 from tests.passwords import add_person
 from tests.stores import environment_in, open_migrated

@@ -13,8 +13,8 @@ TERM = re.compile(r"- \*\*(?P<term>[^*]+)\*\*: .+\.(?P<names>(?: `[\w.]+`)+)")
 REPLACED = set(
     re.findall(
         r"\w+",
-        """Answering AtHand Border Climb ClusterSpread Codings Conditions Course Desk Drawn Engine Evidence Fitness Flight
-        Flights Insurance InThisProcess Judgement Keeping Kept Loan Lookout Mark Marks MatchedSet Misfit Once OnlyTry Orders
+        """Answering AtHand Beside Border Climb ClusterSpread Codings Conditions Course Desk Drawn Engine Evidence Fitness Flight
+        Flights Insurance InThisProcess Judgement Keeping Kept Lanes Loan Lookout Mark Marks MatchedSet Misfit Once OnlyTry Orders
         Paces Place Ready RematchedSet Rounds Shown Sighting Sightings Sought Specimen Spread Standing StreamedSet Telling
         Told Turns Upkeep Watch Workplace climb course dressed fitness held_out judgements lookout only_try orders paces
         desk sighting specimen upkeep weigh weigh_block weighed wu_weighed""",

@@ -1,4 +1,4 @@
-"""The types of the arrays: what each holds; the docstrings name their dimensions and units. And times, as JSON writes them."""
+"""The types of the arrays, whose dimensions and units docstrings name; units of time and angle; numbers and times as in JSON."""
 
 from __future__ import annotations
 
@@ -13,6 +13,17 @@ BoolArray = NDArray[np.bool_]
 TimeArray = NDArray[np.datetime64]
 
 DAY_US = 86_400e6
+ARCSEC_PER_RAD = float(np.degrees(1.0) * 3600)
+
+
+def known_or_none(value: float) -> float | None:
+    """Return a number as JSON has it: None for what is not finite."""
+    return float(value) if np.isfinite(value) else None
+
+
+def list_known(values: FloatArray | Sequence[float]) -> list[float | None]:
+    """Return numbers (n,) as JSON has them, None for what is not finite."""
+    return [known_or_none(value) for value in values]
 
 
 def parse_times(texts: Sequence[str | None]) -> TimeArray:

@@ -1,4 +1,4 @@
-"""Reports on the progress of compiling the kernels, which is done once per machine and makes the caller wait."""
+"""Reports of progress, and those on compiling the kernels, which is done once per machine and makes the caller wait."""
 
 from __future__ import annotations
 
@@ -11,6 +11,10 @@ log = logging.getLogger(__name__)
 Report = Callable[[str, float], None]  # message, and the fraction that is done
 
 _receivers: list[Report] = []
+
+
+def ignore_progress(message: str, share: float | None) -> None:
+    """Take a report of progress where nobody asks for it."""
 
 
 @contextmanager

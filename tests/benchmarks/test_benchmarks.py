@@ -24,7 +24,7 @@ from boresight.console.fleet import status as fleet
 from boresight.console.runs import service as runs
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import open_reading
-from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.readers import read_telemetry
 from tests.effort import effort
 
 LIMITS = {

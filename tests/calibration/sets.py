@@ -24,9 +24,10 @@ from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor, st16_truth
 from boresight.sky.catalogue import Catalogue
-from boresight.telemetry.read.readers import contract_table, read_telemetry
+from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
+from boresight.telemetry.writing import contract_table
 from tests.estimation.fields import COLUMNS, GROUND, NOISE_PX, PITCH, ROWS, SCALE, TRUTH
 
 

@@ -33,7 +33,7 @@ from boresight.errors import CancelledError, RefusedInputError
 from boresight.estimation import batch
 from boresight.estimation.statistics.consistency import nees
 from boresight.estimation.statistics.observability import is_curved
-from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import read_sensor
 from boresight.verdicts.verdict import make_verdict

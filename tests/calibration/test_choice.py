@@ -30,7 +30,7 @@ from boresight.estimation import batch
 from boresight.estimation.metrics import arc_errors
 from boresight.library.text import camera_rows
 from boresight.simulation.scenes import parse_scenario, simulate
-from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.sensors import parse_sensor, read_sensor, sensor_document
 from tests.calibration.choice_sets import DECENTRING_PER_PX, field, lens, search, sensor
 from tests.choices import made_choice

@@ -47,7 +47,7 @@ from boresight.estimation.statistics.observability import WEAK
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.directions import star_directions
 from boresight.telemetry.read.frames import Sample, read_sample
-from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.schema import find_exposures
 from boresight.telemetry.sensors import read_sensor
 from boresight.telemetry.working_table import write_working_table

@@ -9,7 +9,7 @@ from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem
 from boresight.estimation.robust import TUNING, StarWeights
 from boresight.estimation.statistics.special import chdtri
-from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.sensors import read_sensor
 from tests.calibration.sets import field, in_memory, st16, streamed, written
 from tests.calibration.test_verification import calibrated, normalised_error, with_wrong

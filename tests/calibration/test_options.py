@@ -6,7 +6,8 @@ import json
 import numpy as np
 import pytest
 
-from boresight.calibration.conversion import ARCSEC_PER_RAD, converted, sensor_file, sensor_under
+from boresight.arrays import ARCSEC_PER_RAD
+from boresight.calibration.conversion import converted, sensor_file, sensor_under
 from boresight.calibration.options import (
     FILTERS,
     FORM,

@@ -17,7 +17,7 @@ from boresight.images.limits import ImageSource
 from boresight.simulation.images import simulate_images
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.telemetry.data_sheets import LensAndDetector
-from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.schema import select_rows
 from boresight.telemetry.sensors import parse_sensor, sensor_document
 from tests.images.files import write_fits

@@ -37,7 +37,7 @@ from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_truth
 from boresight.sky.guide_stars import DOUBLE, UNRELIABLE, compute_pulls
 from boresight.sky.matching import BLENDED, EXPOSURE_REASONS, LEFT_OUT, ROW_REASONS, STARTS
-from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.sensors import read_sensor
 from tests.calibration.sets import SENSORS, Score, Sky, sky
 from tests.effort import effort

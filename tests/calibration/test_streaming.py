@@ -26,9 +26,10 @@ from boresight.estimation.blocks import FRAMES
 from boresight.estimation.executor import LocalExecutor
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor
-from boresight.telemetry.read.readers import read_telemetry, write_parquet
+from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.schema import select_rows
 from boresight.telemetry.working_table import WorkingTable, WorkingTableParts, write_working_table
+from boresight.telemetry.writing import write_parquet
 from tests.calibration.conftest import telemetry
 from tests.calibration.sets import differences, in_memory, same_in_pieces, sky, streamed, write_in_groups, written
 from tests.refusals import has_code
@@ -317,9 +318,9 @@ def test_a_calibration_of_a_stored_table_parses_checks_and_converts_nothing(tmp_
     for match in ("given", "rematch"):
         whole = in_memory(field.telemetry, field.sensor, catalogue, match=match)
         with (
-            mock.patch("boresight.telemetry.read.readers.open_tables", side_effect=AssertionError),
-            mock.patch("boresight.telemetry.read.readers.Checks", side_effect=AssertionError),
-            mock.patch("boresight.telemetry.read.readers.make_arrays", side_effect=AssertionError),
+            mock.patch("boresight.telemetry.readers.open_tables", side_effect=AssertionError),
+            mock.patch("boresight.telemetry.readers.Checks", side_effect=AssertionError),
+            mock.patch("boresight.telemetry.readers.make_arrays", side_effect=AssertionError),
         ):
             found = in_memory(stored, field.sensor, catalogue, match=match, scratch_folder=tmp_path)
 

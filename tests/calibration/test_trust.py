@@ -22,7 +22,7 @@ from boresight.calibration.trust.fitted_set import nested, probability
 from boresight.calibration.trust.innovations import deviates, worst_frames
 from boresight.calibration.trust.residuals import OTHER_PARITY, compute_star_residuals
 from boresight.simulation.sensors import st16_sensor, st16_truth
-from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.sensors import read_sensor
 from tests.calibration.sets import Case, case, field, simulated, unverified
 

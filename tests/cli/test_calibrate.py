@@ -17,11 +17,11 @@ from boresight.calibration.exports import EXPORT_FORMATS
 from boresight.calibration.options import OPTIONS, CalibrationSettings
 from boresight.cameras import CAMERA_MODELS
 from boresight.cli import main
-from boresight.cli.calibrate import Choice
+from boresight.cli.calibrate import SettingOption
 from boresight.cli.calibrate import calibrate as command
 from boresight.disks import compute_digest
 from boresight.simulation.sensors import st16_sensor, wu_sensor
-from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.sensors import sensor_document
 from tests.cli.conftest import accepted, assert_refused, read_rows, write_rows
 
@@ -163,7 +163,7 @@ OF_PAGES_ONLY = {"replay_frames_per_s"}  # a pace to watch at
 
 
 def test_every_setting_has_an_option():
-    options = {option.name for option in command.params if isinstance(option, Choice)}
+    options = {option.name for option in command.params if isinstance(option, SettingOption)}
     assert options == set(CalibrationSettings().document()) - OF_PAGES_ONLY
 
 

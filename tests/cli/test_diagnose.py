@@ -8,8 +8,8 @@ import pytest
 
 from boresight.calibration.diagnosis.result import CAUSES
 from boresight.simulation.scenes import calibration_scenario, simulate
-from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.sensors import sensor_document
+from boresight.telemetry.writing import write_csv
 
 
 @pytest.fixture

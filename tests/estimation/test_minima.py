@@ -14,7 +14,7 @@ from boresight.estimation import batch, minima
 from boresight.estimation.minima import LOWER
 from boresight.estimation.statistics.consistency import nees
 from boresight.estimation.statistics.special import chdtri
-from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.schema import Telemetry, select_rows
 from boresight.telemetry.sensors import Sensor, read_sensor
 

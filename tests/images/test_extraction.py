@@ -16,7 +16,7 @@ from boresight.images.detection import DetectionOptions
 from boresight.images.extraction import IMAGE_COLUMNS, extract
 from boresight.images.limits import ImageLimits, ImageSource
 from boresight.sky.matching import BLENDED, ROW_REASONS
-from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.readers import read_telemetry
 from tests.cli.conftest import accepted, assert_refused, boresight, data_folder  # noqa: F401 - fixtures
 from tests.images.files import write_fits
 from tests.refusals import has_code

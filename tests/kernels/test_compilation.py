@@ -16,11 +16,11 @@ import json
 import sys
 from collections import Counter
 from boresight.cameras import CAMERA_MODELS
-from boresight.kernels import compilation, lean
+from boresight.kernels import compilation, quick_compilation
 from numba.core import compiler
 
 compilation.compiles_itself = True
-lean.make_lean()
+quick_compilation.shorten_compilation()
 asked, compile_core = Counter(), compiler.CompilerBase._compile_core
 
 def count(self):

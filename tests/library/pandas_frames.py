@@ -11,7 +11,7 @@ import pyarrow as pa
 import pytest
 
 import boresight as bs
-from boresight.telemetry.read.readers import contract_table
+from boresight.telemetry.writing import contract_table
 
 
 def check_that_a_frame_is_the_same_telemetry(made, table):

@@ -30,6 +30,11 @@ def test_every_function_and_class_comes_without_server_database_and_plotly():
     assert [name for name in (*SERVER, "plotly", "pandas", "polars") if name in loaded] == []
 
 
+def test_a_calibration_is_read_from_json_without_compiled_loops_and_tables():
+    loaded = loaded_by("from boresight.calibration.calibration import parse_calibration")
+    assert [name for name in HEAVY if name in loaded] == []
+
+
 def test_what_is_listed_is_there_and_nothing_else_is():
     assert set(bs.__all__) <= set(dir(bs))
     assert [name for name in bs.__all__ if not callable(getattr(bs, name))] == []

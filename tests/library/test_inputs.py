@@ -12,7 +12,7 @@ import pyarrow as pa
 import pytest
 
 import boresight as bs
-from boresight.telemetry.read.readers import contract_table
+from boresight.telemetry.writing import contract_table
 
 PANDAS_FRAMES = Path(__file__).parent / "pandas_frames.py"
 ROOT = PANDAS_FRAMES.parents[2]

@@ -15,7 +15,7 @@ from boresight.mission_control.archive import count_us
 from boresight.mission_control.systems import Link
 from boresight.telemetry.imports.builtin import BUILT_IN
 from boresight.telemetry.imports.profile import parse_profile
-from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.readers import read_telemetry
 from tests.mission_control.openc3_stand_in import OpenC3StandIn
 from tests.mission_control.yamcs_stand_in import serving
 

@@ -25,7 +25,7 @@ from boresight.mission_control.yamcs import YamcsEvent
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.telemetry.imports.builtin import BUILT_IN
 from boresight.telemetry.imports.profile import parse_profile
-from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.readers import read_telemetry
 from tests.mission_control.yamcs_stand_in import BUCKET, INSTANCE, STARS, YamcsStandIn, serving
 
 REAL = os.environ.get("BORESIGHT_YAMCS_SERVER")

@@ -39,7 +39,7 @@ from boresight.sky.guide_stars import (
 )
 from boresight.sky.identification import field_of_view_deg, identify
 from boresight.sky.matching import ROW_REASONS, STARTS, Detections, match
-from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.schema import find_exposures
 from boresight.telemetry.sensors import read_sensor
 from tests.effort import effort, few_of

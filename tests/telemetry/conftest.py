@@ -2,7 +2,7 @@
 
 import pytest
 
-from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.sensors import parse_sensor
 
 

@@ -16,7 +16,8 @@ from boresight.errors import RefusedInputError
 from boresight.settings import read_settings
 from boresight.telemetry.read.limits import LIMITS, STORED, Limits
 from boresight.telemetry.read.parquet import DamagedPageError, iterate_pages, read_layout
-from boresight.telemetry.read.readers import read_chunks, read_table, read_telemetry, stretches
+from boresight.telemetry.read.tables import read_table
+from boresight.telemetry.readers import read_chunks, read_telemetry, stretches
 from tests.refusals import has_code
 from tests.telemetry import hostile_files
 from tests.telemetry.files import GOOD

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from boresight.telemetry.quality import report as quality_parts
 from boresight.telemetry.quality.findings import FINDINGS, SEVERITIES
 from boresight.telemetry.quality.report import QualityParts, quality_report
-from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.schema import IMAGE_COLUMNS, select_rows
 from boresight.telemetry.sensors import read_sensor
 from tests.effort import effort

@@ -27,9 +27,11 @@ from boresight.images.limits import is_image
 from boresight.telemetry.read.checks import fill_absent
 from boresight.telemetry.read.formats import parse_json, read_text
 from boresight.telemetry.read.limits import Limits
-from boresight.telemetry.read.readers import read_table, read_telemetry, stretches, write_csv, write_parquet
+from boresight.telemetry.read.tables import read_table
+from boresight.telemetry.readers import read_telemetry, stretches
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import read_sensor
+from boresight.telemetry.writing import write_csv, write_parquet
 from tests.effort import effort
 from tests.refusals import has_code
 from tests.strategies import telemetry_tables

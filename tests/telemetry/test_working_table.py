@@ -15,18 +15,11 @@ from hypothesis import strategies as st
 from boresight.disks import compute_digest
 from boresight.errors import CorruptFileError, NotFoundError, RefusedInputError
 from boresight.library.results import save_telemetry
-from boresight.telemetry.read import formats, parquet, readers
+from boresight.telemetry import readers
+from boresight.telemetry.read import formats, parquet
 from boresight.telemetry.read.frames import evenly, frame_index, read_sample
 from boresight.telemetry.read.limits import Limits
-from boresight.telemetry.read.readers import (
-    ROW_GROUP,
-    read_chunks,
-    read_telemetry,
-    rows_in,
-    stretches,
-    write_csv,
-    write_parquet,
-)
+from boresight.telemetry.readers import read_chunks, read_telemetry, rows_in, stretches
 from boresight.telemetry.sampling import exposure_keys, shared_exposures
 from boresight.telemetry.schema import Telemetry, joined, select_rows
 from boresight.telemetry.working_table import (
@@ -37,6 +30,7 @@ from boresight.telemetry.working_table import (
     is_working_table,
     write_working_table,
 )
+from boresight.telemetry.writing import ROW_GROUP, write_csv, write_parquet
 from tests.calibration.conftest import telemetry as simulated
 from tests.effort import effort
 from tests.refusals import has_code

@@ -12,8 +12,8 @@ from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import CalibrationSettings
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import Catalogue
-from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.sensors import sensor_document
+from boresight.telemetry.writing import write_csv
 from tests.transitions.installation import ExampleRun
 
 SCENARIO = dataclasses.replace(calibration_scenario(1), frames=30)

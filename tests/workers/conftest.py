@@ -20,9 +20,9 @@ from boresight.platform.blobs.store import register_blob
 from boresight.platform.db.sessions import migrate, open_engine, open_reading, open_writing, utc_now
 from boresight.settings import Settings, read_settings
 from boresight.simulation.sensors import st16_sensor
-from boresight.telemetry.read.readers import write_parquet
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import sensor_document
+from boresight.telemetry.writing import write_parquet
 from boresight.workers import cluster
 from boresight.workers.dispatcher import RunDispatcher
 from tests.stores import environment_in

@@ -14,8 +14,9 @@ from boresight.platform.audit import chain
 from boresight.platform.blobs.store import register_blob
 from boresight.platform.db.sessions import open_writing, utc_now
 from boresight.simulation.scenes import calibration_scenario, simulate
-from boresight.telemetry.read.readers import read_telemetry, write_parquet
+from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.sensors import parse_sensor, sensor_document
+from boresight.telemetry.writing import write_parquet
 
 SCENARIO = dataclasses.replace(calibration_scenario(1), frames=12)
 

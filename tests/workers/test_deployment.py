@@ -19,8 +19,8 @@ from services import wait_for
 from benchmarks.servers import free_port
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import load_catalogue
-from boresight.telemetry.read.readers import write_parquet
 from boresight.telemetry.sensors import sensor_document
+from boresight.telemetry.writing import write_parquet
 from tests.postgresql import server
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "deployment.md").read_text()

@@ -16,8 +16,8 @@ from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.blobs.working_tables import working_table
 from boresight.platform.db.sessions import open_reading
 from boresight.sky.catalogue import load_catalogue
-from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.sensors import sensor_document
+from boresight.telemetry.writing import write_csv
 from tests.calibration.sets import differences, st16_sensor
 from tests.calibration.test_joint import a_pass
 from tests.refusals import has_code

@@ -16,8 +16,8 @@ import pytest
 from benchmarks.servers import wait_until
 from boresight.simulation.scenes import simulate
 from boresight.sky.catalogue import load_catalogue
-from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.sensors import sensor_document
+from boresight.telemetry.writing import write_csv
 from tests.served import PASSWORD, SCENARIO, add_people, serving, settings_in
 
 NAME = "boresight_typed_client"

@@ -20,7 +20,8 @@ from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import METHODS, OPTIONS, CalibrationSettings
 from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
 from boresight.sky.catalogue import load_catalogue
-from boresight.telemetry.read.readers import read_telemetry, write_parquet
+from boresight.telemetry.readers import read_telemetry
+from boresight.telemetry.writing import write_parquet
 from boresight.workers.tasks import warm
 
 folder = Path(sys.argv[1])

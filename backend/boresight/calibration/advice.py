@@ -27,6 +27,7 @@ from boresight.estimation.batch import determined
 from boresight.estimation.filters.angular import MOST_PAIRS
 from boresight.estimation.statistics.consistency import ChiSquare
 from boresight.estimation.statistics.observability import WEAK, Observability, is_curved
+from boresight.wording import join_words
 
 #: Shift beyond which it is another sensor: no launch moves a focal length by a hundred times the spread of its make.
 ANOTHER_SENSOR = 100.0
@@ -113,18 +114,14 @@ def _advise_on_curvature(observed: Observability, estimate: Estimate, rise: floa
         rest = f"{size}, because the fit is curved there: add frames before relying on its sigma."
         yield Advice.begin("curved", finding, rest)
         return
-    alike = _listed([symbol for symbol, _ in observed.named(len(observed.names) - 1)])
+    alike = join_words([symbol for symbol, _ in observed.named(len(observed.names) - 1)])
     held = to_hold(estimate.A, STRAIGHT) or [_hold_first(estimate.A, list(range(len(observed.names))))]
     yield Advice.begin(
         "curved",
         finding,
         f"{size}, because the data hardly separate {alike} and the fit is curved there; hold "
-        f"{_listed([observed.names[p] for p in held])} fixed and run again before relying on its sigmas.",
+        f"{join_words([observed.names[p] for p in held])} fixed and run again before relying on its sigmas.",
     )
-
-
-def _listed(words: list[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def is_overconfident(innovations: float, most: float, chi2_per_dof: float) -> bool:
@@ -260,7 +257,7 @@ def _say_holding(held: list[int], A: FloatArray, observed: Observability) -> lis
     names = [observed.symbols[p] for p in held]
     by_then = "it is" if len(names) == 1 else "they are"
     sentence = (
-        f"Hold {_listed(names)} fixed, and every direction of the others is known to {worst:.2g} typical sigmas or better; "
+        f"Hold {join_words(names)} fixed, and every direction of the others is known to {worst:.2g} typical sigmas or better; "
         f"what {by_then} wrong by then goes into the others."
     )
     return [sentence]

@@ -25,7 +25,6 @@ from boresight.calibration.calibration import (
     PassVariation,
     PriorUse,
     RemovedOf,
-    StarOff,
     StarsOffDetector,
     Trust,
 )
@@ -464,7 +463,7 @@ def _describe_off(off: OffDetector) -> StarsOffDetector:
     return StarsOffDetector(
         stars=off.stars,
         farthest_px=off.farthest_px if off.stars else None,
-        rows=[StarOff(**vars(star)) for star in off.first],
+        rows=list(off.first),
     )
 
 

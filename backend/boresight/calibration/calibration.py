@@ -21,6 +21,7 @@ from boresight.calibration.advice_kinds import join_codes
 from boresight.calibration.options import StatedSettings
 from boresight.disks import writing
 from boresight.errors import RefusedInputError
+from boresight.telemetry.quality import StarOff
 
 if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, TypeAdapter
@@ -118,17 +119,6 @@ class LeftOut:
     what: str
     count: int
     reason: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class StarOff:
-    """A matched star off the detector: its row as an editor counts, its numbers, and how far it lies past the edge, pixels."""
-
-    row: int
-    frame: int
-    exposure: int
-    star_id: int | None
-    off_px: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -962,6 +952,13 @@ class ResidualDependence:
     p: float
     even: bool
     sentence: str
+
+
+#: Unit of each quantity that the residual is held against.
+RESIDUAL_UNITS = {
+    "radius": "px", "magnitude": "mag", "temperature": "°C", "time": "h", "colour": "mag", "row": "px", "column": "px",
+    "row_phase": "px", "column_phase": "px",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -30,7 +30,7 @@ from typing import Any
 
 import numpy as np
 
-from boresight.arrays import FloatArray
+from boresight.arrays import ARCSEC_PER_RAD, FloatArray
 from boresight.calibration.parameter_file import parse_parameters
 from boresight.calibration.residual_spline import ResidualSplineFit, require_in
 from boresight.cameras import CAMERA_MODELS
@@ -185,7 +185,6 @@ def _carried(
 SCHEMA = "boresight.parameters/1"
 #: Misfit that is allowed, as a share of the sensor's centroid_sigma_px.
 ALLOWED_SHARE = 0.01
-ARCSEC_PER_RAD = math.degrees(1.0) * 3600.0
 
 
 def converted(

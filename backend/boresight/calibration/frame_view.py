@@ -41,7 +41,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.arrays import BoolArray, FloatArray, IntArray
+from boresight.arrays import ARCSEC_PER_RAD, BoolArray, FloatArray, IntArray, known_or_none
 from boresight.calibration.calibration import Calibration, Covariance
 from boresight.calibration.corrections import with_directions
 from boresight.calibration.estimate import Parameters
@@ -322,7 +322,6 @@ def _near_a_detection(row: FloatArray, col: FloatArray, here: Telemetry) -> NDAr
     return np.asarray(apart.min(axis=1) < NEAR_PX)
 
 
-ARCSEC = float(np.degrees(1.0) * 3600)
 #: Stars that an attitude needs; the calibration asks for more.
 FEWEST = 2
 #: Least share of its own error that a star's residual is taken to hold; below, the exposure is the star's own.
@@ -337,7 +336,7 @@ def frame_view(states: RunStates, read: Read, catalogue: Catalogue, cache_folder
     head = {
         "frame": int(part.frame[0]),
         "time_utc": time_text(part, 0),
-        "temperature_c": None if part.temperature_c is None else _number(part.temperature_c[0]),
+        "temperature_c": None if part.temperature_c is None else known_or_none(part.temperature_c[0]),
         "image": None if (image := find_image(part, 0)) is None else asdict(image),
         "match": states.settings.match,
         "why_no_new": None if states.new is not None else "The run has no parameters to show this frame with.",
@@ -356,10 +355,6 @@ def frame_view(states: RunStates, read: Read, catalogue: Catalogue, cache_folder
 def _starts(part: Telemetry) -> IntArray:
     new = np.flatnonzero(np.diff(part.exposure)) + 1
     return np.concatenate([[0], new, [len(part)]]).astype(np.int64)
-
-
-def _number(value: Any) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def _exposure(
@@ -444,9 +439,9 @@ def _star(stars: FrameStars, here: Telemetry, sensor: Sensor, row: int, i: int) 
         "row_px": float(here.row_px[i]),
         "col_px": float(here.col_px[i]),
         "sigma_px": float(centroid_sigma_px(here, sensor)[i]),
-        "magnitude": None if here.magnitude is None else _number(here.magnitude[i]),
+        "magnitude": None if here.magnitude is None else known_or_none(here.magnitude[i]),
         "star_id": star_id or None,
-        "catalogue_magnitude": _number(stars.magnitude[row]),
+        "catalogue_magnitude": known_or_none(stars.magnitude[row]),
         "given_star_id": int(stars.given_id[row]) or None,
         "old_star_id": int(stars.old_id[row]) or None,
         "fate": stars.fate[row],
@@ -468,12 +463,14 @@ def _add_residuals(
 ) -> None:
     """Put what a state says into the stars that have a place under it."""
     camera = CAMERA_MODELS[sensor.camera_model]
-    arcsec = np.linalg.norm(np.linalg.pinv(seen.inverse), axis=1) * ARCSEC  # (n, 2) of a pixel along rows, columns
+    arcsec = (
+        np.linalg.norm(np.linalg.pinv(seen.inverse), axis=1) * ARCSEC_PER_RAD
+    )  # (n, 2) of a pixel along rows, columns
     sigma = arcs.sigma_px[:, None] * np.sqrt(np.maximum(np.diagonal(seen.M, axis1=1, axis2=2), LEAST_SHARE))
     predicted = np.column_stack([arcs.row_px, arcs.col_px]) - seen.r
     measured_s = camera.directions(state.x, arcs.row_px, arcs.col_px, arcs.pitch)
     predicted_s = camera.directions(state.x, predicted[:, 0], predicted[:, 1], arcs.pitch)
-    apart = 2 * np.arcsin(np.minimum(np.linalg.norm(measured_s - predicted_s, axis=1) / 2, 1.0)) * ARCSEC
+    apart = 2 * np.arcsin(np.minimum(np.linalg.norm(measured_s - predicted_s, axis=1) / 2, 1.0)) * ARCSEC_PER_RAD
     for j, i in enumerate(placed.tolist()):
         if not np.isfinite(seen.r[j]).all():
             continue
@@ -504,12 +501,12 @@ def _attitude(
     given = None if here.quaternion is None else here.quaternion[0]
     turn = None
     if given is not None and np.isfinite(given).all():
-        turn = (turns_from(given, quaternion[None])[0] * ARCSEC).tolist()
+        turn = (turns_from(given, quaternion[None])[0] * ARCSEC_PER_RAD).tolist()
     return {
         "quaternion": quaternion.tolist(),
         **pointing(C),
         "covariance_rad2": P.tolist(),
-        "sigma_arcsec": (np.sqrt(np.diag(P)) * ARCSEC).tolist(),
+        "sigma_arcsec": (np.sqrt(np.diag(P)) * ARCSEC_PER_RAD).tolist(),
         "stars": int(kept.sum()),
         "rms_px": float(np.sqrt(np.mean(seen.r[kept] ** 2))),
         "chi2": float(np.sum(z**2)),

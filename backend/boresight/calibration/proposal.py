@@ -66,6 +66,7 @@ from boresight.telemetry.data_sheets import ASKED, LensAndDetector
 from boresight.telemetry.new_sensor import FOCAL_SHARE, UPRIGHT, Described, complete, describe_sensor
 from boresight.telemetry.schema import Telemetry, find_exposures
 from boresight.telemetry.sensors import Sensor
+from boresight.waiting import ignore_progress
 
 Report = Callable[[str, float | None], None]
 
@@ -167,7 +168,9 @@ def propose(
     rows, columns, measured = _detector(telemetry, given)
     sized = replace(given, rows=rows, columns=columns)
     bare = replace(sample, star_id=None, ra_rad=None, dec_rad=None, quaternion=None)
-    search = _Search(bare, catalogue, sized, cache_folder, report or _silent, time.perf_counter() + budget_s, subject)
+    search = _Search(
+        bare, catalogue, sized, cache_folder, report or ignore_progress, time.perf_counter() + budget_s, subject
+    )
     found = search.run()
     if found is None:
         raise RefusedInputError(_say_nothing(search, of_exposures, of_images=of_images))
@@ -203,10 +206,6 @@ def _propose_in(
     catalogue = load_catalogue(catalogue_folder)
     telemetry = telemetry.opened() if isinstance(telemetry, TelemetryFile) else telemetry
     return propose(telemetry, catalogue, known, of_images=of_images, cache_folder=catalogue_folder, subject=subject)
-
-
-def _silent(message: str, share: float | None) -> None:
-    """Tell nobody."""
 
 
 def _detector(telemetry: TelemetryInput, given: LensAndDetector) -> tuple[int, int, tuple[str, ...]]:

@@ -28,7 +28,7 @@ import scipy
 from numpy.typing import NDArray
 
 from boresight import __version__
-from boresight.arrays import FloatArray, IntArray
+from boresight.arrays import ARCSEC_PER_RAD, FloatArray, IntArray, known_or_none, list_known
 from boresight.calibration.advice import advice, too_few
 from boresight.calibration.advice_kinds import Advice
 from boresight.calibration.calibration import (
@@ -76,7 +76,6 @@ FEWEST_POINTS, MOST_POINTS = 100, 1000
 TAIL_WHOLE = TAIL_BUDGET // FEWEST_POINTS
 RADII = 61
 COVERAGE_ROWS, COVERAGE_COLUMNS = 12, 16
-ARCSEC = np.degrees(1.0) * 3600
 
 
 def _list(values: NDArray[Any]) -> list[Any]:
@@ -183,8 +182,8 @@ def radial_view(
         radius_px=_list(curve.radius_px),
         difference_px=_list(curve.difference_px),
         sigma_px=_list(curve.sigma_px),
-        difference_arcsec=_list(curve.difference_rad * ARCSEC),
-        sigma_arcsec=_list(curve.sigma_rad * ARCSEC),
+        difference_arcsec=_list(curve.difference_rad * ARCSEC_PER_RAD),
+        sigma_arcsec=_list(curve.sigma_rad * ARCSEC_PER_RAD),
         displacement_px=Displacement(
             initial=_list(displacement_px(camera, sensor.initial, sensor.initial, radius, sensor.pixel_pitch_m)),
             final=_list(displacement_px(camera, estimate.x, sensor.initial, radius, sensor.pixel_pitch_m)),
@@ -219,7 +218,7 @@ def numbers(values: FloatArray) -> list[Any]:
     """Turn an array into nested lists with null for what is not finite."""
     if values.ndim > 1:
         return [numbers(row) for row in values]
-    return [float(value) if np.isfinite(value) else None for value in values]
+    return list_known(values)
 
 
 def begin_calibration(
@@ -294,7 +293,7 @@ def describe_estimate(
         delta_over_sigma=_values(names, shift),
         covariance=_describe_covariance(problem, parameters, estimate, sigma),
         iterations=estimate.iterations,
-        rms_arc_rad=Change(initial=float(initial), final=_finite(float(final))),
+        rms_arc_rad=Change(initial=float(initial), final=known_or_none(float(final))),
         robust=None if estimate.robust is None else robust_view(estimate.robust, names, sigma),
         history=history_view(problem, parameters, estimate, arcs),
         trace=trace_view(parameters, estimate, arcs.n_arcs, problem),
@@ -302,11 +301,6 @@ def describe_estimate(
         coverage=coverage_view(problem),
     )
     return _judged(estimated, problem, parameters, settings, estimate, arcs)
-
-
-def _finite(value: float) -> float | None:
-    """Return a number, or null."""
-    return value if np.isfinite(value) else None
 
 
 def find_sigma(problem: Problem, parameters: Parameters, estimate: Estimate) -> FloatArray:

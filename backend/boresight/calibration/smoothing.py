@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from boresight.arrays import FloatArray
+from boresight.arrays import FloatArray, known_or_none
 from boresight.calibration.calibration import Smoothed
 from boresight.calibration.estimate import WHITENING_ROUNDS, Asked, Estimate, Parameters
 from boresight.calibration.options import CalibrationSettings
@@ -61,7 +61,7 @@ def describe_smoothed(
         time_utc=written_times(problem, frame),
         parameters=numbers(of_set.states[kept]),
         sigma=numbers(of_set.sigma[kept]),
-        chi2=float(found.chi2) if np.isfinite(found.chi2) else None,
+        chi2=known_or_none(found.chi2),
         settled=found.settled,
         sentence=_sentence(of_set, estimate, parameters),
     )

@@ -23,7 +23,7 @@ from boresight.site import Site
 from boresight.telemetry.quality.detector import OffDetector
 from boresight.telemetry.read.compression import expanded_bytes
 from boresight.telemetry.read.limits import LIMITS, Limits
-from boresight.telemetry.read.readers import CHUNK_FRAMES, Stretch, read_chunks, read_telemetry, rows_in, stretches
+from boresight.telemetry.readers import CHUNK_FRAMES, Stretch, read_chunks, read_telemetry, rows_in, stretches
 from boresight.telemetry.schema import Telemetry, joined, select_rows
 from boresight.telemetry.sensors import Sensor
 from boresight.telemetry.working_table import ARRAYS, WorkingTable
@@ -82,7 +82,7 @@ class TelemetryFile:
         return self if self.large() else self.read()
 
     def read(self) -> Telemetry:
-        """Read all of it; refuses as `telemetry.read.readers.read_telemetry`."""
+        """Read all of it; refuses as `telemetry.readers.read_telemetry`."""
         return read_telemetry(self.path, self.name, self.limits)
 
     def stretches(self) -> list[Stretch]:
@@ -90,7 +90,7 @@ class TelemetryFile:
         return stretches(self.path, self.name or self.path.name, self.chunk_frames, self.limits)
 
     def chunks(self) -> Iterator[Telemetry]:
-        """Read it piece by piece; refuses as `telemetry.read.readers.read_chunks`, at the end."""
+        """Read it piece by piece; refuses as `telemetry.readers.read_chunks`, at the end."""
         return read_chunks(self.path, self.name, frames=self.chunk_frames, limits=self.limits)
 
 

@@ -28,7 +28,7 @@ _TYPES = {"whole": int, "number": float}
 _METAVARS = {"names": "NAMES", "numbers": "NAME=NUMBER", "times": "TIMES", "wholes": "NUMBERS", "stars": "NUMBERS"}
 
 
-class Choice(click.Option):
+class SettingOption(click.Option):
     """An option for a setting; if absent, the setting keeps its default."""
 
     def __init__(self, words: list[str], *, of: Option, **settings: Any) -> None:
@@ -50,7 +50,7 @@ class GroupedCommand(click.Command):
         groups: dict[str, list[tuple[str, str]]] = defaultdict(list)
         for option in self.get_params(ctx):
             if isinstance(option, click.Option) and (record := option.get_help_record(ctx)) is not None:
-                groups[option.group if isinstance(option, Choice) else OTHERS].append(record)
+                groups[option.group if isinstance(option, SettingOption) else OTHERS].append(record)
         for group in (OTHERS, *GROUPS):
             with formatter.section(group):
                 formatter.write_dl(groups[group])
@@ -72,7 +72,7 @@ def setting_option(name: str) -> Callable[..., Any]:
     option = OPTIONS[name]
     ticked = {"is_flag": True, "default": None} if option.kind == "yes or no" else {}
     return click.option(
-        str(option.flag), option.name, cls=Choice, of=option, help=_help(option), type=_TYPES.get(option.kind),
+        str(option.flag), option.name, cls=SettingOption, of=option, help=_help(option), type=_TYPES.get(option.kind),
         metavar=_METAVARS.get(option.kind), **ticked,
     )  # fmt: skip
 

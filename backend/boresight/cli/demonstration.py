@@ -43,6 +43,7 @@ from boresight.console.telemetry import queries as set_rows
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.uplinks import packages, table_definitions
 from boresight.console.uplinks import service as uplinks
+from boresight.disks import compute_digest
 from boresight.errors import BoresightError, NotFoundError
 from boresight.platform.actors import COMMAND_LINE, POLICY, Actor, Policy
 from boresight.platform.audit.signing import SigningKey
@@ -51,8 +52,8 @@ from boresight.platform.db.sessions import Engine, Session, open_reading, open_w
 from boresight.simulation.scenes import Scenario, calibration_scenario, simulate, validation_scenario
 from boresight.simulation.sensors import SENSOR_NUMBERS, st16_sensor, st16_truth
 from boresight.sky.catalogue import Catalogue
-from boresight.telemetry.read.readers import write_parquet
 from boresight.telemetry.sensors import parse_sensor, sensor_document
+from boresight.telemetry.writing import write_parquet
 from boresight.uplink.table_definition import plain_definition
 
 WATCHED_NUMBERS, WATCHED_FRAMES, WATCHED_FRAMES_PER_S = (1, 5), 600, 1.0
@@ -325,7 +326,7 @@ class _Fleet:
         with tempfile.TemporaryDirectory(prefix="boresight-demo-") as folder:
             path = Path(folder) / f"{scenario.sensor.name}-new-pass.parquet"
             write_parquet(telemetry, path)
-            sent = ingest.SentFile("REST", path.name, ingest.compute_sha256_of_file(path), path.stat().st_size)
+            sent = ingest.SentFile("REST", path.name, compute_digest(path), path.stat().st_size)
             with (
                 telemetry_sets.hold_prepared(document, self.catalogue, path, path.name) as prepared,
                 open_writing(self.engine) as session,

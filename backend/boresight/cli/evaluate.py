@@ -121,7 +121,8 @@ def _check_out(telemetry: Path, out: Path) -> None:
 
 def _write_rows(telemetry: Any, star_id: Any, out: Path) -> None:
     """Write the rows of a telemetry file again, every other column as it stands; or those that were imported."""
-    from boresight.telemetry.read.readers import contract_table, read_table, write_with_stars
+    from boresight.telemetry.read.tables import read_table
+    from boresight.telemetry.writing import contract_table, write_with_stars
 
     if isinstance(telemetry, Path):
         table = read_table(telemetry, telemetry.name, read_settings().telemetry_limits)

@@ -140,7 +140,7 @@ def extract(
         check_writable(out, FORMATS.get(out.suffix.lower(), ""))
         if out.suffix.lower() not in SUFFIXES:
             raise RefusedInputError(f"{out.name} has no known format: end the name with .csv, .jsonl or .parquet.")
-    from boresight.telemetry.read.readers import contract_table, write_table
+    from boresight.telemetry.writing import contract_table, write_table
 
     with progress("reading the images") as report:
         taken = take_extraction_choices(choices)

@@ -64,7 +64,7 @@ class OperationResponse:
     is_trial: bool = False  # of a dry run that the body asked for
 
 
-class Beside:
+class RowWithFields:
     """A row with values besides its columns."""
 
     def __init__(self, row: Any, **more: Any) -> None:

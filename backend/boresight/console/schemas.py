@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from typing import Annotated, Any, ClassVar
+from dataclasses import fields, is_dataclass
+from types import UnionType
+from typing import Annotated, Any, ClassVar, Union, get_args, get_origin, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, WithJsonSchema
+from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema, create_model
 
-from boresight.calibration import options
+from boresight.calibration import calibration, options
 
 Document = dict[str, Any]
 #: Choices of a calibration; `calibration.options` refuses what is none.
@@ -63,3 +65,30 @@ class Shape(BaseModel):
     """A document of which every member is listed."""
 
     model_config = ConfigDict(extra="forbid", populate_by_name=True)
+
+
+def make_shape(document: type, **replaced: Any) -> type[Shape]:
+    """Make the shape of one of our own documents from its dataclass: every member is listed and always there.
+
+    A description and examples come from a field's metadata; `replaced` are members that REST describes otherwise.
+    """
+    types = get_type_hints(document) | replaced
+    members: dict[str, Any] = {}
+    for one in fields(document):
+        name = {"schema": "document_schema"}.get(one.name, one.name)  # pydantic has a method of that name
+        alias = None if name == one.name else one.name
+        members[name] = (_convert(types[one.name]), Field(alias=alias, **one.metadata))
+    return create_model(document.__name__, __base__=Shape, __doc__=document.__doc__, **members)
+
+
+def _convert(kind: Any) -> Any:
+    """Return a member's type as pydantic takes it: documents inside as shapes, and values by name as an object."""
+    if isinstance(kind, type) and is_dataclass(kind):
+        return make_shape(kind)
+    if get_origin(kind) is calibration.Values:
+        return Values
+    if get_origin(kind) is list:
+        return list[_convert(get_args(kind)[0])]  # type: ignore[misc]
+    if get_origin(kind) is UnionType:
+        return Union[tuple(map(_convert, get_args(kind)))]  # noqa: UP007
+    return kind

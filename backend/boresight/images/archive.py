@@ -22,9 +22,10 @@ from boresight.images.extraction import Extraction
 from boresight.images.limits import ImageLimits, ImageSource, is_image
 from boresight.images.picture import make_picture
 from boresight.images.reading import read_image
-from boresight.telemetry.read.readers import read_telemetry, write_parquet
+from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.sensors import Sensor
 from boresight.telemetry.working_table import FrameImage, find_image
+from boresight.telemetry.writing import write_parquet
 
 TELEMETRY = "telemetry.parquet"
 #: ZIP knows no earlier time.

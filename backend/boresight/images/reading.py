@@ -30,7 +30,7 @@ from boresight.errors import RefusedInputError
 from boresight.images.limits import LIMITS, SUFFIXES, ImageLimits
 from boresight.telemetry.declarations import ImageFormat, parse_image_format
 from boresight.telemetry.imports.recognition import leading_to_import
-from boresight.telemetry.read.checks import Faults
+from boresight.telemetry.read.checks import EARLIEST, LATEST, Faults
 from boresight.telemetry.sensors import Sensor
 
 _MAGIC: Final = {
@@ -49,7 +49,6 @@ _NAMED_TIME = re.compile(
 )
 _KEPT_BYTES = 1 << 20
 _LONGEST_EXPOSURE_S = 86_400.0
-_EARLIEST, _LATEST = np.datetime64("1900-01-01", "us"), np.datetime64("2100-01-01", "us")
 
 
 @dataclass(frozen=True)
@@ -307,7 +306,7 @@ def _utc(text: str, scale: str, name: str, key: str) -> np.datetime64:
     """Read a time of a scale as UTC."""
     try:
         time = _convert_to_utc(text, scale)
-        if not _EARLIEST <= time < _LATEST:
+        if not EARLIEST <= time < LATEST:
             raise ValueError(text)  # noqa: TRY301 - it is told as the others are
     except Exception as error:
         raise RefusedInputError(

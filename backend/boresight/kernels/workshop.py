@@ -22,7 +22,7 @@ import numba
 
 import boresight.kernels
 from boresight.kernels.compilation import LOOPS, one_at_a_time, state_type
-from boresight.kernels.lean import make_lean
+from boresight.kernels.quick_compilation import shorten_compilation
 from boresight.waiting import tell
 
 PROCESSES = 2
@@ -119,7 +119,7 @@ def serve() -> None:
     """Compile what standard input names, until it ends."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what libraries print is no answer
-    make_lean()
+    shorten_compilation()
     while True:
         try:
             module, name, types = pickle.load(sys.stdin.buffer)  # noqa: S301 - of the process that started this one

@@ -621,7 +621,7 @@ def check(telemetry: TelemetrySource, sensor: SensorSource, *, progress: Wanted 
 
     settings = read_settings()
     with reporting(progress, "reading the telemetry") as report:
-        from boresight.telemetry.read.readers import read_chunks
+        from boresight.telemetry.readers import read_chunks
 
         prepared = _Prepared(settings, report)
         described, catalogue = read_any_sensor(sensor), prepared.load_catalogue()
@@ -1090,7 +1090,7 @@ def draw(
 def read_telemetry(source: TelemetrySource) -> Telemetry:
     """Read telemetry into arrays, SI, held against the rules of the format. `source` as `calibrate` takes it."""
     from boresight.library.inputs import read_in_memory
-    from boresight.telemetry.read import readers
+    from boresight.telemetry import readers
 
     limits = read_settings().telemetry_limits
     if isinstance(source, str | os.PathLike):

@@ -25,7 +25,7 @@ from boresight.disks import compute_digest
 from boresight.errors import RefusedInputError
 from boresight.telemetry.read.formats import FormFaults, Tables
 from boresight.telemetry.read.limits import Limits
-from boresight.telemetry.read.readers import iterate_chunks
+from boresight.telemetry.readers import iterate_chunks
 from boresight.telemetry.schema import REQUIRED_COLUMNS, Telemetry, joined
 from boresight.telemetry.sensors import Sensor, parse_sensor, read_sensor
 

@@ -416,7 +416,7 @@ def _make_file(telemetry: TelemetrySource) -> tuple[str, Path | bytes]:
     import pyarrow.parquet as pq
 
     read = read_telemetry(telemetry)
-    from boresight.telemetry.read.readers import contract_table
+    from boresight.telemetry.writing import contract_table
 
     content = io.BytesIO()
     pq.write_table(contract_table(read), content, compression="zstd")
@@ -447,7 +447,7 @@ def launch(
 
 
 def _name_prior(prior: StoredPrior | None) -> Operation[dict[str, int]]:
-    """Return how an order names the calibration that it starts from; nothing where it is none."""
+    """Return the members of an order that name the calibration it starts from; none without a prior."""
     if prior is None:
         return {}
     if isinstance(prior, str) and not prior.isdecimal():

@@ -388,14 +388,14 @@ def parse_report(kind: type[Any], document: Mapping[str, Any], **others: Any) ->
 
 def tabulate(telemetry: Telemetry) -> pa.Table:
     """Return telemetry as a table of the columns of the telemetry format."""
-    from boresight.telemetry.read.readers import contract_table
+    from boresight.telemetry.writing import contract_table
 
     return contract_table(telemetry)
 
 
 def save_telemetry(telemetry: Telemetry, path: Path) -> None:
     """Write telemetry by the ending of a file's name."""
-    from boresight.telemetry.read.readers import contract_table, write_table
+    from boresight.telemetry.writing import contract_table, write_table
 
     if path.suffix.lower() not in {".csv", ".jsonl", ".ndjson", ".parquet"}:
         raise RefusedInputError(f"{path.name} has no known format: end the name with .csv, .jsonl or .parquet.")

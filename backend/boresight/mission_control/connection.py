@@ -6,7 +6,6 @@ much, or does not let us in is an `UnavailableError`, after which the same may b
 
 from __future__ import annotations
 
-import ipaddress
 import ssl
 import time
 from collections.abc import Iterator, Mapping
@@ -21,6 +20,7 @@ import orjson
 
 import boresight
 from boresight.errors import RefusedInputError, UnavailableError
+from boresight.hosts import is_loopback
 
 #: Of connecting, and of every wait for further bytes.
 TIMEOUT_S = 20.0
@@ -60,7 +60,7 @@ def read_server(name: str, url: str, setting: str, credentials: str = "", author
             f"{setting}_URL contains more than scheme, host and path; give credentials in the file of {setting}_CREDENTIALS."
         )
     secret = _read_secret(Path(credentials).expanduser(), setting) if credentials else ""
-    if secret and parts.scheme != "https" and not _is_this_machine(parts.hostname or ""):
+    if secret and parts.scheme != "https" and not is_loopback(parts.hostname or ""):
         raise RefusedInputError(f"{setting}_URL would send credentials in the clear; give an https:// address.")
     return Server(name, url.rstrip("/"), setting, secret, Path(authority).expanduser() if authority else None)
 
@@ -76,13 +76,6 @@ def _read_secret(file: Path, setting: str) -> str:
     if not secret or not secret.isprintable():
         raise RefusedInputError(f"{setting}_CREDENTIALS={str(file)!r} has no secret in its first line; write it there.")
     return secret
-
-
-def _is_this_machine(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 class Connection:

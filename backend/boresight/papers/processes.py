@@ -15,10 +15,6 @@ R = TypeVar("R")
 Report = Callable[[str, float], None]
 
 
-def keep_silent(_words: str, _share: float) -> None:
-    """Report to nobody."""
-
-
 def run_all(
     run: Callable[[T, Path | None], R],
     trials: Sequence[T],

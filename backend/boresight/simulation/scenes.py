@@ -72,7 +72,7 @@ from boresight.errors import RefusedInputError
 from boresight.simulation.orbits import GOLDEN_ANGLE_RAD, MOTIONS, Orbit, attitude, look_at, state, usable
 from boresight.simulation.sensors import SENSOR_NUMBERS, st16_sensor, st16_truth
 from boresight.site import Site
-from boresight.sky.catalogue import Catalogue, unit_vectors
+from boresight.sky.catalogue import Catalogue, directions_at_epoch
 from boresight.sky.ground import observed_directions, view_from
 from boresight.telemetry.schema import UNMATCHED, Telemetry
 from boresight.telemetry.sensors import Sensor, parse_sensor, sensor_document
@@ -480,7 +480,7 @@ def _true_stars(
 ) -> _Stars:
     """Image the catalogue: candidates, apparent place, camera, detection, noise."""
     bright = np.flatnonzero(catalogue.magnitude < scenario.magnitude_limit + FAINTEST_BEYOND_LIMIT_MAG)
-    bright = bright[_resolved(scenario, _catalogue_directions(catalogue, bright), catalogue.magnitude[bright])]
+    bright = bright[_resolved(scenario, directions_at_epoch(catalogue, bright), catalogue.magnitude[bright])]
     index, star = _candidates(scenario, exposures, catalogue, bright)
     velocity = None if exposures.velocity_m_s is None else exposures.velocity_m_s[index]
     s_i = observed_directions(catalogue, star, exposures.time_utc[index], velocity, scenario.sensor.site)
@@ -516,7 +516,7 @@ def _candidates(
     scenario: Scenario, exposures: SimulatedExposures, catalogue: Catalogue, bright: IntArray
 ) -> tuple[IntArray, IntArray]:
     """Pair exposures with those bright stars that lie in their cone: exposure (n_pairs,) and catalogue index (n_pairs,)."""
-    s_i = _catalogue_directions(catalogue, bright)
+    s_i = directions_at_epoch(catalogue, bright)
     nearest = np.cos(_cone_rad(scenario) + CONE_MARGIN_RAD)
     boresight = exposures.attitude[:, 2]
     pairs = [
@@ -536,11 +536,6 @@ def _resolved(scenario: Scenario, s_i: FloatArray, magnitude: FloatArray) -> NDA
     resolved = np.ones(len(s_i), dtype=np.bool_)
     resolved[fainter] = False
     return resolved
-
-
-def _catalogue_directions(catalogue: Catalogue, star: IntArray) -> FloatArray:
-    """Return unit vectors (n, 3) at the catalogue's epoch: near enough to choose candidates."""
-    return unit_vectors(catalogue.ra_rad[star], catalogue.dec_rad[star])
 
 
 def _cone_rad(scenario: Scenario) -> float:

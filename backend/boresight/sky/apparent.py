@@ -39,20 +39,19 @@ import erfa
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.arrays import FloatArray, IntArray
+from boresight.arrays import ARCSEC_PER_RAD, DAY_US, FloatArray, IntArray
 from boresight.estimation.blocks import in_blocks
 from boresight.sky.catalogue import Catalogue
 
-_J2000 = np.datetime64("2000-01-01T12:00:00", "us")
-_JD_J2000 = 2451545.0
-_US_PER_DAY = 86400e6
+J2000 = np.datetime64("2000-01-01T12:00:00", "us")
+JD_J2000 = 2451545.0
 _TDB_MINUS_UTC_DAYS = 69.184 / 86400.0
 _STEP_DAYS = 0.25
 
 
 def days_since_j2000(time_utc: NDArray[np.datetime64]) -> FloatArray:
     """Return (n,) days of TDB since J2000.0 for (n,) UTC times."""
-    return (time_utc - _J2000).astype(np.int64) / _US_PER_DAY + _TDB_MINUS_UTC_DAYS
+    return (time_utc - J2000).astype(np.int64) / DAY_US + _TDB_MINUS_UTC_DAYS
 
 
 def earth_state(days: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -70,7 +69,7 @@ def earth_state(days: FloatArray) -> tuple[FloatArray, FloatArray]:
     """
     cell = np.floor(days / _STEP_DAYS).astype(np.int64)
     nodes = np.unique(np.unique(cell)[:, None] + np.arange(-1, 3))
-    _, barycentric = erfa.epv00(_JD_J2000, nodes * _STEP_DAYS)
+    _, barycentric = erfa.epv00(JD_J2000, nodes * _STEP_DAYS)
     first = np.searchsorted(nodes, cell - 1)
     weights = _cubic_weights(days / _STEP_DAYS - cell)
     position = sum(w[:, None] * barycentric["p"][first + k] for k, w in enumerate(weights))
@@ -90,7 +89,6 @@ def _cubic_weights(s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, F
 
 J1991_25_DAYS = 2448349.0625 - 2451545.0
 DAYS_PER_YEAR = 365.25
-_ARCSEC_PER_RAD = 180.0 * 3600.0 / np.pi
 C_AU_DAY = 173.1446326846693
 C_M_S = 299792458.0
 #: Directions found at a time: few enough to stay in the processor's cache, many enough to be worth a thread.
@@ -165,7 +163,7 @@ def _moved_and_aberrated(
         dec_rad,
         motion_rad_yr[0] / np.cos(dec_rad),
         motion_rad_yr[1],
-        parallax_rad * _ARCSEC_PER_RAD,
+        parallax_rad * ARCSEC_PER_RAD,
         0.0,
         years[moment_of_row],
         position_au[moment_of_row],

@@ -189,3 +189,8 @@ def _write_cache(catalogue: Catalogue, cache: Path) -> None:
         Path(temporary).replace(cache)
     except OSError:
         Path(temporary).unlink(missing_ok=True)
+
+
+def directions_at_epoch(catalogue: Catalogue, star: IntArray | slice) -> FloatArray:
+    """Return unit vectors (n, 3) to some stars at the catalogue's epoch, without proper motion."""
+    return unit_vectors(catalogue.ra_rad[star], catalogue.dec_rad[star])

@@ -32,17 +32,23 @@ import erfa
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.arrays import FloatArray, IntArray, TimeArray
+from boresight.arrays import DAY_US, FloatArray, IntArray, TimeArray
 from boresight.errors import RefusedInputError
 from boresight.estimation.blocks import in_blocks
 from boresight.site import Site
-from boresight.sky.apparent import C_AU_DAY, C_M_S, ROWS, apparent_directions, days_since_j2000, earth_state
+from boresight.sky.apparent import (
+    C_AU_DAY,
+    C_M_S,
+    J2000,
+    JD_J2000,
+    ROWS,
+    apparent_directions,
+    days_since_j2000,
+    earth_state,
+)
 from boresight.sky.catalogue import Catalogue
 
-_JD_J2000 = 2451545.0
 _MJD_J2000 = 51544.5
-_J2000 = np.datetime64("2000-01-01T12:00:00", "us")
-_US_PER_DAY = 86400e6
 _HOUR_DAYS = 1.0 / 24.0
 _KELVIN = 273.15
 
@@ -146,16 +152,16 @@ def view_from(site: Site, time_utc: TimeArray) -> GroundView:
 
     Raises RefusedInputError when a time is none that UTC is defined for.
     """
-    days_utc = (time_utc - _J2000).astype(np.int64) / _US_PER_DAY
+    days_utc = (time_utc - J2000).astype(np.int64) / DAY_US
     try:
         with warnings.catch_warnings(action="ignore", category=erfa.ErfaWarning):  # of years without known leap seconds
-            tt = erfa.taitt(*erfa.utctai(_JD_J2000, days_utc))
+            tt = erfa.taitt(*erfa.utctai(JD_J2000, days_utc))
     except erfa.ErfaError as error:
         raise RefusedInputError(
             "A camera on the ground needs times from 1960 on, in UTC: correct time_utc, or leave the site out."
         ) from error
     ut1_minus_utc, pole_x, pole_y = earth_orientation(days_utc)
-    theta = erfa.era00(_JD_J2000, days_utc + ut1_minus_utc / 86400.0)
+    theta = erfa.era00(JD_J2000, days_utc + ut1_minus_utc / 86400.0)
     position, velocity = earth_state(days_since_j2000(time_utc))
     earth = np.zeros(len(time_utc), erfa.dt_pv)
     earth["p"], earth["v"] = position, velocity
@@ -176,7 +182,7 @@ def _celestial_pole(days_tt: FloatArray) -> tuple[FloatArray, FloatArray, FloatA
     The pole moves by 0.02 arcsec an hour at most, and its series takes a tenth of a millisecond a time.
     """
     hours, place = np.unique(np.round(days_tt / _HOUR_DAYS), return_inverse=True)
-    x, y, s = erfa.xys06a(_JD_J2000, hours * _HOUR_DAYS)
+    x, y, s = erfa.xys06a(JD_J2000, hours * _HOUR_DAYS)
     return x[place], y[place], s[place]
 
 
@@ -228,7 +234,7 @@ def zeniths_from(places: FloatArray, time_utc: TimeArray) -> FloatArray:
 
     For places that are only supposed: the pole stands where it stood in 2000, within half a degree for sixty years, and UT1 is UTC.
     """
-    angle = erfa.era00(_JD_J2000, (time_utc - _J2000).astype(np.int64) / _US_PER_DAY)
+    angle = erfa.era00(JD_J2000, (time_utc - J2000).astype(np.int64) / DAY_US)
     cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
     x, y, z = places.T
     return np.stack([cosine * x - sine * y, sine * x + cosine * y, np.broadcast_to(z, (len(angle), len(z)))], axis=-1)

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from boresight.arrays import FloatArray, IntArray
 from boresight.site import Site
 from boresight.sky.apparent import C_AU_DAY, C_M_S, DAYS_PER_YEAR, J1991_25_DAYS, days_since_j2000, earth_state
-from boresight.sky.catalogue import SINGLE_STAR, Catalogue, unit_vectors
+from boresight.sky.catalogue import SINGLE_STAR, Catalogue, directions_at_epoch, unit_vectors
 from boresight.sky.ground import velocity_at, view_from
 
 #: Bands of z are so far apart where places are put in one order: x and a reach fit between, each two at most.
@@ -215,7 +215,7 @@ def flag_stars(catalogue: Catalogue, star: IntArray, blend_rad: float) -> NDArra
     first, last = (np.searchsorted(dec, catalogue.dec_rad[star] + edge * blend_rad) for edge in (-1.01, 1.01))
     of = np.repeat(np.arange(len(star)), last - first)
     other = order[np.arange(len(of)) + np.repeat(first - np.append(0, np.cumsum(last - first)[:-1]), last - first)]
-    chord = _directions(catalogue, other) - _directions(catalogue, star)[of]
+    chord = directions_at_epoch(catalogue, other) - directions_at_epoch(catalogue, star)[of]
     reach = 2 * np.sin(blend_rad / 2)
     near = (np.sum(chord * chord, axis=1) <= reach * reach) & (other != star[of])
     matters = catalogue.magnitude[other] - catalogue.magnitude[star[of]] <= FAINTER_MAG
@@ -246,7 +246,7 @@ def compute_pulls(catalogue: Catalogue, star: IntArray, psf_rad: float) -> Float
         count = last[part] - first[part]
         of = np.repeat(part, count)
         other = order[np.arange(len(of)) + np.repeat(first[part] - np.append(0, np.cumsum(count)[:-1]), count)]
-        chord = _directions(catalogue, other) - _directions(catalogue, star)[of]
+        chord = directions_at_epoch(catalogue, other) - directions_at_epoch(catalogue, star)[of]
         d = np.sqrt(np.sum(chord * chord, axis=1))
         near = (d <= reach) & (other != star[of])
         of, other, d = of[near], other[near], d[near]
@@ -259,11 +259,6 @@ def _unreliable(solution_type: IntArray) -> NDArray[np.int8]:
     return np.where(solution_type == SINGLE_STAR, 0, UNRELIABLE).astype(np.int8)
 
 
-def _directions(catalogue: Catalogue, star: IntArray | slice) -> FloatArray:
-    """Unit vectors (n, 3) to some stars."""
-    return unit_vectors(catalogue.ra_rad[star], catalogue.dec_rad[star])
-
-
 def phrases(flag: int) -> list[str]:
     """What is against a star with this flag, in words."""
     return [phrase for bit, phrase in FLAGS.items() if flag & bit]
@@ -271,6 +266,6 @@ def phrases(flag: int) -> list[str]:
 
 def _blended(catalogue: Catalogue, blend_rad: float) -> NDArray[np.int64]:
     """Stars, some more than once, with a companion within the radius that is brighter or at most `FAINTER_MAG` fainter."""
-    a, b = close_pairs(_directions(catalogue, slice(None)), 2 * np.sin(blend_rad / 2))
+    a, b = close_pairs(directions_at_epoch(catalogue, slice(None)), 2 * np.sin(blend_rad / 2))
     fainter_by = catalogue.magnitude[b] - catalogue.magnitude[a]
     return np.concatenate([a[fainter_by <= FAINTER_MAG], b[-fainter_by <= FAINTER_MAG]])

@@ -20,6 +20,7 @@ from typing import Any, Final
 from boresight.cameras.model import CameraModel, Role
 from boresight.site import SITE_FIELDS, Site, SiteField
 from boresight.telemetry.read.checks import Faults
+from boresight.wording import quote
 
 GLOBAL: Final = "global"
 ROLLING: Final = "rolling"
@@ -243,7 +244,7 @@ def parse_readout(value: Any, faults: Faults) -> Readout | None:
         return None
     if not isinstance(value, Mapping) or value.get("mode") not in MODES:
         given = value.get("mode") if isinstance(value, Mapping) else value
-        faults.add(f"readout.mode is {shown(given)}: write global, or rolling for a shutter that reads line after line")
+        faults.add(f"readout.mode is {quote(given)}: write global, or rolling for a shutter that reads line after line")
         return None
     _refuse_unknown("readout", value, tuple(item.name for item in fields(Readout)), faults)
     if value["mode"] == GLOBAL:
@@ -252,10 +253,10 @@ def parse_readout(value: Any, faults: Faults) -> Readout | None:
         return Readout(GLOBAL)
     axis, corrected = value.get("axis", AXES[0]), value.get("corrected", False)
     if axis not in AXES:
-        faults.add(f"readout.axis is {shown(axis)}: write rows if a line is a row, or columns")
+        faults.add(f"readout.axis is {quote(axis)}: write rows if a line is a row, or columns")
     if not isinstance(corrected, bool):
         faults.add(
-            f"readout.corrected is {shown(corrected)}: write true if the telemetry's centroids are corrected, or false"
+            f"readout.corrected is {quote(corrected)}: write true if the telemetry's centroids are corrected, or false"
         )
     return Readout(
         ROLLING, _line_time(value.get("line_time_s"), corrected is True, faults), str(axis), corrected is True
@@ -271,7 +272,7 @@ def _line_time(value: Any, corrected: bool, faults: Faults) -> float | None:
     if is_number and low <= abs(value) <= high:
         return float(value)
     faults.add(
-        f"readout.line_time_s is {'missing' if value is None else shown(value)}: give the seconds from one line to the next, "
+        f"readout.line_time_s is {'missing' if value is None else quote(value)}: give the seconds from one line to the next, "
         f"{low:g} to {high:g}, negative if the last line is read first"
     )
     return None
@@ -282,13 +283,13 @@ def parse_declared(value: Any, faults: Faults) -> Declared:
     if value is None:
         return Declared()
     if not isinstance(value, Mapping):
-        faults.add(f"declared is {shown(value)}: write an object with {', '.join(DECLARATIONS)}")
+        faults.add(f"declared is {quote(value)}: write an object with {', '.join(DECLARATIONS)}")
         return Declared()
     _refuse_unknown("declared", value, tuple(DECLARATIONS), faults)
     for name, declaration in DECLARATIONS.items():
         if name in value and value[name] not in tuple(declaration.words):
             faults.add(
-                f"declared.{name} is {shown(value[name])}: write {' or '.join(declaration.words)}, or leave it out"
+                f"declared.{name} is {quote(value[name])}: write {' or '.join(declaration.words)}, or leave it out"
             )
     return Declared(**{name: value[name] for name in DECLARATIONS if name in value})
 
@@ -301,9 +302,3 @@ def _refuse_unknown(key: str, value: Mapping[str, Any], known: tuple[str, ...], 
                 f"{key}.{str(name)[:40]} is not a field: "
                 + (f"did you mean {meant[0]}?" if meant else f"choose from {', '.join(known)}")
             )
-
-
-def shown(value: Any) -> str:
-    """Write a value of a sensor file as it is told of, cut where it is long."""
-    text = repr(value)
-    return text if len(text) <= 40 else text[:39] + "…"

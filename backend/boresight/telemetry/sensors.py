@@ -26,10 +26,10 @@ from boresight.telemetry.declarations import (
     parse_image_format,
     parse_readout,
     parse_site,
-    shown,
 )
 from boresight.telemetry.read.checks import Faults
 from boresight.telemetry.read.formats import read_json
+from boresight.wording import quote
 
 _REQUIRED = ("name", "detector", "camera_model", "parity", "centroid_sigma_px", "initial", "typical_sigma")
 #: Focal length as it is kept, and as a file may give it instead.
@@ -221,14 +221,14 @@ def _mapping(document: Mapping[str, Any], key: str, faults: Faults) -> Mapping[s
     value = document[key]
     if isinstance(value, Mapping):
         return value
-    faults.add(f"{key} is {shown(value)}: write an object of names and numbers")
+    faults.add(f"{key} is {quote(value)}: write an object of names and numbers")
     return {}
 
 
 def _name(value: Any, faults: Faults) -> str:
     if isinstance(value, str) and value.strip() == value and 0 < len(value) <= _LONGEST_NAME and value.isprintable():
         return value
-    faults.add(f"name is {shown(value)}: write a text of 1 to {_LONGEST_NAME} printable characters")
+    faults.add(f"name is {quote(value)}: write a text of 1 to {_LONGEST_NAME} printable characters")
     return ""
 
 
@@ -237,11 +237,11 @@ def _number(value: Any, field: str, limits: tuple[float, float], faults: Faults)
     if value is None:
         faults.add(f"{field} is missing: give a number")
     elif isinstance(value, bool) or not isinstance(value, int | float):
-        faults.add(f"{field} is {shown(value)}: give a number")
+        faults.add(f"{field} is {quote(value)}: give a number")
     elif isinstance(value, float) and not math.isfinite(value):
         faults.add(f"{field} is {value}: give a finite number")
     elif not limits[0] <= value <= limits[1]:
-        faults.add(f"{field} is {shown(value)}, expected {limits[0]:g} to {limits[1]:g}: check its unit")
+        faults.add(f"{field} is {quote(value)}, expected {limits[0]:g} to {limits[1]:g}: check its unit")
     else:
         return float(value)
     return math.nan
@@ -259,7 +259,7 @@ def _pixels(detector: Mapping[str, Any], key: str, faults: Faults) -> int:
 def _parity(value: Any, faults: Faults) -> int:
     if isinstance(value, int) and not isinstance(value, bool) and value in {1, -1}:
         return value
-    faults.add(f"parity is {shown(value)}: give 1 for a right-handed detector frame or -1 for an upright image")
+    faults.add(f"parity is {quote(value)}: give 1 for a right-handed detector frame or -1 for an upright image")
     return 0
 
 
@@ -267,7 +267,7 @@ def _camera_model(value: Any, faults: Faults) -> CameraModel:
     """Return the model of a name; any model, with a fault, when there is none such."""
     if isinstance(value, str) and value in CAMERA_MODELS:
         return CAMERA_MODELS[value]
-    faults.add(f"camera_model is {shown(value)}: choose {' or '.join(CAMERA_MODELS)}")
+    faults.add(f"camera_model is {quote(value)}: choose {' or '.join(CAMERA_MODELS)}")
     return next(iter(CAMERA_MODELS.values()))
 
 
@@ -309,13 +309,13 @@ def _free(value: Any, names: tuple[str, ...], faults: Faults) -> tuple[str, ...]
     if value is None:
         return names
     if not isinstance(value, list | tuple) or not value:
-        faults.add(f"free is {shown(value)}: list the parameters to estimate, or leave it out for all")
+        faults.add(f"free is {quote(value)}: list the parameters to estimate, or leave it out for all")
         return ()
     if FOCAL_M in names:
         value = [FOCAL_M if name == FOCAL_PX else name for name in value]
     for name in value:
         if name not in names:
-            faults.add(f"free names {shown(name)}: choose from {', '.join(names)}")
+            faults.add(f"free names {quote(name)}: choose from {', '.join(names)}")
     return tuple(name for name in names if name in value)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 from boresight.telemetry.read.checks import Faults
 from boresight.uplink.checksum import CHECKED, CHECKSUMS, WIDTHS, Checksum
 from boresight.uplink.fields import get_bits
+from boresight.wording import quote
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
 LONGEST_TEXT = 64
@@ -38,7 +39,7 @@ class Entries:
 
     def _wrong(self, key: str, expected: str) -> None:
         if key in self.document:
-            self.faults.add(f"{self._at(key)} is {_shown(self.document[key])}: {expected}")
+            self.faults.add(f"{self._at(key)} is {quote(self.document[key])}: {expected}")
         else:
             self.faults.add(f"{self._at(key)} is missing: {expected}")
 
@@ -150,12 +151,6 @@ class Entries:
         if self.has("offset_bits"):
             return int(self.whole("offset_bits", 0, 8 * MOST_BYTES))
         return 8 * int(self.whole("offset_bytes", 0, MOST_BYTES))
-
-
-def _shown(value: Any) -> str:
-    """Return a value as a refusal shows it, shortened."""
-    text = repr(value)
-    return text if len(text) <= 40 else text[:39] + "…"
 
 
 PARAMETERS = ("width", "poly", "init", "refin", "refout", "xorout")

@@ -43,7 +43,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from dataclasses import field as attribute
@@ -52,6 +51,7 @@ from typing import Any
 
 import numpy as np
 
+from boresight.arrays import ARCSEC_PER_RAD
 from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.errors import RefusedInputError
 from boresight.estimation.attitude import to_matrix
@@ -65,7 +65,6 @@ from boresight.uplink.fields import Field
 from boresight.uplink.parameter_service import ParameterService, parse_pus
 
 PLACES = 41
-ARCSEC_PER_RAD = 3600 * 180 / math.pi
 
 
 def quantisation_effect(

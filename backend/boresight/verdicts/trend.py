@@ -1,17 +1,22 @@
-"""A sensor over the mission, `boresight.trend/1`, SI: the tree that the console fills, REST writes and the figure draws."""
+"""A sensor over the mission, `boresight.trend/1`, SI: the tree that the console fills, REST writes and the figure draws.
+
+The shape that REST publishes is made of these classes, by their names and sentences.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Final, Literal
 
 from boresight.calibration.calibration import Values
 
-SCHEMA = "boresight.trend/1"
+SCHEMA: Final = "boresight.trend/1"
+Answer = Literal["YES", "NOT YET", "MORE DATA NEEDED"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrendPoint:
-    """A calibration at the time of its data; `timed`: whether the times are those of the telemetry."""
+    """A calibration at the time of its data."""
 
     run_id: int
     label: str
@@ -22,7 +27,7 @@ class TrendPoint:
     begins_utc: str
     at_utc: str
     ends_utc: str
-    timed: bool
+    timed: bool = field(metadata={"description": "Whether the times are those of the telemetry, not of the upload."})
     temperature_c: float | None
     parameters: Values[float]
     sigma: Values[float]
@@ -34,8 +39,8 @@ class TrendPoint:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BaselinePeriod:
-    """A set was the baseline from a time, until another."""
+class TrendBaseline:
+    """A baseline's time."""
 
     parameter_set_id: int
     name: str
@@ -65,7 +70,7 @@ class OnBoardMark:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Annotation:
+class TrendAnnotation:
     """What a person says of a time of the mission."""
 
     at_utc: str
@@ -76,7 +81,7 @@ class Annotation:
 
 @dataclass(frozen=True, kw_only=True)
 class DriftTest:
-    """A chi-square test of the drift."""
+    """A test at the false-alarm rate of the document."""
 
     statistic: float
     dof: int
@@ -87,7 +92,7 @@ class DriftTest:
 
 @dataclass(frozen=True, kw_only=True)
 class Drift:
-    """Whether the baseline still holds, and whether the parameters move with time, SI."""
+    """Whether the baseline still holds, and whether the parameters move with time."""
 
     verdict: str
     sentence: str
@@ -106,29 +111,31 @@ class Drift:
 
 @dataclass(frozen=True, kw_only=True)
 class Advice:
-    """Whether to recalibrate now, and the kind of advice that this is."""
+    """Whether to recalibrate now."""
 
-    answer: str
+    answer: Answer
     sentence: str
-    code: str
+    code: str = field(
+        metadata={"description": "The kind of advice, for its section in the guide.", "examples": ["trend_drift"]}
+    )
     reasons: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trend:
-    """A sensor over the mission, `boresight.trend/1`; `others`: calibrations under another camera model."""
+    """A sensor over the mission."""
 
-    schema: str = SCHEMA
+    schema: Literal["boresight.trend/1"] = SCHEMA
     sensor_id: int
     sensor: str
     camera_model: str
     parameter_names: list[str]
     baseline: SetName | None
     points: list[TrendPoint]
-    others: list[TrendPoint]
-    baselines: list[BaselinePeriod]
+    others: list[TrendPoint] = field(metadata={"description": "Calibrations under another camera model."})
+    baselines: list[TrendBaseline]
     on_board: list[OnBoardMark]
     truth: Values[float] | None
-    annotations: list[Annotation]
+    annotations: list[TrendAnnotation]
     drift: Drift
     advice: Advice

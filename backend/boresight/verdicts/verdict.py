@@ -471,7 +471,7 @@ def summarise_run(result: Calibration) -> RunSummary:
 
 
 def name_finding(advice: str, result: Calibration) -> str:
-    """Return what was found, of a sentence of advice: what it says itself, else its cause or kind; of no kind, all of it."""
+    """Return the finding behind an advice: its own, else the sentence of its cause, else of its kind; other text as it is."""
     if not isinstance(advice, Advice):
         return advice
     cause = next((one.sentence for one in result.causes if f"{CAUSE}{one.name}" == advice.code), None)

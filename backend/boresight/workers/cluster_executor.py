@@ -180,22 +180,22 @@ class ClusterExecutor:
         work = _MapWork(function, arguments, pieces)
         try:
             if pieces.count < 2 or (pieces.seconds is not None and pieces.seconds * pieces.count < AT_ONCE_S):
-                self._alone(work, done)
+                self._compute_alone(work, done)
             else:
-                self._shared(work, done)
+                self._compute_with_others(work, done)
         finally:
             self._seconds[kind] = pieces.seconds
             pieces.close()
         return pieces.results()
 
-    def _alone(self, work: _MapWork, done: ProgressCallback | None) -> None:
+    def _compute_alone(self, work: _MapWork, done: ProgressCallback | None) -> None:
         """Compute alone for a moment, because short work ends before others could begin."""
         while not work.pieces.complete:
             self._refuse_if_cancelled(work.pieces)
             work.compute(work.pieces.take(1, returned=True))
             _tell(work.pieces, done)
 
-    def _shared(self, work: _MapWork, done: ProgressCallback | None) -> None:
+    def _compute_with_others(self, work: _MapWork, done: ProgressCallback | None) -> None:
         """Compute in a second thread, lend groups and gather results, until all are there."""
         loans: dict[Slot, LentGroup] = {}
         here = contextvars.copy_context().run

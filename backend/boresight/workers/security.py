@@ -16,7 +16,6 @@ holds the one key is a part of this cluster, and nobody else is.
 
 from __future__ import annotations
 
-import ipaddress
 import logging
 import ssl
 from dataclasses import dataclass
@@ -33,6 +32,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from distributed import Security
 
 from boresight.errors import RefusedInputError
+from boresight.hosts import is_loopback
 from boresight.settings import Settings
 
 #: "No well-defined expiration date" (RFC 5280, 4.1.2.5), and a beginning that no clock stands before.
@@ -150,7 +150,7 @@ def own_security() -> Security:
 
 def refuse_open_link(settings: Settings, host: str, given: str) -> None:
     """Refuse a plain link that is reachable from other machines."""
-    if settings.cluster_network_closed or _is_loopback(host):
+    if settings.cluster_network_closed or is_loopback(host):
         return
     raise RefusedInputError(
         f"{given} is a plain link to another machine, and whoever reaches it can run programs on the server and on every worker: "
@@ -158,14 +158,6 @@ def refuse_open_link(settings: Settings, host: str, given: str) -> None:
         "on that network, set BORESIGHT_CLUSTER_NETWORK_CLOSED=1.",
         code="plain-link",
     )
-
-
-def _is_loopback(host: str) -> bool:
-    """Return whether a host is reachable from this machine only; of names only `localhost` is."""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def make_security(settings: Settings) -> Security | None:

@@ -257,7 +257,7 @@ def _fail(limiter: LoginLimiter, clock: Any, tried: LoginAttempt) -> float:
         except TooManyAttemptsError as refusal:
             clock.now_s += refusal.wait_s
             continue
-        limiter.ended(tried, failed=True)
+        limiter.record_outcome(tried, failed=True)
         return clock.now_s - began_s
 
 
@@ -269,7 +269,7 @@ def _tries_in_an_hour(limiter: LoginLimiter, clock: Any, tried: list[LoginAttemp
                 limiter.admit(one)
             except TooManyAttemptsError:
                 continue
-            limiter.ended(one, failed=True)
+            limiter.record_outcome(one, failed=True)
             tries += 1
         clock.now_s += 1.0
     return tries
@@ -354,7 +354,7 @@ def test_a_right_password_or_a_while_makes_up_for_the_wrong_ones_of_its_name(lim
     for _ in range(6):
         _fail(limiter, clock, tried)
     clock.now_s += limiter.admit(tried)
-    limiter.ended(tried, failed=False)
+    limiter.record_outcome(tried, failed=False)
     assert [_fail(limiter, clock, tried) for _ in range(5)] == [0] * 5
     for _ in range(7):
         _fail(limiter, clock, tried)
@@ -366,7 +366,7 @@ def test_the_counts_do_not_grow_without_bound(limiter, monkeypatch):
     monkeypatch.setattr("boresight.console.access.log_in_attempts.MOST_COUNTS", 100)
     for number in range(1000):
         limiter.admit(LoginAttempt(f"name-{number}", f"place-{number}"))
-        limiter.ended(LoginAttempt(f"name-{number}", f"place-{number}"), failed=True)
+        limiter.record_outcome(LoginAttempt(f"name-{number}", f"place-{number}"), failed=True)
     assert len(limiter._counts) <= 100
 
 

@@ -13,8 +13,8 @@ from boresight.calibration.options import CalibrationSettings
 from boresight.settings import read_settings
 from boresight.simulation import scenes
 from boresight.sky.catalogue import load_catalogue
-from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.sensors import sensor_document
+from boresight.telemetry.writing import write_csv
 from tests.served import PASSWORD, House
 
 Made = tuple[str, dict[str, Any]]

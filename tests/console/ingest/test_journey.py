@@ -9,8 +9,8 @@ import pytest
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import open_reading
 from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
-from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.sensors import sensor_document
+from boresight.telemetry.writing import write_csv
 from tests.served import House, add_people, serving, settings_in
 
 FRAMES = 40

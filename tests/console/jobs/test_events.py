@@ -190,7 +190,7 @@ def test_a_listener_that_is_too_slow_is_told_so_and_let_go(tmp_path):
     broadcast = Broadcast(engine)
 
     async def fall_behind() -> list[EventBatch | None]:
-        with broadcast.listening(SYSTEM) as listener:
+        with broadcast.open_listener(SYSTEM) as listener:
             for k in range(QUEUE_LENGTH + 50):
                 broadcast.hear({"kind": "progress", "run_id": k})
                 if k % 100 == 0:

@@ -132,7 +132,7 @@ def test_a_round_raises_the_alarm_of_a_broken_log_once_and_a_good_walk_lets_it_r
 
 def test_a_server_that_stops_does_not_wait_for_a_long_look(store, monkeypatch):
     begun, released = threading.Event(), threading.Event()
-    monkeypatch.setattr(upkeep_module, "PATIENCE_S", 0.05)
+    monkeypatch.setattr(upkeep_module.Maintenance, "patience_s", 0.05)
     maintenance = _upkeep(store)
     monkeypatch.setattr(upkeep_module.rules, "find_changed_sensors", lambda _: begun.set() or [released.wait(30.0)][:0])
     maintenance.start()

@@ -12,7 +12,7 @@ import sqlalchemy as sa
 from benchmarks.receivers import listening, receiving_mail
 from boresight.console.jobs.message_sender import MessageSender
 from boresight.console.messages import service as messages
-from boresight.console.messages.service import Choice, Outlets
+from boresight.console.messages.service import AddressChoice, Outlets
 from boresight.console.messages.tables import Message
 from boresight.errors import RefusedInputError
 from boresight.platform.actors import POLICY
@@ -62,7 +62,7 @@ def test_a_message_goes_the_whole_way_to_a_receiver_and_to_a_mail_server(engine,
     assert (checked.service, "secrettoken" in checked.shown) == ("json", False)
     with open_writing(engine) as session:
         ids = [
-            messages.add_address(session, people["ana"], box, "", *given, Choice()).id
+            messages.add_address(session, people["ana"], box, "", *given, AddressChoice()).id
             for given in ((address, checked), sender.judge_address(people["ana"], "ana@mission.example"))
         ]
         for address_id in ids:

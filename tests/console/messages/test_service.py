@@ -17,7 +17,7 @@ from boresight.console.approvals import threads
 from boresight.console.approvals.tables import Approval
 from boresight.console.messages import service as messages
 from boresight.console.messages.kinds import KINDS
-from boresight.console.messages.service import Choice, Outlets
+from boresight.console.messages.service import AddressChoice, Outlets
 from boresight.console.messages.tables import Message, MessageAddress
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.queries import claim, finish
@@ -44,7 +44,7 @@ def box(tmp_path) -> SecretBox:
 
 def _subscribe(session: Session, people: Any, box: SecretBox, name: str, *kinds: str, **quiet: str) -> MessageAddress:
     mail = f"{name}@mission.example"
-    choice = Choice(kinds or tuple(KINDS), **quiet)
+    choice = AddressChoice(kinds or tuple(KINDS), **quiet)
     return messages.add_address(session, people[name], box, "", mail, messages.mask_mail(mail), choice)
 
 
@@ -133,7 +133,7 @@ def test_every_kind_of_message_is_made_of_records_that_exist():
 
 def test_an_address_is_stored_encrypted_and_the_log_and_its_row_show_nothing_of_it(session, people, box):
     shown = CheckedAddress("slack", "slack://…")
-    row = messages.add_address(session, people["ana"], box, "Ops", TOKEN, shown, Choice(("alarm",)))
+    row = messages.add_address(session, people["ana"], box, "Ops", TOKEN, shown, AddressChoice(("alarm",)))
     assert box.open(row.address) == TOKEN
     record = audit.list_records(session, subject=f"message-addresses/{row.id}", limit=1)[0]
     assert record.after == {"user": people["ana"].user_id, "service": "slack", "kinds": ["alarm"], "quiet": None}
@@ -194,8 +194,8 @@ def test_what_happens_in_quiet_hours_is_due_when_they_end(subscribe, quiet, at, 
 
 @pytest.mark.parametrize(
     "choice",
-    [Choice(("gossip",)), Choice((), "22:00", ""), Choice((), "25:00", "07:00"), Choice((), "22:00", "22:00"),
-     Choice((), "22:00", "07:00", "Mars/Olympus")],
+    [AddressChoice(("gossip",)), AddressChoice((), "22:00", ""), AddressChoice((), "25:00", "07:00"),
+     AddressChoice((), "22:00", "22:00"), AddressChoice((), "22:00", "07:00", "Mars/Olympus")],
 )  # fmt: skip
 def test_kinds_times_and_zones_that_there_are_not_are_refused(choice):
     with pytest.raises(RefusedInputError):

@@ -20,8 +20,8 @@ from boresight.platform.blobs.store import register_blob
 from boresight.platform.blobs.tables import Blob
 from boresight.platform.db.sessions import open_reading, open_writing, utc_now
 from boresight.platform.jobs.forecasts import ForecastSources
-from boresight.telemetry.read.readers import write_parquet
 from boresight.telemetry.sensors import sensor_document
+from boresight.telemetry.writing import write_parquet
 from tests.calibration.conftest import telemetry
 from tests.calibration.sets import st16_sensor
 from tests.estimation.fields import GROUND

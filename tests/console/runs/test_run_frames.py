@@ -13,7 +13,7 @@ from boresight.platform.audit import log as audit
 from boresight.platform.blobs.store import register_blob
 from boresight.platform.db.sessions import open_writing
 from boresight.simulation.scenes import calibration_scenario, simulate
-from boresight.telemetry.read.readers import write_parquet
+from boresight.telemetry.writing import write_parquet
 from tests.sites import codes, text_of
 
 

@@ -25,9 +25,10 @@ from boresight.platform.blobs.store import register_blob
 from boresight.platform.blobs.working_tables import table_path
 from boresight.platform.db.sessions import open_reading, open_writing
 from boresight.simulation.images import simulate_images
-from boresight.telemetry.read.readers import read_telemetry, write_csv
+from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.sensors import parse_sensor, sensor_document
 from boresight.telemetry.working_table import FrameImage, WorkingTable, find_image
+from boresight.telemetry.writing import write_csv
 from tests.effort import few_of
 from tests.images.conftest import clean_images, folder, hard_images, night, small_night  # noqa: F401 - fixtures
 from tests.images.files import write_fits

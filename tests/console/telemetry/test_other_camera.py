@@ -15,8 +15,8 @@ from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.db.sessions import open_reading
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor, st16_truth
-from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.sensors import sensor_document
+from boresight.telemetry.writing import write_csv
 
 SECONDS = 20.0  # of an upload on a busy machine; the table of star patterns is made before
 NAMES = ("star_id", "ra_rad", "dec_rad", "quaternion")

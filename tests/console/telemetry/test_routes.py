@@ -15,7 +15,7 @@ from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.db.sessions import open_reading
 from boresight.simulation.scenes import calibration_scenario, simulate
-from boresight.telemetry.read.readers import write_csv
+from boresight.telemetry.writing import write_csv
 from tests.served import PASSWORD, House, add_people, serving, settings_in
 from tests.sites import codes
 

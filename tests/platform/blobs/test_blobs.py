@@ -23,8 +23,9 @@ from boresight.platform.blobs.working_tables import table_path, working_table
 from boresight.platform.db.data_version import LARGEST_SHARE, SizeLimitedCache
 from boresight.platform.db.sessions import Engine, open_writing
 from boresight.telemetry.read.limits import STORED
-from boresight.telemetry.read.readers import read_telemetry, write_parquet
+from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.working_table import WorkingTable, write_working_table
+from boresight.telemetry.writing import write_parquet
 from tests.refusals import has_code
 from tests.telemetry.test_working_table import assert_same_bits, full
 

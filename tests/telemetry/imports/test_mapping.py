@@ -12,7 +12,7 @@ from boresight.estimation.attitude import to_matrix
 from boresight.telemetry.imports.builtin import BUILT_IN
 from boresight.telemetry.imports.mapping import import_files
 from boresight.telemetry.imports.profile import parse_profile
-from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.readers import read_telemetry
 from tests.refusals import has_code
 from tests.telemetry.imports.conftest import source
 

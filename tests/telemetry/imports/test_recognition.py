@@ -11,7 +11,7 @@ from boresight.errors import RefusedInputError
 from boresight.images.reading import read_size
 from boresight.telemetry.imports.profile import parse_profile
 from boresight.telemetry.imports.recognition import draft_profile, recognise_for_import, recognise_table
-from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.readers import read_telemetry
 from tests.refusals import has_code
 from tests.telemetry.imports.conftest import VECTORS
 

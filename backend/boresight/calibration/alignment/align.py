@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from boresight.arrays import BoolArray, FloatArray, IntArray
+from boresight.arrays import ARCSEC_PER_RAD, BoolArray, FloatArray, IntArray, list_known
 from boresight.calibration.advice_kinds import Advice
 from boresight.calibration.alignment.result import (
     AXES,
@@ -23,7 +23,6 @@ from boresight.calibration.alignment.result import (
     write_quaternion,
 )
 from boresight.calibration.alignment.sides import Side, write_time
-from boresight.calibration.evaluation.alignment import ARCSEC_PER_RAD
 from boresight.errors import RefusedInputError
 from boresight.estimation.alignment import (
     HIGHEST_POWER,
@@ -275,7 +274,7 @@ def _residuals(pairs: Pairs, variation: Variation, found: Estimate) -> PairResid
     warmth = variation.temperature_c[some]
     return PairResiduals(
         time_utc=[write_time(one) for one in pairs.time_s[some]],
-        temperature_c=[float(one) if np.isfinite(one) else None for one in warmth],
+        temperature_c=list_known(warmth),
         residual_arcsec=(left[some] * ARCSEC_PER_RAD).tolist(),
         sigma_arcsec=sigma.tolist(),
         variation_arcsec=(basis @ fit.beta[1:] * ARCSEC_PER_RAD).tolist(),

@@ -8,11 +8,10 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from boresight.arrays import FloatArray
+from boresight.arrays import ARCSEC_PER_RAD, FloatArray
 from boresight.calibration.advice_kinds import join_codes
 from boresight.calibration.alignment.sides import Knowledge
 from boresight.calibration.calibration import Matrix, Numbers, make_schema, parse_part
-from boresight.calibration.evaluation.alignment import ARCSEC_PER_RAD
 from boresight.errors import RefusedInputError
 from boresight.estimation.alignment import TERMS, Kind
 from boresight.estimation.attitude import product, to_quaternion, vector_to_quaternion

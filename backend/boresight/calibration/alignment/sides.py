@@ -14,9 +14,9 @@ from typing import Literal
 
 import numpy as np
 
-from boresight.arrays import FloatArray, IntArray, TimeArray
+from boresight.arrays import ARCSEC_PER_RAD, FloatArray, IntArray, TimeArray
 from boresight.calibration.corrections import put_right
-from boresight.calibration.evaluation.alignment import ARCSEC_PER_RAD, sensitivity_of_exposures
+from boresight.calibration.evaluation.alignment import sensitivity_of_exposures
 from boresight.calibration.matching.rematch import rematch, square_root
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import make_problem

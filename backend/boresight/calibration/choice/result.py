@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cache
@@ -22,6 +22,7 @@ from boresight.calibration.calibration import Numbers, Values, to_plain
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
 from boresight.telemetry.sensors import Sensor
+from boresight.wording import join_words
 
 if TYPE_CHECKING:
     from pydantic import TypeAdapter
@@ -291,10 +292,10 @@ def _say_needed(found: Choice) -> str:
     held = [name for name in terms if name not in tested]
     if len(of) == 1:
         name, p, saved = of[0]
-        stands = f", in addition to {listed(held)}," if held else ""
+        stands = f", in addition to {join_words(held)}," if held else ""
         return f"{camera}: {name} terms{stands} are needed: {', '.join(part for part in (p, saved) if part)}"
-    each = listed([f"{name} ({', '.join(part for part in (p, saved) if part)})" for name, p, saved in of])
-    return f"{camera}: {each} terms are needed" + (f", on {listed(held)}" if held else "")
+    each = join_words([f"{name} ({', '.join(part for part in (p, saved) if part)})" for name, p, saved in of])
+    return f"{camera}: {each} terms are needed" + (f", on {join_words(held)}" if held else "")
 
 
 def _say_camera(found: Choice) -> Iterable[str]:
@@ -325,7 +326,7 @@ def _say_rest(found: Choice) -> Iterable[str]:
             f"({_say_p(math.log10(max(left.p, 1e-300)))})"
         )
     elif missing:
-        terms = listed(sorted({name for test in missing for name in test.terms}))
+        terms = join_words(sorted({name for test in missing for name in test.terms}))
         yield f"{terms} would also be needed, but these stars do not determine them"
     else:
         yield "nothing beyond"
@@ -351,8 +352,3 @@ def _say_saved(ratio: float | None) -> str:
         return ""
     change = 100.0 * (ratio - 1.0)
     return f"held-out RMS {'down' if change <= 0 else 'up'} by {abs(change):.2g} %"
-
-
-def listed(words: Sequence[str]) -> str:
-    """Join words as a list in a sentence."""
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}" if words else ""

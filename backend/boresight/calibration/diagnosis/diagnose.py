@@ -53,6 +53,7 @@ from boresight.telemetry.quality.detector import on_detector
 from boresight.telemetry.read.checks import EARLIEST, LATEST
 from boresight.telemetry.schema import Telemetry, find_exposures, joined, take_rows
 from boresight.telemetry.sensors import Sensor, sensor_document
+from boresight.waiting import ignore_progress
 
 Report = Callable[[str, float | None], None]
 
@@ -180,7 +181,7 @@ def diagnose(
     """
     sample, of_exposures = sample_exposures(telemetry)
     bench = Bench(sample, sensor, catalogue, settings or CalibrationSettings(), cache_folder)
-    tell = report or _silent
+    tell = report or ignore_progress
     tell("reading the table of star patterns", None)
     bench.prepare()  # making the table is not counted
     crowded = float(np.median(bench.exposures.count)) >= MOST_STARS if len(bench.exposures) else False
@@ -194,10 +195,6 @@ def match_as_they_stand(telemetry: TelemetryInput, sensor: Sensor, catalogue: Ca
     bench = Bench(sample, sensor, catalogue, CalibrationSettings(), None)
     valid = bench.match_as_given()
     return bool(2 * valid.sum() >= len(valid))
-
-
-def _silent(message: str, share: float | None) -> None:
-    """Tell nobody."""
 
 
 @dataclass(frozen=True)

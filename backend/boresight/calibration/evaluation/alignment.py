@@ -32,7 +32,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.arrays import FloatArray
+from boresight.arrays import ARCSEC_PER_RAD, FloatArray
 from boresight.calibration.calibration import Alignment
 from boresight.calibration.problem import Problem
 from boresight.calibration.result import numbers
@@ -48,7 +48,6 @@ from boresight.estimation.attitude import (
 )
 from boresight.estimation.statistics.special import fdtri
 
-ARCSEC_PER_RAD = float(np.degrees(1.0) * 3600)
 #: Stretches of the set between which the scatter of the mean is taken: each holds many frames that share stars.
 BLOCKS = 10
 #: Confidence of the test that both halves agree.

@@ -33,7 +33,7 @@ import math
 
 import numpy as np
 
-from boresight.arrays import FloatArray, IntArray
+from boresight.arrays import FloatArray, IntArray, list_known
 from boresight.estimation.statistics.special import ndtri, stdtrit
 
 REPLICATES = 1000
@@ -115,7 +115,7 @@ def interval(score: float, scores: FloatArray, n_blocks: float) -> list[float | 
     low, high = np.percentile(scores[~np.isnan(scores)], [tail, 100 - tail], method="nearest")
     widening = float(stdtrit(max(n_blocks - 1, 1), 0.5 + CONFIDENCE / 2)) / Z
     ends = (score - widening * (score - low), score + widening * (high - score))
-    return [float(end) if np.isfinite(end) else None for end in ends]
+    return list_known(ends)
 
 
 def share_interval(share: float, shares: FloatArray, n_blocks: float) -> list[float | None]:

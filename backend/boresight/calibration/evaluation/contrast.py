@@ -34,7 +34,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from boresight.arrays import FloatArray
+from boresight.arrays import ARCSEC_PER_RAD, FloatArray, list_known
 from boresight.calibration.calibration import Calibration, Covariance, Numbers
 from boresight.cameras import CAMERA_MODELS
 from boresight.estimation.statistics.special import chdtrc
@@ -108,7 +108,6 @@ def joint_test(difference: FloatArray, D: FloatArray, sigma: FloatArray) -> tupl
 
 
 RADII = 121
-ARCSEC = float(np.degrees(1.0) * 3600)
 #: A correlation is shown from here on.
 STRONG = 0.5
 
@@ -176,9 +175,7 @@ def strong_correlations(
     pairs = matrices[:, rows, columns]
     strength = np.max(np.abs(np.nan_to_num(pairs)), axis=0)
     chosen = [i for i in np.argsort(-strength, kind="stable") if strength[i] >= STRONG]
-    return [
-        (names[rows[i]], names[columns[i]], [float(v) if np.isfinite(v) else None for v in pairs[:, i]]) for i in chosen
-    ]
+    return [(names[rows[i]], names[columns[i]], list_known(pairs[:, i])) for i in chosen]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -216,13 +213,9 @@ def radial_contrast(
     known_px = [radius for radius in reached if radius is not None]
     return RadialContrast(
         radius_px=curve.radius_px.tolist(),
-        difference_px=_listed(curve.difference_px),
-        sigma_px=_listed(sigma_px),
-        difference_arcsec=_listed(curve.difference_rad * ARCSEC),
-        sigma_arcsec=_listed(sigma_rad * ARCSEC),
+        difference_px=list_known(curve.difference_px),
+        sigma_px=list_known(sigma_px),
+        difference_arcsec=list_known(curve.difference_rad * ARCSEC_PER_RAD),
+        sigma_arcsec=list_known(sigma_rad * ARCSEC_PER_RAD),
         data_radius_px=min(known_px) if len(known_px) == 2 else None,
     )
-
-
-def _listed(values: FloatArray) -> list[float | None]:
-    return [float(value) if np.isfinite(value) else None for value in values]

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import boresight
-from boresight.arrays import FloatArray
+from boresight.arrays import ARCSEC_PER_RAD, FloatArray
 from boresight.calibration.exports.lenses import E_FROM_TRIAD, FittedLens, Lens, fit_lens
 from boresight.calibration.parameter_file import parse_parameters
 from boresight.calibration.residual_spline import require_in
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 SCHEMA = "boresight.export/1"
 #: Misfit that is allowed, as a share of the sensor's centroid_sigma_px, where a format names no other.
 ALLOWED_SHARE = 0.1
-ARCSEC_PER_RAD = math.degrees(1.0) * 3600.0
 
 
 @dataclass(frozen=True)

@@ -213,13 +213,13 @@ class _Camera:
 
     @property
     def kind(self) -> str | None:
-        """OpenCV's name of the lens that this camera is; None where it is none of OpenCV's."""
+        """OpenCV's name of this camera's lens; None where OpenCV has no such lens."""
         seen = self.as_opencv
         return None if seen is None else seen.distortion_model
 
     @property
     def as_opencv(self) -> OpenCV | None:
-        """The camera as OpenCV writes it; None where it is none of OpenCV's."""
+        """The camera as OpenCV writes it; None where OpenCV has no such lens."""
         model = CAMERA_MODELS[self.sensor.camera_model]
         named = dict(zip(model.parameter_names, self.x.tolist(), strict=True))
         return None if model.opencv is None else model.opencv(named, self.sensor.pixel_pitch_m)

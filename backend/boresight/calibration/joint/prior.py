@@ -317,7 +317,7 @@ def without_held(
 
 
 def refuse_without_prior(settings: CalibrationSettings) -> None:
-    """Refuse what only a prior has where there is none."""
+    """Refuse settings of priors where no prior is given."""
     for name, option in OPTIONS.items():
         if option.group == OF_A_PRIOR and getattr(settings, name) != option.default:
             raise RefusedInputError(

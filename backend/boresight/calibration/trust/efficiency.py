@@ -36,9 +36,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from boresight.arrays import FloatArray
+from boresight.arrays import ARCSEC_PER_RAD, FloatArray
 from boresight.calibration.calibration import ArcSigmaMap, Efficiency, MoreData, Values
-from boresight.calibration.trust.fitted_set import ARCSEC, FittedSet, Unavailable, grid, nested
+from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, grid, nested
 from boresight.cameras import CAMERA_MODELS
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet, arclength
@@ -150,7 +150,7 @@ def arc_sigma_map(fitted: FittedSet) -> ArcSigmaMap:
     sigma, length = field_arc_sigma(sensor, fitted.estimate.x, fitted.full_covariance(fitted.estimate.P))
     if not np.isfinite(sigma).any():
         raise Unavailable("At these parameters no arc of the detector has a bounded error: check sensor and matches.")
-    sigma_arcsec = ARCSEC * sigma
+    sigma_arcsec = ARCSEC_PER_RAD * sigma
     best, worst, degrees = np.nanmin(sigma_arcsec), np.nanmax(sigma_arcsec), np.degrees(length)
     return ArcSigmaMap(
         row_px=nested(row),

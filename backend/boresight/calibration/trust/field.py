@@ -48,6 +48,7 @@ import numpy as np
 
 from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.calibration import (
+    RESIDUAL_UNITS,
     FieldOfResiduals,
     Histogram,
     ResidualAgainst,
@@ -279,10 +280,6 @@ def residual_outliers(fitted: FittedSet, found: StarResiduals) -> ResidualOutlie
 
 MOST_BINS = 12
 FEWEST_IN_A_BIN = 20
-UNITS = {
-    "radius": "px", "magnitude": "mag", "temperature": "°C", "time": "h", "colour": "mag", "row": "px", "column": "px",
-    "row_phase": "px", "column_phase": "px",
-}  # fmt: skip
 #: Quantities along an axis of the detector, with the component of the residual that is held against them.
 ALONG = {"row": 0, "column": 1, "row_phase": 0, "column_phase": 1}
 #: Those judged at a fifth of `UNLIKELY`.
@@ -394,7 +391,7 @@ def _in_bins(name: str, values: FloatArray, residual: FloatArray, sigma: FloatAr
         sigma_of_mean_px=nested(np.where(filled, of_mean, np.nan)),
         rms_px=nested(np.where(filled, rms, np.nan)),
         count=counts.tolist(),
-        unit=UNITS[name],
+        unit=RESIDUAL_UNITS[name],
         p=p,
         even=p >= _level(name),
         sentence=_against_sentence(name, float(np.abs(mean[filled]).max()), p),

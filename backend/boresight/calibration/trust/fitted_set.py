@@ -43,7 +43,6 @@ FEW = 64
 LARGEST_POWER = 22
 POWERS = 10.0 ** np.arange(LARGEST_POWER + 1)
 NEAR_HALF = 1e-6
-ARCSEC = float(np.degrees(1.0) * 3600)
 
 
 class Unavailable(Exception):  # noqa: N818 - an answer, not an error

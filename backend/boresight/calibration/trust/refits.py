@@ -36,10 +36,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.arrays import FloatArray
+from boresight.arrays import ARCSEC_PER_RAD, FloatArray
 from boresight.calibration.calibration import DroppedParameter, HalvesMap, HalvesTest, TwoHalves
 from boresight.calibration.minima import MOST_RESTARTS, LowerMinimum
-from boresight.calibration.trust.fitted_set import ARCSEC, FittedSet, Unavailable, chosen, grid, nested, probability
+from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, chosen, grid, nested, probability
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.batch import covariance
@@ -114,8 +114,10 @@ def _compared(fitted: FittedSet, first: batch.BatchFit, second: batch.BatchFit) 
     sensor, camera = fitted.problem.sensor, fitted.problem.camera
     row, col = grid(sensor.rows, sensor.columns, ROWS, COLUMNS)
     places = (np.repeat(row, COLUMNS), np.tile(col, ROWS))
-    difference = ARCSEC * difference_over_detector(camera, first.x, second.x, places, sensor.pixel_pitch_m)
-    expected = ARCSEC * expected_difference(camera, fitted.x, fitted.full_covariance(P), places, sensor.pixel_pitch_m)
+    difference = ARCSEC_PER_RAD * difference_over_detector(camera, first.x, second.x, places, sensor.pixel_pitch_m)
+    expected = ARCSEC_PER_RAD * expected_difference(
+        camera, fitted.x, fitted.full_covariance(P), places, sensor.pixel_pitch_m
+    )
     return TwoHalves(
         names=fitted.names,
         difference_in_sigma=nested(d / np.sqrt(np.diag(P))),

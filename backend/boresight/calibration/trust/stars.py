@@ -19,9 +19,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from boresight.arrays import BoolArray, FloatArray, IntArray
+from boresight.arrays import ARCSEC_PER_RAD, BoolArray, FloatArray, IntArray
 from boresight.calibration.calibration import StarTrust
-from boresight.calibration.trust.fitted_set import ARCSEC, UNLIKELY, FittedSet, Unavailable
+from boresight.calibration.trust.fitted_set import UNLIKELY, FittedSet, Unavailable
 from boresight.calibration.trust.residuals import StarResiduals, compute_star_residuals
 from boresight.sky.guide_stars import flag_stars, phrases
 
@@ -70,7 +70,7 @@ def star_table(fitted: FittedSet, first: StarResiduals) -> StarTable:
             break
         worst = new & (table.z >= table.z[new].max() / 2)
         named = table.suspect | worst
-        again = _judged(ids, compute_star_residuals(fitted, _kept(ids, table.star_id[named], first)))
+        again = _judged(ids, compute_star_residuals(fitted, _select_for_attitudes(ids, table.star_id[named], first)))
         table = _merged(table, again, named)
     return table
 
@@ -80,8 +80,8 @@ def _suspect(table: StarTable) -> BoolArray:
     return np.asarray(table.z**2 > -2 * np.log(UNLIKELY / len(table.z)))
 
 
-def _kept(ids: IntArray, out: IntArray, found: StarResiduals) -> BoolArray:
-    """Sightings that attitudes may rest on: none of these stars, unless too few would be left in the exposure."""
+def _select_for_attitudes(ids: IntArray, out: IntArray, found: StarResiduals) -> BoolArray:
+    """Which detections attitudes are estimated from: those of other stars, or all of an exposure where too few would be left."""
     kept = ~np.isin(ids, out)
     start = found.arcs.star_start
     left = np.add.reduceat(kept.astype(int), start[:-1])
@@ -153,8 +153,8 @@ def stars(fitted: FittedSet, table: StarTable) -> list[StarTrust]:
         np.hypot(d[:, 0], d[:, 1]) / table.pixel_rad[order],
         table.rms_px[order],
         z,
-        d * ARCSEC,
-        table.sigma_rad[order] * ARCSEC,
+        d * ARCSEC_PER_RAD,
+        table.sigma_rad[order] * ARCSEC_PER_RAD,
         table.suspect[order],
         alone,
     )

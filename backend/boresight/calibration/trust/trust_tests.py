@@ -362,12 +362,12 @@ KIND_OF_TEST: dict[str, TrustTestKind] = {kind.name: kind for kind in TRUST_TEST
 
 
 def get_test_title(name: str) -> str:
-    """The title of a test; the name itself where it is not in the table any more."""
+    """Return the title of a test; its name where an older version made it."""
     return KIND_OF_TEST[name].title if name in KIND_OF_TEST else name
 
 
 def get_test_gate(name: str) -> str:
-    """The gate that hears of a test; none of one that is not in the table any more."""
+    """Return the gate that a test counts for; empty where an older version made it."""
     return KIND_OF_TEST[name].gate if name in KIND_OF_TEST else ""
 
 

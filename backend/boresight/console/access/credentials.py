@@ -45,7 +45,8 @@ from boresight.platform.audit.security_log import tell_actor, tell_once
 from boresight.platform.db.data_version import DataVersion, DataVersionReader
 from boresight.platform.db.sessions import Engine, open_reading
 from boresight.platform.db.times import STYLE, TimeStyle
-from boresight.platform.web.concurrency_limit import ALWAYS, Refuse
+from boresight.platform.web.concurrency_limit import Refuse
+from boresight.platform.web.middleware import FOR_MACHINES
 from boresight.platform.web.response_cache import DATA_VERSION, SHARING, Sharing
 from boresight.settings import Settings
 
@@ -268,7 +269,7 @@ class Authentication:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Let a request in."""
-        if scope["type"] == "http" and not scope["path"].startswith(ALWAYS):
+        if scope["type"] == "http" and not scope["path"].startswith(FOR_MACHINES):
             try:
                 await authenticate(scope)
             except BoresightError as error:  # of the store
@@ -285,7 +286,7 @@ async def authenticate(scope: Scope) -> None:
     state.pop(TIMES, None)
     if not carries_credentials(scope, server.log_in_cookie.name):
         return
-    state[DATA_VERSION] = await server.data_version_poller.now()
+    state[DATA_VERSION] = await server.data_version_poller.read_now()
     with suppress(
         UnauthenticatedError, PasswordDueError, FactorEnrolmentDueError
     ):  # the endpoint says so, where it asks for somebody

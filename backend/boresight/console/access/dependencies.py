@@ -161,7 +161,7 @@ def strong(given: str) -> str:
 
 
 @dataclass(frozen=True)
-class Seen:
+class EntityTag:
     """The entity tag of the row that the client saw; None where a transition may be requested without one."""
 
     tag: str | None
@@ -178,22 +178,22 @@ class Seen:
 @refuses(412, 428)
 async def seen(
     if_match: Annotated[str | None, Header(alias="If-Match", description="The ETag that you read.")] = None,
-) -> Seen:
+) -> EntityTag:
     """Return the tag in `If-Match`, which every transition must state."""
     if if_match is None:
         raise PreconditionRequiredError('Say which version you saw: send its ETag in If-Match, as in If-Match: "v3".')
-    return Seen(strong(if_match))
+    return EntityTag(strong(if_match))
 
 
 @refuses(412)
 async def maybe_seen(
     if_match: Annotated[str | None, Header(alias="If-Match", description="The ETag that you read, if you did.")] = None,
-) -> Seen:
+) -> EntityTag:
     """Return the tag in `If-Match`, if there is one."""
-    return Seen(None if if_match is None else strong(if_match))
+    return EntityTag(None if if_match is None else strong(if_match))
 
 
-async def seen_version(given: Annotated[Seen, Depends(seen)]) -> int:
+async def seen_version(given: Annotated[EntityTag, Depends(seen)]) -> int:
     """Return the version that the tag in `If-Match` names."""
     tag = given.tag or ""
     digits = tag.removeprefix('"v').removesuffix('"')
@@ -363,8 +363,8 @@ Reading = Annotated[Session, Depends(open_read_session, scope="function")]
 Writing = Annotated[Session, Depends(open_write_or_dry_run, scope="function")]
 LoggingIn = Annotated[Session, Depends(open_write_session, scope="function")]
 SeenVersion = Annotated[int, Depends(seen_version)]
-SeenTag = Annotated[Seen, Depends(seen)]
-MaybeSeenTag = Annotated[Seen, Depends(maybe_seen)]
+SeenTag = Annotated[EntityTag, Depends(seen)]
+MaybeSeenTag = Annotated[EntityTag, Depends(maybe_seen)]
 Blobs = Annotated[BlobStore, depend_on_server("blobs")]
 Database = Annotated[Engine, depend_on_server("engine")]
 ServerFigureCache = Annotated[FigureCache, depend_on_server("figure_cache")]

@@ -24,7 +24,7 @@ from boresight.console.access.routes import require_seen
 from boresight.console.access.second_factors import FactorOffer
 from boresight.console.access.tables import SecondFactor, User
 from boresight.console.access.webauthn_ceremonies import RelyingParty
-from boresight.console.operation import Beside, OperationResponse, operations
+from boresight.console.operation import OperationResponse, RowWithFields, operations
 from boresight.console.schemas import Shape
 from boresight.platform.web.paging import Id, Listing, Page, Paged
 
@@ -71,7 +71,7 @@ def enrol_second_factor(
     """Enrol what `:begin` began, once it proves to work; the first one comes with recovery codes, which are in no other answer."""
     answer = given.factor.get_secret_value()
     row, codes = second_factors.enrol(session, actor, given.challenge_id, given.label, answer, rules, site)
-    return OperationResponse(Beside(row, recovery_codes=codes), headers=ONCE, shown_once=("recovery_codes",))
+    return OperationResponse(RowWithFields(row, recovery_codes=codes), headers=ONCE, shown_once=("recovery_codes",))
 
 
 @router.post(":begin", summary="Begin an enrolment", response_model=schemas.FactorOffer)

@@ -103,7 +103,7 @@ class LoginLimiter:
             self._counts.popitem(last=False)
         return begins_s - now_s
 
-    def ended(self, tried: LoginAttempt, *, failed: bool | None) -> None:
+    def record_outcome(self, tried: LoginAttempt, *, failed: bool | None) -> None:
         """Record the outcome of an attempt; `failed` is None where it was not made.
 
         A right password clears the failures of its name there. Counts without failures are not kept, so that only passwords that

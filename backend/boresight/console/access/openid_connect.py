@@ -38,7 +38,7 @@ from joserfc.jwk import KeySet
 import boresight
 from boresight.console.access.tables import ROLES
 from boresight.errors import RefusedInputError, SingleSignOnError, UnavailableError
-from boresight.platform.web.origins import is_loopback
+from boresight.hosts import is_loopback
 from boresight.settings import Settings
 
 CALLBACK = "/login/single-sign-on/callback"

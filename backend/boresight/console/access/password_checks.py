@@ -37,7 +37,7 @@ from boresight.errors import BoresightError, OverloadedError
 from boresight.platform.actors import Actor
 from boresight.platform.audit.security_log import tell
 from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing
-from boresight.platform.jobs.periodic_thread import PeriodicThread
+from boresight.platform.jobs.periodic_thread import PeriodicThread, PeriodicWorker
 from boresight.platform.web.text_validation import comparison_key
 
 MOST_QUEUED = 16  # hashes; at less than 0.2 s each the last waits some seconds
@@ -77,7 +77,7 @@ def _yield_processors() -> None:
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
 
 
-class PasswordWorker:
+class PasswordWorker(PeriodicWorker):
     """The passwords of one server's requests."""
 
     def __init__(self, database: Engine, free: int, rules: FactorRules | None = None) -> None:
@@ -97,13 +97,9 @@ class PasswordWorker:
         self._told_s = time.monotonic()
         self._thread = PeriodicThread("record of wrong passwords", [self.record_failures], self._rest_s)
 
-    def start(self) -> None:
-        """Begin to record failures in the audit log."""
-        self._thread.start()
-
     def close(self) -> None:
         """Stop, and record the failures that are not recorded yet; safe to call twice."""
-        self._thread.close()
+        super().close()
         self._thread.take(partial(self.record_failures, whole=True))
         self._known.close()
         self._returning.close()
@@ -201,7 +197,7 @@ class PasswordWorker:
             fits = await self._read(partial(second_factors.fits, user_id=owner_id, code=typed, rules=rules))
             failed = not fits
         finally:
-            self._limiter.ended(tried, failed=failed)
+            self._limiter.record_outcome(tried, failed=failed)
         if failed:
             self._note(FailedAttempt.of(tried.name, tried.place))
         return replace(proof, given=replace(given, fits=fits))
@@ -243,7 +239,7 @@ class PasswordWorker:
             proof = await lane.run(partial(passwords.check, stored, password))
             failed = not proof.fits
         finally:
-            self._limiter.ended(tried, failed=failed)
+            self._limiter.record_outcome(tried, failed=failed)
         if failed:
             tell("authn_login_fail", "failure", name=attempt.name, reason="password", method="password")
             self._note(attempt)

@@ -12,11 +12,11 @@ from starlette.responses import Response
 
 from boresight.console.access import api_keys, preferences, schemas, sessions, users
 from boresight.console.access.dependencies import (
+    EntityTag,
     LoggingIn,
     MaybeSeenTag,
     PasswordChecks,
     Reading,
-    Seen,
     SeenTag,
     ServerSettings,
     Who,
@@ -30,7 +30,7 @@ from boresight.console.access.dependencies import (
 )
 from boresight.console.access.passwords import NewPassword, PasswordProof
 from boresight.console.access.tables import ApiKey, LoginSession, User
-from boresight.console.operation import Beside, OperationResponse, operations
+from boresight.console.operation import OperationResponse, RowWithFields, operations
 from boresight.console.schemas import Shape
 from boresight.platform.actors import SCOPES, Actor
 from boresight.platform.db.sessions import Session
@@ -66,7 +66,7 @@ class Password(Shape):
     current: SecretStr = SecretStr("")
 
 
-def require_seen(session: Session, user_id: int, seen: Seen) -> None:
+def require_seen(session: Session, user_id: int, seen: EntityTag) -> None:
     """Refuse a change by someone who saw older roles or an older state of the person."""
     row = session.get_known(User, user_id)
     seen.require(schemas.User, row, row.printed_name)
@@ -186,7 +186,9 @@ def list_api_keys(actor: Who, session: Reading, page: Paged) -> Listing[ApiKey]:
 def create_api_key(wanted: NewKey, actor: Who, session: Writing) -> OperationResponse:
     """Create a key. `secret` is in this answer and nowhere else."""
     row, secret = api_keys.create_key(session, actor, **dict(wanted))
-    return OperationResponse(Beside(row, secret=secret), headers={"Cache-Control": "no-store"}, shown_once=("secret",))
+    return OperationResponse(
+        RowWithFields(row, secret=secret), headers={"Cache-Control": "no-store"}, shown_once=("secret",)
+    )
 
 
 @api_key_router.post("/{key_id}:revoke", summary="Revoke a key", response_model=schemas.ApiKey)
@@ -218,7 +220,7 @@ async def proven(credentials: Credentials, passwords: PasswordChecks, request: R
 
 
 def _who(session: Session, actor: Actor, csrf_token: str | None) -> OperationResponse:
-    body = Beside(
+    body = RowWithFields(
         actor,
         roles=sorted(actor.roles),
         scopes=None if actor.scopes is None else sorted(actor.scopes),
@@ -277,15 +279,15 @@ def end_other_sessions(actor: Who, session: Writing) -> dict[str, int]:
 
 
 @session_router.post("/{session_id}:end", summary="End a log-in", response_model=schemas.LoginSession)
-def end_session(session_id: Id, actor: Who, settings: ServerSettings, session: Writing) -> Beside:
+def end_session(session_id: Id, actor: Who, settings: ServerSettings, session: Writing) -> RowWithFields:
     """End one log-in: one's own, or as an administrator another's."""
     return _shown(sessions.end_session(session, actor, session_id), actor, settings)
 
 
-def _shown(row: LoginSession, actor: Actor, settings: Settings) -> Beside:
+def _shown(row: LoginSession, actor: Actor, settings: Settings) -> RowWithFields:
     """Return a log-in, with when it ends at the latest."""
     ends_utc = settings.session_limits.ends_utc(row.created_utc)
-    return Beside(row, ends_utc=ends_utc, current=row.id == actor.session_id)
+    return RowWithFields(row, ends_utc=ends_utc, current=row.id == actor.session_id)
 
 
 session_router.routes.extend(entrance.routes)

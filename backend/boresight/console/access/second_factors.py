@@ -136,7 +136,7 @@ def _is_of_app(typed: str) -> bool:
 
 
 def _find_step(factor: SecondFactor, typed: str, rules: FactorRules) -> int | None:
-    """Return the step that a code is of, later than any that was taken; None where it is of none."""
+    """Return the time step that a code is valid for, later than any used before; None where it is valid for none."""
     if factor.kind != "totp" or (secret := rules.box.open(factor.secret)) is None:
         return None
     return _match(secret, typed, factor.last_step)
@@ -302,13 +302,13 @@ def finish_waiting(
     if user.disabled_utc is not None:
         raise SecondFactorError("This account is disabled; ask an administrator.")
     actor = Actor(user.id, user.name, user.printed_name, frozenset(user.roles), "session", None, request_id)
-    with _answering(session, row):
+    with _settling(session, row):
         kind = use(session, actor, user, given, "log-in", row)
     return row, kind
 
 
 @contextmanager
-def _answering(session: Session, row: FactorChallenge) -> Iterator[None]:
+def _settling(session: Session, row: FactorChallenge) -> Iterator[None]:
     """End a challenge with its right answer, or with the last wrong one that it takes; each is counted though it is refused."""
     try:
         yield
@@ -401,7 +401,7 @@ def enrol(
         raise RefusedInputError(f"The name of a second factor has at most {LONGEST_LABEL} letters; shorten it.")
     offered = _find_own(session, actor, challenge_id)
     first = not rows.list_factors(session, user.id)
-    with _answering(session, offered):
+    with _settling(session, offered):
         factor = _make(session, user, offered, answer, rules, site)
     factor.label = label or {"totp": "Authenticator app", "webauthn": "Security key"}[factor.kind]
     session.put(factor)

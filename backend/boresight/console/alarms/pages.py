@@ -17,7 +17,7 @@ from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import ALARM_KINDS, Alarm, AlarmEvent
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.tables import Sensor
-from boresight.console.operation import Beside
+from boresight.console.operation import RowWithFields
 from boresight.console.pages.rendering import (
     RefusalContext,
     make_change,
@@ -110,8 +110,8 @@ def _state(view: TableView) -> str:
     return view.where.get("state", "open")
 
 
-def _csv_row(row: Alarm, names: RunNames) -> Beside:
-    return Beside(
+def _csv_row(row: Alarm, names: RunNames) -> RowWithFields:
+    return RowWithFields(
         row,
         alarm=row.id,
         severity=row.level,

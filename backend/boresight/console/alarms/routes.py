@@ -10,7 +10,7 @@ from pydantic import Field
 from boresight.console.access.dependencies import Reading, SeenVersion, Who, Writing
 from boresight.console.alarms import service as alarms
 from boresight.console.alarms import tables
-from boresight.console.operation import Beside, operations
+from boresight.console.operation import RowWithFields, operations
 from boresight.console.schemas import Document, Row, Shape
 from boresight.platform.web.paging import Id, Listing, Page, Paged
 
@@ -76,8 +76,8 @@ class Assignee(Shape):
     user_id: Id | None = Field(description="Null: nobody.")
 
 
-def _shown(row: tables.Alarm) -> Beside:
-    return Beside(row, state=alarms.get_alarm_state(row))
+def _shown(row: tables.Alarm) -> RowWithFields:
+    return RowWithFields(row, state=alarms.get_alarm_state(row))
 
 
 @router.get("", summary="List alarms", response_model=Page[Alarm])
@@ -96,7 +96,7 @@ def list_alarms(
 
 
 @router.get("/{alarm_id}", summary="Read an alarm", response_model=Alarm)
-def get_alarm(alarm_id: Id, session: Reading) -> Beside:
+def get_alarm(alarm_id: Id, session: Reading) -> RowWithFields:
     """Read an alarm with its evidence; the ETag is needed to handle it."""
     return _shown(session.get_known(tables.Alarm, alarm_id))
 
@@ -108,30 +108,30 @@ def list_alarm_events(alarm_id: Id, session: Reading) -> Listing[tables.AlarmEve
 
 
 @router.post("/{alarm_id}:acknowledge", summary="Acknowledge an alarm", response_model=Alarm)
-def acknowledge_alarm(alarm_id: Id, comment: Comment, actor: Who, seen: SeenVersion, session: Writing) -> Beside:
+def acknowledge_alarm(alarm_id: Id, comment: Comment, actor: Who, seen: SeenVersion, session: Writing) -> RowWithFields:
     """Acknowledge an alarm; if it has returned to normal, this closes it."""
     return _shown(alarms.acknowledge(session, actor, alarm_id, comment.text, seen))
 
 
 @router.post("/{alarm_id}:shelve", summary="Shelve an alarm", response_model=Alarm)
-def shelve_alarm(alarm_id: Id, shelf: Shelf, actor: Who, seen: SeenVersion, session: Writing) -> Beside:
+def shelve_alarm(alarm_id: Id, shelf: Shelf, actor: Who, seen: SeenVersion, session: Writing) -> RowWithFields:
     """Shelve an alarm until a time, with the reason; it is not counted meanwhile."""
     return _shown(alarms.shelve(session, actor, alarm_id, shelf.until_utc, shelf.reason, seen))
 
 
 @router.post("/{alarm_id}:unshelve", summary="Unshelve an alarm", response_model=Alarm)
-def unshelve_alarm(alarm_id: Id, actor: Who, seen: SeenVersion, session: Writing) -> Beside:
+def unshelve_alarm(alarm_id: Id, actor: Who, seen: SeenVersion, session: Writing) -> RowWithFields:
     """Unshelve an alarm before its time."""
     return _shown(alarms.unshelve(session, actor, alarm_id, seen))
 
 
 @router.post("/{alarm_id}:assign", summary="Assign an alarm", response_model=Alarm)
-def assign_alarm(alarm_id: Id, assignee: Assignee, actor: Who, seen: SeenVersion, session: Writing) -> Beside:
+def assign_alarm(alarm_id: Id, assignee: Assignee, actor: Who, seen: SeenVersion, session: Writing) -> RowWithFields:
     """Assign an alarm to a person, or remove its assignee."""
     return _shown(alarms.assign(session, actor, alarm_id, assignee.user_id, seen))
 
 
 @router.post("/{alarm_id}:comment", summary="Comment on an alarm", response_model=Alarm)
-def comment_on_alarm(alarm_id: Id, comment: Comment, actor: Who, seen: SeenVersion, session: Writing) -> Beside:
+def comment_on_alarm(alarm_id: Id, comment: Comment, actor: Who, seen: SeenVersion, session: Writing) -> RowWithFields:
     """Add a comment to an open alarm; comments cannot be edited."""
     return _shown(alarms.comment(session, actor, alarm_id, comment.text, seen))

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from boresight.arrays import parse_times
+from boresight.arrays import ARCSEC_PER_RAD, parse_times
 from boresight.calibration.alignment.align import AlignmentOptions
 from boresight.calibration.alignment.result import Alignment as AlignmentResult
 from boresight.calibration.alignment.result import parse_alignment
@@ -47,7 +47,6 @@ LEASE_S = 900.0
 MOST_ATTEMPTS = 3
 #: Former alignments of a pair that a page compares.
 HISTORY = 20
-ARCSEC_PER_RAD = float(np.degrees(3600.0))
 
 
 @dataclass(frozen=True)

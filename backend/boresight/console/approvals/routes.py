@@ -42,7 +42,7 @@ from boresight.console.approvals.service import Decision
 from boresight.console.approvals.tables import Approval, GateProfile, GateReport, Opening, Remark, Thread, Waiver
 from boresight.console.change_proposals import service as proposals
 from boresight.console.change_proposals.routes import PROPOSED, in_force_or_proposed
-from boresight.console.operation import Beside, OperationResponse, operations
+from boresight.console.operation import OperationResponse, RowWithFields, operations
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.figure_routes import FigureName, Seen, get_figure
 from boresight.console.runs.schemas import PlotlyFigure
@@ -163,12 +163,12 @@ def _examine(
 Examined = Annotated[gates.GateAssessment, Depends(_examine)]
 
 
-def _shown(session: Session, row: GateReport) -> Beside:
+def _shown(session: Session, row: GateReport) -> RowWithFields:
     """Return a report with its waivers applied, and whether its inputs are unchanged."""
     document = to_plain(gates.lay_waivers(session, row)) | {"bound": row.document["bound"]}  # as it is stored
     laid_over = {name: document[name] for name in LAID_OVER}
     given = approval_queries.list_waivers(session, [row.parameter_set_id])
-    return Beside(row, **laid_over, holds=not gates.list_moved_since(session, row), waivers=given)
+    return RowWithFields(row, **laid_over, holds=not gates.list_moved_since(session, row), waivers=given)
 
 
 @gate_report_router.post(
@@ -182,7 +182,7 @@ def assess_parameter_set(
     actor: Who,
     examined: Examined,
     session: Writing,
-) -> Beside:
+) -> RowWithFields:
     """Match the validation frames with this set and with the incumbent, judge every gate, and store the report.
 
     The same evidence gives the same report, which is then not stored again. If the evidence changed while the frames
@@ -194,7 +194,7 @@ def assess_parameter_set(
 @gate_report_router.get(
     "/{parameter_set_id}/gate-report", summary="Read its gate report", response_model=schemas.GateReport
 )
-def get_gate_report(parameter_set_id: Id, session: Reading, sha256: Hash | None = None) -> Beside:
+def get_gate_report(parameter_set_id: Id, session: Reading, sha256: Hash | None = None) -> RowWithFields:
     """Read the newest report, or the one that a request binds, with its waivers; `holds`: whether its evidence is unchanged."""
     return _shown(session, gates.get_report(session, parameter_set_id, sha256))
 
@@ -298,12 +298,12 @@ def get_approval(approval_id: Id, session: Reading) -> Approval:
 
 
 @router.get("/{approval_id}/signers", summary="List who may sign", response_model=Page[schemas.Signer])
-def list_signers(approval_id: Id, policy: ServerPolicy, session: Reading) -> Listing[Beside]:
+def list_signers(approval_id: Id, policy: ServerPolicy, session: Reading) -> Listing[RowWithFields]:
     """List every approver with whether they may sign this request, and if not, which action on the set excludes them."""
     found = approvals.list_request_signers(session, approval_id, policy=policy)
     return Listing(
         [
-            Beside(
+            RowWithFields(
                 one.user, user_id=one.user.id, may_sign=one.refusal is None, excluded_as=one.roles, refusal=one.refusal
             )
             for one in found

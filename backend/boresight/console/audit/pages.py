@@ -20,7 +20,7 @@ from boresight.console.access.dependencies import KNOWN, Blobs, Reading, Who
 from boresight.console.audit.queries import name_objects
 from boresight.console.audit.service import anchor_now
 from boresight.console.jobs.dependencies import ServerAnchoring, ServerMaintenance
-from boresight.console.operation import Beside
+from boresight.console.operation import RowWithFields
 from boresight.console.pages.rendering import make_change, render
 from boresight.console.pages.tables import (
     Table,
@@ -298,8 +298,8 @@ def audit_csv(request: Request, session: Reading) -> Response:
     return write_csv(view, (_csv_row(record) for record in read_all(session, view, **_sought(view))))
 
 
-def _csv_row(record: AuditRecord) -> Beside:
-    return Beside(record, roles=", ".join(record.roles or ()), changed=make_audit_line(record).gist)
+def _csv_row(record: AuditRecord) -> RowWithFields:
+    return RowWithFields(record, roles=", ".join(record.roles or ()), changed=make_audit_line(record).gist)
 
 
 @router.get("/audit/{record_id}", response_class=HTMLResponse, dependencies=[KNOWN])

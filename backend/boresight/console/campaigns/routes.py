@@ -7,11 +7,11 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from boresight.console import schemas as console_schemas
-from boresight.console.access.dependencies import IsDryRun, Reading, Seen, SeenTag, Who, Writing
+from boresight.console.access.dependencies import EntityTag, IsDryRun, Reading, SeenTag, Who, Writing
 from boresight.console.campaigns import service as campaigns
 from boresight.console.campaigns.queries import MemberStatus
 from boresight.console.campaigns.service import MOST_SENSORS, CampaignView, MemberRequest, make_result_line
-from boresight.console.operation import Beside, OperationResponse, operations
+from boresight.console.operation import OperationResponse, RowWithFields, operations
 from boresight.console.schemas import Document, Row, Shape
 from boresight.platform.db.sessions import Session
 from boresight.platform.web.paging import Id, Listing, Page, Paged
@@ -126,12 +126,12 @@ class CampaignCancellation(Shape):
     reason: str = ""
 
 
-def _shown(view: CampaignView) -> Beside:
+def _shown(view: CampaignView) -> RowWithFields:
     told = {name: getattr(view, name) for name in ("state", "sensors", "ended", "fraction", "counts", "newest_id")}
-    return Beside(view.row, **told)
+    return RowWithFields(view.row, **told)
 
 
-def _require_seen(session: Session, campaign_id: int, seen: Seen) -> None:
+def _require_seen(session: Session, campaign_id: int, seen: EntityTag) -> None:
     seen.require(Campaign, _shown(campaigns.read_campaign(session, campaign_id)), f"Campaign {campaign_id}")
 
 
@@ -150,7 +150,7 @@ def list_campaigns(session: Reading, page: Paged) -> Listing[CampaignView]:
 )
 def launch_campaign(
     launch: CampaignLaunch, actor: Who, session: Writing, asked: IsDryRun
-) -> Beside | OperationResponse:
+) -> RowWithFields | OperationResponse:
     """Queue a run for every sensor that can have one; the others are listed with the cause. All or nothing in one transaction."""
     made = campaigns.launch_campaign(
         session,
@@ -167,7 +167,7 @@ def launch_campaign(
 
 
 @router.get("/{campaign_id}", summary="Read a campaign", response_model=Campaign)
-def get_campaign(campaign_id: Id, session: Reading) -> Beside:
+def get_campaign(campaign_id: Id, session: Reading) -> RowWithFields:
     """Read a campaign: how many of its runs are in each state, and how far it is."""
     return _shown(campaigns.read_campaign(session, campaign_id))
 
@@ -186,7 +186,7 @@ def cancel_campaign(
     seen: SeenTag,
     session: Writing,
     cancellation: CampaignCancellation | None = None,
-) -> Beside:
+) -> RowWithFields:
     """Cancel every run of a campaign that has not ended."""
     _require_seen(session, campaign_id, seen)
     campaigns.cancel_campaign(session, actor, campaign_id, cancellation.reason if cancellation else "")
@@ -199,7 +199,7 @@ def cancel_campaign(
     status_code=202,
     response_model=Campaign,
 )
-def relaunch_campaign(campaign_id: Id, actor: Who, seen: SeenTag, session: Writing) -> Beside:
+def relaunch_campaign(campaign_id: Id, actor: Who, seen: SeenTag, session: Writing) -> RowWithFields:
     """Queue new runs for the sensors whose run failed, was lost, or could not be launched."""
     _require_seen(session, campaign_id, seen)
     campaigns.relaunch_failed(session, actor, campaign_id)

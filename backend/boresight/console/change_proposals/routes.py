@@ -11,7 +11,7 @@ from boresight.console.access.dependencies import Reading, SeenVersion, Who, Wri
 from boresight.console.approvals.tables import GateProfile
 from boresight.console.change_proposals import service as proposals
 from boresight.console.change_proposals import tables
-from boresight.console.operation import Beside, OperationResponse, operations
+from boresight.console.operation import OperationResponse, RowWithFields, operations
 from boresight.console.schemas import Document, Row, Shape
 from boresight.console.uplinks.tables import TableDefinition
 from boresight.platform.db.sessions import Session
@@ -74,8 +74,8 @@ class ProposalComment(Shape):
     comment: str = Field("", max_length=4000, description="Required to refuse.")
 
 
-def _shown(session: Session, row: tables.ChangeProposal) -> Beside:
-    return Beside(row, differences=proposals.list_differences(session, row))
+def _shown(session: Session, row: tables.ChangeProposal) -> RowWithFields:
+    return RowWithFields(row, differences=proposals.list_differences(session, row))
 
 
 def in_force_or_proposed(
@@ -103,7 +103,7 @@ def list_change_proposals(
 
 
 @router.get("/{proposal_id}", summary="Read a proposed change", response_model=ChangeProposal)
-def get_change_proposal(proposal_id: Id, session: Reading) -> Beside:
+def get_change_proposal(proposal_id: Id, session: Reading) -> RowWithFields:
     """Read a proposal with what it changes; the ETag is needed to decide on it."""
     return _shown(session, session.get_known(tables.ChangeProposal, proposal_id))
 
@@ -111,7 +111,7 @@ def get_change_proposal(proposal_id: Id, session: Reading) -> Beside:
 @router.post("/{proposal_id}:confirm", summary="Confirm a change", response_model=ChangeProposal)
 def confirm_change(
     proposal_id: Id, actor: Who, seen: SeenVersion, session: Writing, said: ProposalComment | None = None
-) -> Beside:
+) -> RowWithFields:
     """Confirm a change as a second person, who may make it and did not propose it; not by API key.
 
     The sensor's open requests for approval become STALE, as with every such change. A proposal that was made against a
@@ -122,12 +122,14 @@ def confirm_change(
 
 
 @router.post("/{proposal_id}:refuse", summary="Refuse a change", response_model=ChangeProposal)
-def refuse_change(proposal_id: Id, said: ProposalComment, actor: Who, seen: SeenVersion, session: Writing) -> Beside:
+def refuse_change(
+    proposal_id: Id, said: ProposalComment, actor: Who, seen: SeenVersion, session: Writing
+) -> RowWithFields:
     """Refuse a change as a second person, with a comment."""
     return _shown(session, proposals.refuse(session, actor, proposal_id, seen, said.comment))
 
 
 @router.post("/{proposal_id}:withdraw", summary="Withdraw a proposal", response_model=ChangeProposal)
-def withdraw_change(proposal_id: Id, actor: Who, seen: SeenVersion, session: Writing) -> Beside:
+def withdraw_change(proposal_id: Id, actor: Who, seen: SeenVersion, session: Writing) -> RowWithFields:
     """Withdraw a proposal, as its proposer or as an administrator."""
     return _shown(session, proposals.withdraw(session, actor, proposal_id, seen))

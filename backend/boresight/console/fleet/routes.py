@@ -30,7 +30,7 @@ from boresight.console.fleet import service as sensors
 from boresight.console.fleet.tables import Sensor
 from boresight.console.fleet.timeline import TimelineEvent
 from boresight.console.fleet.trend_document import make_trend_document
-from boresight.console.operation import Beside, json_response, operations
+from boresight.console.operation import RowWithFields, json_response, operations
 from boresight.console.runs import schemas as run_schemas
 from boresight.console.uplinks import schemas as uplink_schemas
 from boresight.console.uplinks import service as uplinks
@@ -120,16 +120,16 @@ Time = Annotated[str | None, Query(description="ISO 8601, UTC; now when left out
     summary="What was in force at a time, with sources",
     response_model=uplink_schemas.AsOf,
 )
-def get_sensor_as_of(sensor_id: Id, session: Reading, time: Time = None) -> Beside:
+def get_sensor_as_of(sensor_id: Id, session: Reading, time: Time = None) -> RowWithFields:
     """Say what was baseline, what was on board, and the gate profile and table definition in force, as recorded by then.
 
     With the promotion, its request and signatures, and the records on board with their sources.
     """
     known = timeline.get_state_at(session, sensor_id, time)
-    return Beside(
+    return RowWithFields(
         known,
         sensor_id=known.sensor.id,
-        approval=known.approval and Beside(known.approval, signatures=known.signatures),
+        approval=known.approval and RowWithFields(known.approval, signatures=known.signatures),
         on_board=_on_board(known.on_board),
         learned_later=_on_board(known.learned_later),
         gate_profile=known.profile,

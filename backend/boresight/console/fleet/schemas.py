@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 from pydantic import Field
 
 from boresight.cameras import DEFAULT_CAMERA
 from boresight.console.parameter_sets.schemas import ParameterSet
-from boresight.console.schemas import Document, Row, Shape, Values
+from boresight.console.schemas import Document, Row, Shape, make_shape
 from boresight.console.uplinks.schemas import OnBoard
+from boresight.verdicts import trend as documents
 
 _PARAMETERS = DEFAULT_CAMERA.plain(0.016 / 2.2e-6, 971.5, 1295.5, 2.2e-6).round(9)
 #: Parameters of the sensor file that is shown as an example: 16 mm before 1944 by 2592 pixels of 2.2 um.
@@ -52,115 +51,5 @@ class SensorAt(Shape):
     onboard: list[OnBoard]
 
 
-class DriftTest(Shape):
-    """A test at the false-alarm rate of the document."""
-
-    statistic: float
-    dof: int
-    limit: float
-    p: float
-    rejects: bool
-
-
-class Drift(Shape):
-    """Whether the baseline still holds, and whether the parameters move with time."""
-
-    verdict: str
-    sentence: str
-    false_alarm_rate: float
-    run_id: int | None
-    names: list[str]
-    difference: Values | None
-    sigma: Values | None
-    baseline_holds: DriftTest | None
-    slope: DriftTest | None
-    calibrations_on_the_line: int
-    slope_per_day: Values | None
-    slope_sigma_per_day: Values | None
-    change_per_c: Values | None
-
-
-class TrendPoint(Shape):
-    """A calibration at the time of its data."""
-
-    run_id: int
-    label: str
-    method: str
-    camera_model: str
-    telemetry_set_id: int
-    telemetry: str
-    begins_utc: str
-    at_utc: str
-    ends_utc: str
-    timed: bool = Field(description="Whether the times are those of the telemetry, not of the upload.")
-    temperature_c: float | None
-    parameters: Values
-    sigma: Values
-    stars: int
-    rms_arc_rad: float | None
-    counted: bool
-    left_out: str | None
-    said: str | None
-
-
-class TrendBaseline(Shape):
-    """A baseline's time."""
-
-    parameter_set_id: int
-    name: str
-    from_utc: str
-    to_utc: str | None
-    measured: bool
-    parameters: Values
-    sigma: Values
-
-
-class SetName(Shape):
-    """A parameter set by number and name."""
-
-    parameter_set_id: int
-    name: str
-
-
-class OnBoardMark(SetName):
-    """A record on board."""
-
-    at_utc: str
-    state: str
-
-
-class TrendAnnotation(Shape):
-    """What a person says of a time of the mission."""
-
-    at_utc: str
-    text: str
-    printed_name: str
-    made_utc: str
-
-
-class Advice(Shape):
-    """Whether to recalibrate now."""
-
-    answer: Literal["YES", "NOT YET", "MORE DATA NEEDED"]
-    sentence: str
-    code: str = Field(description="The kind of advice, for its section in the guide.", examples=["trend_drift"])
-    reasons: list[str]
-
-
-class Trend(Shape):
-    """A sensor over the mission."""
-
-    document_schema: Literal["boresight.trend/1"] = Field(alias="schema")
-    sensor_id: int
-    sensor: str
-    camera_model: str
-    parameter_names: list[str]
-    baseline: SetName | None
-    points: list[TrendPoint]
-    others: list[TrendPoint] = Field(description="Calibrations under another camera model.")
-    baselines: list[TrendBaseline]
-    on_board: list[OnBoardMark]
-    truth: Document | None
-    annotations: list[TrendAnnotation]
-    drift: Drift
-    advice: Advice
+#: A sensor over the mission.
+Trend = make_shape(documents.Trend, truth=Document | None)

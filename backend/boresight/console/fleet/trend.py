@@ -97,7 +97,7 @@ class Trend:
     camera_model: str
     points: Sequence[TrendPoint]
     others: Sequence[TrendPoint]
-    periods: Sequence[documents.BaselinePeriod]
+    periods: Sequence[documents.TrendBaseline]
     on_board: Sequence[documents.OnBoardMark]
     telemetry: Mapping[int, TelemetrySet]
 
@@ -243,11 +243,11 @@ def _on_board(record: Uplink, row: ParameterSet) -> documents.OnBoardMark:
     )
 
 
-def _periods(promoted: Sequence[tuple[str, ParameterSet]]) -> Iterator[documents.BaselinePeriod]:
+def _periods(promoted: Sequence[tuple[str, ParameterSet]]) -> Iterator[documents.TrendBaseline]:
     ends = [*(at_utc for at_utc, _ in promoted[1:]), None] if promoted else []
     for (at_utc, row), to_utc in zip(promoted, ends, strict=True):
         document = parse_parameter_set(row.document)
-        yield documents.BaselinePeriod(
+        yield documents.TrendBaseline(
             parameter_set_id=row.id,
             name=row.name,
             from_utc=at_utc,

@@ -44,7 +44,7 @@ TOO_COARSE = 3.0  # of the baseline's sigmas
 class Advice:
     """Whether to recalibrate now, and the kind of advice that this is."""
 
-    answer: str
+    answer: documents.Answer
     sentence: str
     code: str
     reasons: tuple[str, ...] = ()
@@ -76,7 +76,8 @@ def advise(trend: Trend, drift: DriftResult | None = None) -> Advice:
 
 def _rules(drift: DriftResult, data: UnseenTelemetry, baseline: ParameterSet, age_d: float | None) -> Iterator[Advice]:
     """Yield the answers that fit, the gravest first; there is always one."""
-    name, ratio, more = baseline.name, data.ratio, "MORE DATA NEEDED"
+    name, ratio = baseline.name, data.ratio
+    more: documents.Answer = "MORE DATA NEEDED"
     if drift.verdict == "DRIFT" and drift.is_jump and drift.newest is not None:
         apart = (
             f"Run {drift.newest.run_id} agrees neither with {name} nor with the line through the calibrations before it"
@@ -181,7 +182,9 @@ def write_trend_document(
         on_board=list(trend.on_board),
         truth=None if trend.sensor.truth is None else Values(trend.sensor.truth),
         annotations=[
-            documents.Annotation(at_utc=row.at_utc, text=row.text, printed_name=row.printed_name, made_utc=row.made_utc)
+            documents.TrendAnnotation(
+                at_utc=row.at_utc, text=row.text, printed_name=row.printed_name, made_utc=row.made_utc
+            )
             for row in annotations
         ],
         drift=drifts.document(found),

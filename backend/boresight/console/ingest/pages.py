@@ -30,7 +30,7 @@ from boresight.console.ingest.tables import DECISION_STATES, IngestDecision, Ing
 from boresight.console.list_queries import list_newest
 from boresight.console.mission_control import queries as link_rows
 from boresight.console.mission_control.tables import FAILURES_TOLD
-from boresight.console.operation import Beside
+from boresight.console.operation import RowWithFields
 from boresight.console.pages.rendering import (
     RefusalContext,
     make_change,
@@ -175,8 +175,8 @@ def ingest_csv(request: Request, session: Reading) -> Response:
     return write_csv(view, (_csv_row(row, names) for row in read_all(session, view)))
 
 
-def _csv_row(row: IngestDecision, names: RunNames) -> Beside:
-    return Beside(row, decision=row.id, sensor=names.sensors[row.sensor_id])
+def _csv_row(row: IngestDecision, names: RunNames) -> RowWithFields:
+    return RowWithFields(row, decision=row.id, sensor=names.sensors[row.sensor_id])
 
 
 @router.get("/ingest/{decision_id:int}", response_class=HTMLResponse)

@@ -29,6 +29,7 @@ from boresight.console.operation import operations
 from boresight.console.schemas import Document, Row, Shape, file_field, multipart
 from boresight.console.telemetry.dependencies import Upload, Uploaded
 from boresight.console.telemetry.service import ImageUpload, PreparedUpload
+from boresight.disks import compute_digest
 from boresight.errors import BoresightError, ConflictError, UnavailableError
 from boresight.platform.actors import require_role, require_scope
 from boresight.platform.db.sessions import open_reading, open_writing
@@ -119,7 +120,7 @@ class Intake:
 
 def _sent(upload: Upload) -> SentFile:
     path = upload.file()
-    return SentFile("REST", upload.file_name, service.compute_sha256_of_file(path), path.stat().st_size)
+    return SentFile("REST", upload.file_name, compute_digest(path), path.stat().st_size)
 
 
 def _take_in(

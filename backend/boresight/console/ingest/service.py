@@ -10,7 +10,6 @@ submit nor sign nor promote: a person answers, and with SUBMIT is the first of t
 
 from __future__ import annotations
 
-import hashlib
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -80,12 +79,6 @@ class SentFile:
     name: str
     sha256: str | None
     size_bytes: int
-
-
-def compute_sha256_of_file(path: Path) -> str:
-    """Return the SHA-256 that the bytes of a file are known by."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def get_active_policy(session: Session, sensor_id: int) -> IngestPolicy:

@@ -27,9 +27,9 @@ from boresight.console.runs.results import read_result
 from boresight.errors import BoresightError, CancelledError, RefusedInputError, UnavailableError
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.blobs.working_tables import working_table
-from boresight.platform.db.sessions import Engine, open_reading, open_writing
+from boresight.platform.db.sessions import Engine, open_writing
 from boresight.platform.jobs.forecasts import ForecastSources
-from boresight.platform.jobs.periodic_thread import PeriodicThread
+from boresight.platform.jobs.periodic_thread import ClaimingWorker, PeriodicThread
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import parse_sensor
 from boresight.verdicts.gates.alignment import judge_alignment
@@ -37,7 +37,6 @@ from boresight.verdicts.gates.alignment import judge_alignment
 log = logging.getLogger(__name__)
 
 ROUND_S = 2.0
-PATIENCE_S = 10.0
 MOST_S = 300.0
 
 
@@ -97,48 +96,27 @@ def _summarise(found: AlignmentResult) -> AlignmentSummary:
     )
 
 
-class AlignmentThread:
+class AlignmentThread(ClaimingWorker[ClaimedAlignment]):
     """The alignments of one server; several servers may share a database."""
 
+    patience_s = 10.0
+
     def __init__(self, database: Engine, sources: ForecastSources, tell: Callable[[], None]) -> None:
-        self._database = database
+        super().__init__(database, service, tell)
         self._sources = sources
-        self._tell = tell
-        self._held: ClaimedAlignment | None = None
         self._thread = PeriodicThread("alignments", [self.work], lambda: ROUND_S)
-
-    def start(self) -> None:
-        """Start the thread."""
-        self._thread.start()
-
-    def close(self) -> None:
-        """Stop, and queue again what does not end in time; safe to call twice."""
-        self._thread.close(PATIENCE_S)
-        if self._held is not None:
-            with open_writing(self._database) as session:
-                service.put_back(session, self._held)
 
     def work(self) -> None:
         """Compute every alignment that waits."""
-        while not self._thread.closing:
-            with open_reading(self._database) as session:
-                if not service.is_any_due(session):
-                    return
-            with open_writing(self._database) as session:
-                claimed = service.claim(session)
-            if claimed is not None:
-                self._held = claimed
-                self._compute(claimed)
-                self._held = None
-            self._tell()
+        while not self._thread.closing and self.take_next(self._compute):
+            pass
 
     def _compute(self, claimed: ClaimedAlignment) -> None:
         """Compute one and write how it ended, whatever happens."""
         try:
             made = compute(claimed, self._sources, lambda: self._thread.closing)
         except CancelledError:
-            with open_writing(self._database) as session:
-                service.put_back(session, claimed)
+            self._put_back(claimed)
             return
         except BoresightError as error:
             self._fail(claimed, str(error))

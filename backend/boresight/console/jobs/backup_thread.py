@@ -15,55 +15,32 @@ from boresight.platform.backups.destinations import Destination, open_destinatio
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db import backup as backups
 from boresight.platform.db.sessions import Engine, open_reading, open_writing
-from boresight.platform.jobs.periodic_thread import PeriodicThread
+from boresight.platform.jobs.periodic_thread import ClaimingWorker, PeriodicThread
 from boresight.settings import Settings
 
 log = logging.getLogger(__name__)
 
 ROUND_S = 20.0
-PATIENCE_S = 10.0
 MOST_REMOVED = 20  # files a round
 
 
-class BackupThread:
+class BackupThread(ClaimingWorker[ClaimedBackup]):
     """The scheduled backups of one server; several servers may share a database."""
 
+    patience_s = 10.0
+
     def __init__(self, database: Engine, blobs: BlobStore, settings: Settings, tell: Callable[[], None]) -> None:
-        self._database = database
+        super().__init__(database, service, tell)
         self._blobs = blobs
         self._url = settings.database_url
         self._scratch = settings.data_folder
         self._keys = settings.backup_keys
-        self._tell = tell
-        self._held: ClaimedBackup | None = None
         self._is_lost = False
         self._thread = PeriodicThread("backups", [self.work, self.remove_superfluous], lambda: ROUND_S)
 
-    def start(self) -> None:
-        """Start the thread."""
-        self._thread.start()
-
-    def close(self) -> None:
-        """Stop, and leave to the next server what does not end in time; safe to call twice."""
-        self._thread.close(PATIENCE_S)
-        held = self._held
-        if held is not None:
-            with open_writing(self._database) as session:
-                service.put_back(session, held)
-
     def work(self) -> None:
         """Take the backup that is due, if one is."""
-        with open_reading(self._database) as session:
-            if not service.is_any_due(session):
-                return
-        with open_writing(self._database) as session:
-            claimed = service.claim(session)
-        if claimed is not None:
-            self._held = claimed
-            with self._renewing(claimed):
-                self._take(claimed)
-            self._held = None
-        self._tell()
+        self.take_next(self._take)
 
     @contextmanager
     def _renewing(self, claimed: ClaimedBackup) -> Iterator[None]:
@@ -86,7 +63,12 @@ class BackupThread:
             raise CancelledError("The backup was stopped; it is taken again.")
 
     def _take(self, claimed: ClaimedBackup) -> None:
-        """Take a backup and write how it ended, whatever happens."""
+        """Take a backup while its claim is renewed."""
+        with self._renewing(claimed):
+            self._write_and_try(claimed)
+
+    def _write_and_try(self, claimed: ClaimedBackup) -> None:
+        """Write a backup, restore it on trial, and write how it ended, whatever happens."""
         try:
             destination = open_destination(claimed.destination, self._scratch)
             if claimed.former_name is not None:
@@ -99,8 +81,7 @@ class BackupThread:
             with open_writing(self._database) as session:
                 service.record_test(session, claimed, found)
         except CancelledError:
-            with open_writing(self._database) as session:
-                service.put_back(session, claimed)
+            self._put_back(claimed)
         except BoresightError as error:
             self._fail(claimed, str(error))
         except Exception as error:

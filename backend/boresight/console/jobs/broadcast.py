@@ -277,7 +277,7 @@ class Broadcast:
             return self._ring.after(number)
 
     @contextmanager
-    def listening(self, actor: Actor) -> Iterator[Listener]:
+    def open_listener(self, actor: Actor) -> Iterator[Listener]:
         """Register a listener for everything after `cursor`, in the name of an actor; call this on the event loop."""
         self._loop = asyncio.get_running_loop()
         listener = Listener(actor)
@@ -311,10 +311,10 @@ class Broadcast:
         if ended:
             self._ended_utc = max(ended.values())
         if ended or revoked != self._revoked:
-            self._on_the_loop(self._doubt, set(ended), revoked != self._revoked)
+            self._on_the_loop(self._recheck_credentials, set(ended), revoked != self._revoked)
         self._revoked = revoked
 
-    def _doubt(self, ended: set[int], keys: bool) -> None:
+    def _recheck_credentials(self, ended: set[int], keys: bool) -> None:
         """Have the streams of ended log-ins check their credential, and on request those of API keys."""
         for listener in self._listeners:
             if listener.actor.session_id in ended or (keys and listener.actor.is_key):

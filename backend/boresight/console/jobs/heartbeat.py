@@ -10,12 +10,12 @@ from boresight.console.alarms import rules as alarm_rules
 from boresight.console.approvals import staleness
 from boresight.console.change_proposals import service as proposals
 from boresight.platform.db.sessions import Engine, open_reading, open_writing
-from boresight.platform.jobs.periodic_thread import PeriodicThread
+from boresight.platform.jobs.periodic_thread import PeriodicThread, PeriodicWorker
 
 BEAT_S = 5.0
 
 
-class Heartbeat:
+class Heartbeat(PeriodicWorker):
     """The heartbeat of one server."""
 
     def __init__(self, database: Engine, tell: Callable[[], None], seen_file: Path | None = None) -> None:
@@ -24,14 +24,6 @@ class Heartbeat:
         self._seen_file = seen_file
         self._looked_back = False
         self._thread = PeriodicThread("heartbeat", [self.beat], lambda: BEAT_S)
-
-    def start(self) -> None:
-        """Start the thread; the first beat is at once, for what became due while no server ran."""
-        self._thread.start()
-
-    def close(self) -> None:
-        """Stop; safe to call twice."""
-        self._thread.close()
 
     def look_at_clock(self) -> None:
         """Raise an alarm when the clock jumped, and return it to normal once somebody has acknowledged it."""

@@ -1,7 +1,7 @@
 """The ingest watcher: takes files from the watched folder and bucket, and decides on what was calibrated.
 
 `console.ingest.service` says what a file goes through. Reading, checking and judging happen outside transactions, and each write is
-one. Files of several sensors are taken side by side (`lanes`), and what was calibrated is judged beside that. Every step may be
+one. Files of several sensors are taken at a time (`file_queue`), and what was calibrated is judged beside that. Every step may be
 repeated: what was received is known by its bytes, a decision is written only while it is CALIBRATING, and several servers may watch
 the same places.
 """
@@ -23,12 +23,12 @@ from boresight.console.ingest import queries as rows
 from boresight.console.ingest.folder import DONE, REFUSED, Arrival, TakenFile, WatchedFolder
 from boresight.console.ingest.service import SentFile
 from boresight.console.ingest.tables import IngestPolicy
+from boresight.console.jobs.file_queue import FileQueue, WaitingFile
 from boresight.console.jobs.intake import Intake, write_nothing
-from boresight.console.jobs.lanes import Lanes, WaitingFile
 from boresight.errors import BoresightError, ConflictError, RefusedInputError, UnavailableError
 from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing
 from boresight.platform.jobs.forecasts import ForecastSources
-from boresight.platform.jobs.periodic_thread import PeriodicThread
+from boresight.platform.jobs.periodic_thread import PeriodicThread, PeriodicWorker
 from boresight.settings import Settings
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ class FoundFile:
     beside: Callable[[Session], None] = write_nothing
 
 
-class IngestWatcher:
+class IngestWatcher(PeriodicWorker):
     """The watcher of one server; without a folder or bucket it only decides on what was calibrated."""
 
     def __init__(
@@ -77,20 +77,20 @@ class IngestWatcher:
         self._folder = None if watched is None else WatchedFolder(watched, settings.watch_settle_s)
         self._bucket = open_watched_bucket(settings)
         self._faults = {"folder": "", "bucket": ""}
-        self._lanes = Lanes("ingest")
+        self._files = FileQueue("ingest")
         self._thread = PeriodicThread("ingest", [self.look, self.look_into_bucket], lambda: ROUND_S)
         self._judge = PeriodicThread("judgement", [self.decide], lambda: ROUND_S)
 
     def start(self) -> None:
         """Start the threads."""
-        self._thread.start()
+        super().start()
         self._judge.start()
 
     def close(self) -> None:
         """Stop; safe to call twice."""
-        self._thread.close()
+        super().close()
         self._judge.close()
-        self._lanes.close()
+        self._files.close()
 
     @property
     def places(self) -> list[str]:
@@ -101,11 +101,11 @@ class IngestWatcher:
     @property
     def fault(self) -> str:
         """What is wrong with the watched folder or bucket, or with the files that are under way."""
-        return " ".join(filter(None, [*self._faults.values(), self._lanes.fault]))
+        return " ".join(filter(None, [*self._faults.values(), self._files.fault]))
 
     def describe_work(self, sensor: str) -> str:
         """Say which file of a sensor is being read; empty where none is."""
-        return self._lanes.describe(sensor)
+        return self._files.describe(sensor)
 
     def count_waiting(self, sensor: str) -> int:
         """Count the files of a sensor that were not taken yet."""
@@ -123,7 +123,7 @@ class IngestWatcher:
                 settle = partial(self._settle, self._folder, arrival)
                 found = FoundFile(partial(self._folder.take, arrival), settle)
                 files.append(self._wait(arrival.sensor, sensors[arrival.sensor], sent, found))
-        self._lanes.take_all(files, lambda: self._thread.closing)
+        self._files.take_all(files, lambda: self._thread.closing)
 
     def look_into_bucket(self) -> None:
         """Take in the objects that are new, of sensors whose policy is active."""
@@ -143,7 +143,7 @@ class IngestWatcher:
             beside = partial(rows.note_taken_object, address=one.address, version=one.version)
             found = FoundFile(partial(self._bucket.take, one), partial(self._know, one), beside)
             files.append(self._wait(one.sensor, sensors[one.sensor], sent, found))
-        if not self._lanes.take_all(files, lambda: self._thread.closing):
+        if not self._files.take_all(files, lambda: self._thread.closing):
             self._bucket.look_again()
 
     def _wait(self, sensor: str, sensor_id: int, sent: SentFile, found: FoundFile) -> WaitingFile:

@@ -40,14 +40,11 @@ from boresight.platform.audit.external_head import ExternalHead, read_head, writ
 from boresight.platform.blobs import files
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing, utc_now
-from boresight.platform.jobs.periodic_thread import PeriodicThread
+from boresight.platform.jobs.periodic_thread import PeriodicThread, PeriodicWorker
 
 log = logging.getLogger(__name__)
 
 ROUND_S = 60.0
-PATIENCE_S = (
-    5.0  # so long a stopping server waits for a check of a large fleet; what that had not written is rolled back
-)
 REST = 20.0
 READ_S = 1.0
 LATE = 3.0  # rounds without a new finding, after which the last one is stale
@@ -74,8 +71,10 @@ class ChainStatus:
 NOT_YET = ChainStatus("not yet", 0, None, "The audit log has not been verified since this server was started.")
 
 
-class Maintenance:
+class Maintenance(PeriodicWorker):
     """The maintenance of one server."""
+
+    patience_s = 5.0  # for a check of a large fleet; what that had not written is rolled back
 
     def __init__(
         self,
@@ -115,13 +114,9 @@ class Maintenance:
             lambda: ROUND_S,
         )
 
-    def start(self) -> None:
-        """Start the thread; the first verification is at once."""
-        self._thread.start()
-
     def close(self) -> None:
         """Stop, and write the last uses; safe to call twice."""
-        self._thread.close(PATIENCE_S)
+        super().close()
         self._thread.take(self.write_uses)
 
     def used(self, key_prefix: str, *, active: bool = True) -> bool:  # noqa: ARG002 - a key is used by what only listens too
@@ -181,10 +176,6 @@ class Maintenance:
         """Sign the head of a log that verifies, when due."""
         if self._anchoring is not None and self._found.state == "verified":
             self._anchoring.anchor()
-
-    def nudge(self) -> None:
-        """Begin the next round now."""
-        self._thread.nudge()
 
     def _read_head(self) -> tuple[ExternalHead | None, Path | None]:
         """Return the externally kept head and its file; an unreadable file is reported by an alarm."""

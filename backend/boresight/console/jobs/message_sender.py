@@ -13,7 +13,7 @@ from boresight.platform.db.secret_box import SecretBox
 from boresight.platform.db.sessions import Engine, open_reading, open_writing
 from boresight.platform.jobs import message_transport as transport
 from boresight.platform.jobs.message_transport import CheckedAddress, OutboundMessage
-from boresight.platform.jobs.periodic_thread import PeriodicThread
+from boresight.platform.jobs.periodic_thread import PeriodicThread, PeriodicWorker
 from boresight.platform.web.targets import WebhookTargets
 
 LOOK_EVERY_S = 2.0
@@ -22,8 +22,10 @@ AT_ONCE = 200
 NO_MAIL = "Not sent: this server has no mail server any more; have BORESIGHT_MAIL_SERVER set."
 
 
-class MessageSender:
+class MessageSender(PeriodicWorker):
     """Sends the messages of one server's people."""
+
+    patience_s = transport.TIMEOUT_S + 1.0
 
     def __init__(
         self, database: Engine, targets: WebhookTargets, box: SecretBox, outlets: Outlets, policy: Callable[[], Policy]
@@ -35,18 +37,6 @@ class MessageSender:
         self._policy = policy
         self._forgot_s = float("-inf")
         self._thread = PeriodicThread("messages", [self.deliver, self.forget], lambda: LOOK_EVERY_S, LOOK_AFTER_S)
-
-    def start(self) -> None:
-        """Start the thread that looks for messages."""
-        self._thread.start()
-
-    def close(self) -> None:
-        """Stop after the attempt that is under way; safe to call twice."""
-        self._thread.close(transport.TIMEOUT_S + 1.0)
-
-    def nudge(self) -> None:
-        """Look for messages now."""
-        self._thread.nudge()
 
     def judge_address(self, actor: Actor, typed: str) -> tuple[str, CheckedAddress]:
         """Return an address in its normal form with what is shown of it, or refuse it; call it outside writing transactions."""

@@ -33,7 +33,7 @@ from boresight.mission_control.connection import TooMuchError
 from boresight.mission_control.systems import TITLES, Link
 from boresight.platform.db.sessions import Engine, open_reading, open_writing, utc_now
 from boresight.platform.jobs.forecasts import ForecastSources
-from boresight.platform.jobs.periodic_thread import PeriodicThread
+from boresight.platform.jobs.periodic_thread import PeriodicThread, PeriodicWorker
 from boresight.settings import Settings
 from boresight.telemetry.imports.profile import Profile
 
@@ -43,7 +43,7 @@ ROUND_S = 5.0
 SHORTEST_US = 60_000_000  # of a range that is asked for in smaller pieces
 
 
-class MissionControl:
+class MissionControl(PeriodicWorker):
     """What one server does over its links."""
 
     def __init__(
@@ -61,14 +61,6 @@ class MissionControl:
         self._now = now
         self.links: Mapping[str, Link] = settings.mission_control
         self._thread = PeriodicThread("mission-control", [self.pull, self.tell_events], lambda: ROUND_S)
-
-    def start(self) -> None:
-        """Start the thread."""
-        self._thread.start()
-
-    def close(self) -> None:
-        """Stop after the request that is under way; safe to call twice."""
-        self._thread.close()
 
     def pull(self) -> None:
         """Pull what is due, by every policy in force that names an archive."""

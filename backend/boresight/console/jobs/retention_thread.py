@@ -10,17 +10,18 @@ from boresight.errors import ConflictError
 from boresight.platform.actors import SYSTEM
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Engine, open_reading
-from boresight.platform.jobs.periodic_thread import PeriodicThread
+from boresight.platform.jobs.periodic_thread import PeriodicThread, PeriodicWorker
 
 log = logging.getLogger(__name__)
 
 ROUND_S = 3600.0
 MOST_REMOVED = 100  # sets a round
-PATIENCE_S = 5.0
 
 
-class RetentionThread:
+class RetentionThread(PeriodicWorker):
     """The retention of one server; several may share a database: each removal is judged in its transaction."""
+
+    patience_s = 5.0
 
     def __init__(self, database: Engine, blobs: BlobStore, keep_days: float, tell: Callable[[], None]) -> None:
         self._database = database
@@ -32,11 +33,7 @@ class RetentionThread:
     def start(self) -> None:
         """Start the thread, where there is a policy."""
         if self._keep_days > 0:
-            self._thread.start()
-
-    def close(self) -> None:
-        """Stop; safe to call twice."""
-        self._thread.close(PATIENCE_S)
+            super().start()
 
     def sweep(self) -> None:
         """Take off the disk what a server that was killed had marked alone."""

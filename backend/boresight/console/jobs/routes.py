@@ -44,7 +44,7 @@ class EventStream(StreamingResponse):
 
 
 @dataclass(frozen=True)
-class _Wish:
+class StreamFilter:
     """What one listener asked for: one run or all, and the run whose history it draws."""
 
     run: int | None
@@ -83,26 +83,28 @@ async def stream_events(
     it was lost, so read the run again. A listener that falls too far behind gets `dropped` and the stream ends; reconnect
     with `Last-Event-ID` to miss nothing. When the log-in or the key ends, the stream says `logged-out` and ends.
     """
-    return EventStream(_stream(request, actor, (feed, database), _Wish(run, history), last_event_id), headers=HEADERS)
+    return EventStream(
+        _stream(request, actor, (feed, database), StreamFilter(run, history), last_event_id), headers=HEADERS
+    )
 
 
 async def _stream(
-    request: Request, actor: Actor, told_by: tuple[Broadcast, Engine], wish: _Wish, last_event_id: str | None
+    request: Request, actor: Actor, told_by: tuple[Broadcast, Engine], wanted: StreamFilter, last_event_id: str | None
 ) -> AsyncIterator[bytes]:
     """Write a stream: its start, the missed events, then live ones."""
     broadcast, database = told_by
-    with broadcast.listening(actor) as listener:
+    with broadcast.open_listener(actor) as listener:
         brought, newest, told = EventCursor.parse(last_event_id or ""), broadcast.progress, broadcast.cursor
         cursor = brought or told
         yield f": connected\nid: {cursor}\nretry: {RETRY_MS}\n\n".encode()
         if brought is not None:
             async for event in _past(database, broadcast, cursor):
                 cursor = event.move(cursor)
-                yield wish.written(event, cursor)
+                yield wanted.written(event, cursor)
             if cursor.progress < newest or cursor.progress > broadcast.progress:
                 cursor = replace(cursor, progress=newest)
                 yield _said("missed", cursor)
-        async for piece in _live(request, listener, _Live(cursor, wish, told)):
+        async for piece in _live(request, listener, _Live(cursor, wanted, told)):
             yield piece
 
 
@@ -134,9 +136,9 @@ class _Live:
     against the listener's own cursor. From then on the feed's cursors are the listener's, and its bytes are sent as they are.
     """
 
-    def __init__(self, cursor: EventCursor, wish: _Wish, told: EventCursor) -> None:
+    def __init__(self, cursor: EventCursor, wanted: StreamFilter, told: EventCursor) -> None:
         self.cursor = cursor
-        self._wish = wish
+        self._wish = wanted
         self._is_level = told.covers(cursor)
 
     def written(self, telling: EventBatch) -> bytes:

@@ -20,7 +20,7 @@ from boresight.console.webhooks.service import WebhookMessage
 from boresight.errors import RefusedInputError
 from boresight.platform.db.secret_box import SecretBox
 from boresight.platform.db.sessions import Engine, open_reading, open_writing
-from boresight.platform.jobs.periodic_thread import PeriodicThread
+from boresight.platform.jobs.periodic_thread import PeriodicThread, PeriodicWorker
 from boresight.platform.web.targets import WebhookTargets, parsed
 
 LOOK_EVERY_S = 1.0
@@ -30,26 +30,16 @@ TIMEOUT_S = 10.0
 HEARD = 200  # characters of a refusing answer that the log keeps
 
 
-class WebhookSender:
+class WebhookSender(PeriodicWorker):
     """Sends the messages of one server's webhooks."""
+
+    patience_s = TIMEOUT_S + 1.0
 
     def __init__(self, database: Engine, targets: WebhookTargets, box: SecretBox) -> None:
         self._database = database
         self.targets = targets
         self._box = box
         self._thread = PeriodicThread("delivery", [self.deliver], lambda: LOOK_EVERY_S, LOOK_AFTER_S)
-
-    def start(self) -> None:
-        """Start the thread that looks for messages."""
-        self._thread.start()
-
-    def close(self) -> None:
-        """Stop after the attempt that is under way; safe to call twice."""
-        self._thread.close(TIMEOUT_S + 1.0)
-
-    def nudge(self) -> None:
-        """Look for messages now."""
-        self._thread.nudge()
 
     def deliver(self) -> None:
         """Send all messages that are due."""

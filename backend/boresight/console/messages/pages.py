@@ -17,7 +17,7 @@ from boresight.console.jobs.dependencies import ServerMessageSender
 from boresight.console.messages import queries
 from boresight.console.messages import service as messages
 from boresight.console.messages.kinds import KINDS
-from boresight.console.messages.service import Choice, Outlets
+from boresight.console.messages.service import AddressChoice, Outlets
 from boresight.console.pages.rendering import RefusalContext, attempt, make_change, read_again, redirect, render
 from boresight.errors import BoresightError
 from boresight.platform.actors import Actor
@@ -96,7 +96,7 @@ async def add(
         normal, checked = await run_in_threadpool(sender.judge_address, actor, address)
     except BoresightError as error:
         return await read_again(request, partial(again, shown(RefusalContext.of(error))))
-    choice = Choice(tuple(kinds or ()))
+    choice = AddressChoice(tuple(kinds or ()))
     change = partial(
         messages.add_address, actor=actor, box=box, label=label, address=normal, checked=checked, choice=choice
     )
@@ -139,7 +139,7 @@ async def change(
     quiet_zone: Annotated[str, Form()] = "",
 ) -> Response:
     """Choose kinds and quiet hours."""
-    choice = Choice(tuple(kinds or ()), quiet_from.strip(), quiet_until.strip(), quiet_zone.strip())
+    choice = AddressChoice(tuple(kinds or ()), quiet_from.strip(), quiet_until.strip(), quiet_zone.strip())
     make = partial(messages.change_address, actor=actor, address_id=address_id, choice=choice)
     return await make_change(request, make, f"/preferences/messages/{address_id}", "Saved: it holds from now on.")
 

@@ -12,7 +12,7 @@ from boresight.console.jobs.dependencies import ServerMessageSender
 from boresight.console.messages import service as messages
 from boresight.console.messages import tables
 from boresight.console.messages.kinds import KINDS
-from boresight.console.operation import Beside, operations
+from boresight.console.operation import RowWithFields, operations
 from boresight.console.schemas import Row, Shape
 from boresight.platform.db.secret_box import SecretBox
 from boresight.platform.jobs.message_transport import CheckedAddress
@@ -67,9 +67,9 @@ class WantedKinds(Shape):
     quiet_until: str = Field("", examples=["07:00"])
     quiet_zone: str = Field("", description="Empty: UTC.", examples=["Europe/Amsterdam"])
 
-    def choice(self) -> messages.Choice:
+    def choice(self) -> messages.AddressChoice:
         """Return it as the service takes it."""
-        return messages.Choice(tuple(self.kinds), self.quiet_from, self.quiet_until, self.quiet_zone)
+        return messages.AddressChoice(tuple(self.kinds), self.quiet_from, self.quiet_until, self.quiet_zone)
 
 
 class NewAddress(WantedKinds):
@@ -84,12 +84,12 @@ def _judge(new: NewAddress, actor: Who, sender: ServerMessageSender) -> tuple[st
     return sender.judge_address(actor, new.address)
 
 
-def _shown(row: tables.MessageAddress, box: SecretBox) -> Beside:
-    return Beside(row, state=messages.get_state(row, box))
+def _shown(row: tables.MessageAddress, box: SecretBox) -> RowWithFields:
+    return RowWithFields(row, state=messages.get_state(row, box))
 
 
 @router.get("", summary="List your addresses", response_model=Page[MessageAddress])
-def list_message_addresses(actor: Who, session: Reading, page: Paged, box: SecretKeeper) -> Listing[Beside]:
+def list_message_addresses(actor: Who, session: Reading, page: Paged, box: SecretKeeper) -> Listing[RowWithFields]:
     """List where you get messages."""
     return page.cut_whole(messages.list_addresses(session, actor), lambda row: _shown(row, box))
 
@@ -101,14 +101,14 @@ def add_message_address(
     box: SecretKeeper,
     session: Writing,
     judged: Annotated[tuple[str, CheckedAddress], Depends(_judge)],
-) -> Beside:
+) -> RowWithFields:
     """Get messages at an address from now on. It is stored encrypted and never shown again."""
     address, checked = judged
     return _shown(messages.add_address(session, actor, box, new.label, address, checked, new.choice()), box)
 
 
 @router.get("/{address_id}", summary="Read an address", response_model=MessageAddress)
-def get_message_address(address_id: Id, actor: Who, session: Reading, box: SecretKeeper) -> Beside:
+def get_message_address(address_id: Id, actor: Who, session: Reading, box: SecretKeeper) -> RowWithFields:
     """Read what you get at an address of yours."""
     return _shown(messages.get_address(session, actor, address_id), box)
 
@@ -116,13 +116,13 @@ def get_message_address(address_id: Id, actor: Who, session: Reading, box: Secre
 @router.post("/{address_id}:change", summary="Choose other kinds", response_model=MessageAddress)
 def change_message_address(
     address_id: Id, wanted: WantedKinds, actor: Who, box: SecretKeeper, session: Writing
-) -> Beside:
+) -> RowWithFields:
     """Choose other kinds and quiet hours."""
     return _shown(messages.change_address(session, actor, address_id, wanted.choice()), box)
 
 
 @router.post("/{address_id}:remove", summary="Remove an address", response_model=MessageAddress)
-def remove_message_address(address_id: Id, actor: Who, box: SecretKeeper, session: Writing) -> Beside:
+def remove_message_address(address_id: Id, actor: Who, box: SecretKeeper, session: Writing) -> RowWithFields:
     """Forget an address; what waits for it is not sent."""
     return _shown(messages.remove_address(session, actor, address_id), box)
 

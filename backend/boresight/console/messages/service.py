@@ -20,11 +20,12 @@ from boresight.console import list_queries as lists
 from boresight.console.messages import queries as rows
 from boresight.console.messages.kinds import KINDS, KindNews, list_news
 from boresight.console.messages.tables import Message, MessageAddress
-from boresight.console.webhooks.queries import list_records_after, read_newest_audit_id
+from boresight.console.webhooks.queries import list_records_after
 from boresight.console.webhooks.service import FIRST_WAIT_S, LEASE_S, MOST_ATTEMPTS, RECORDS_A_TURN, WAIT_GROWS
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import SYSTEM, Actor, Policy, require_person
 from boresight.platform.audit import log as audit
+from boresight.platform.audit import queries as audit_rows
 from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.db.secret_box import SecretBox
 from boresight.platform.db.sessions import Session, utc_after, utc_now, utc_text
@@ -57,7 +58,7 @@ class Outlets:
 
 
 @dataclass(frozen=True)
-class Choice:
+class AddressChoice:
     """Which kinds a person wants at an address, and when nothing is sent there."""
 
     kinds: Collection[str] = ()
@@ -136,7 +137,13 @@ def mask_mail(address: str) -> CheckedAddress:
 
 
 def add_address(
-    session: Session, actor: Actor, box: SecretBox, label: str, address: str, checked: CheckedAddress, choice: Choice
+    session: Session,
+    actor: Actor,
+    box: SecretBox,
+    label: str,
+    address: str,
+    checked: CheckedAddress,
+    choice: AddressChoice,
 ) -> MessageAddress:
     """Add an address of the acting person, checked before; it is told of what happens from now on."""
     user_id = require_person(actor, "have messages sent")
@@ -150,7 +157,7 @@ def add_address(
         service=checked.service,
         shown=checked.shown,
         address=box.seal(address),
-        told_audit_id=read_newest_audit_id(session),
+        told_audit_id=audit_rows.read_newest_id(session),
         created_utc=utc_now(),
         kinds=[],
         quiet_zone="",
@@ -161,7 +168,7 @@ def add_address(
     return row
 
 
-def change_address(session: Session, actor: Actor, address_id: int, choice: Choice) -> MessageAddress:
+def change_address(session: Session, actor: Actor, address_id: int, choice: AddressChoice) -> MessageAddress:
     """Choose other kinds and quiet hours for one's address."""
     row = get_address(session, actor, address_id)
     choice.check()
@@ -172,7 +179,7 @@ def change_address(session: Session, actor: Actor, address_id: int, choice: Choi
     return row
 
 
-def _apply(row: MessageAddress, choice: Choice) -> None:
+def _apply(row: MessageAddress, choice: AddressChoice) -> None:
     row.kinds = [kind for kind in KINDS if kind in choice.kinds]
     row.quiet_from, row.quiet_until = choice.quiet_from or None, choice.quiet_until or None
     row.quiet_zone = choice.quiet_zone if choice.quiet_from else ""

@@ -89,12 +89,12 @@ def note_taken(session: Session, asked: Range, new: ArchiveRows, rules: PolicyRu
     asked_to_us = max(asked.stop_us, count_us(datetime.fromisoformat(row.asked_to_utc)))
     row.taken = pack_times(kept_us[kept_us >= asked_to_us - int(rules.lookback_hours * HOUR_US)])
     row.asked_to_utc = write_time(asked_to_us)
-    _succeed(row, rules.pull_minutes * 60.0)
+    _record_success(row, rules.pull_minutes * 60.0)
 
 
 def note_waiting(session: Session, asked: Range, rules: PolicyRules) -> None:
     """Put on record that the archive answered and a pass is under way."""
-    _succeed(_read_again(session, asked), rules.pull_minutes * 60.0)
+    _record_success(_read_again(session, asked), rules.pull_minutes * 60.0)
 
 
 def _read_again(session: Session, asked: Range) -> MissionControlLink:
@@ -104,7 +104,7 @@ def _read_again(session: Session, asked: Range) -> MissionControlLink:
     return row
 
 
-def _succeed(row: MissionControlLink, wait_s: float) -> None:
+def _record_success(row: MissionControlLink, wait_s: float) -> None:
     row.failures, row.fault, row.succeeded_utc, row.due_utc = 0, "", utc_now(), utc_after(wait_s)
     row.version += 1
 
@@ -161,4 +161,4 @@ def note_told(session: Session, link_id: int, record_id: int) -> None:
     """Put on record up to which audit record a system was told."""
     row = session.get_known(MissionControlLink, link_id)
     row.told_audit_id = max(row.told_audit_id, record_id)
-    _succeed(row, 0.0)
+    _record_success(row, 0.0)

@@ -95,6 +95,10 @@ class TableView:
         usual = tuple(column for column in self.table.columns if not column.optional)
         return "" if self.columns == usual else ",".join(column.name for column in self.columns)
 
+    def hide_archived(self) -> dict[str, Any]:
+        """Return the filter that hides what is archived, unless the view shows that too."""
+        return {"archived": None, "in_use": None if self.where.get("archived") else 1}
+
     def kept(self, **changes: Any) -> dict[str, Any]:
         """Return the parameters of this view's address, with changes; empty ones are left out."""
         held = dict(self.where) | {

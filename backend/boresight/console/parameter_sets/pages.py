@@ -29,7 +29,7 @@ from boresight.console.approvals.pages.gates import make_gates_panel
 from boresight.console.approvals.tables import Approval
 from boresight.console.fleet.pages.sensors import list_sensor_choices
 from boresight.console.fleet.tables import Sensor
-from boresight.console.operation import Beside
+from boresight.console.operation import RowWithFields
 from boresight.console.pages.rendering import (
     RefusalContext,
     attempt,
@@ -119,7 +119,7 @@ def parameter_sets_csv(request: Request, session: Reading) -> Response:
     return write_csv(view, _csv_rows(session, view, read_names(session, sensors_of=None)))
 
 
-def _csv_rows(session: Session, view: TableView, names: RunNames) -> Iterator[Beside]:
+def _csv_rows(session: Session, view: TableView, names: RunNames) -> Iterator[RowWithFields]:
     """Yield the rows of a view for the CSV file; verdicts are read for many sets at once."""
     rows = iter(read_all(session, view))
     while some := list(islice(rows, READ_AT_ONCE)):
@@ -127,9 +127,9 @@ def _csv_rows(session: Session, view: TableView, names: RunNames) -> Iterator[Be
         yield from (_csv_row(row, names, verdicts.get(row.id)) for row in some)
 
 
-def _csv_row(row: ParameterSet, names: RunNames, judged: GateReport | None) -> Beside:
+def _csv_row(row: ParameterSet, names: RunNames, judged: GateReport | None) -> RowWithFields:
     sensor, by = names.sensors[row.sensor_id], names.person(row.created_by)
-    return Beside(
+    return RowWithFields(
         row, number=row.id, set=row.name, sensor=sensor, run=row.run_id, created_by=by, verdict=judged and judged.words
     )
 

@@ -6,9 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from boresight.arrays import known_or_none
 from boresight.calibration.calibration import Calibration, to_plain
 from boresight.calibration.evaluation.contrast import (
     Contrast,
@@ -247,7 +245,7 @@ def _row(comparison: Comparison, i: int) -> dict[str, Any]:
     name, found = comparison.names[i], comparison.compared
 
     def of(pick: str) -> list[float | None]:
-        return [None if one is None else _number(getattr(one, pick)[i]) for one in comparison.contrasts]
+        return [None if one is None else known_or_none(getattr(one, pick)[i]) for one in comparison.contrasts]
 
     return {
         "name": name,
@@ -270,7 +268,3 @@ def table(comparison: Comparison) -> dict[str, list[Any]]:
         "shared_data": [comparison.shared[k].kind for _, k in rows],
         **{one: [row[many][k] for row, k in rows] for one, many in COLUMNS.items()},
     }
-
-
-def _number(value: NDArray[np.float64] | float) -> float | None:
-    return float(value) if np.isfinite(value) else None

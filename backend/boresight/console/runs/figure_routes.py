@@ -14,7 +14,7 @@ from starlette.responses import Response
 from boresight.calibration.calibration import Calibration
 from boresight.console.access.dependencies import Blobs, Reading, ServerFigureCache
 from boresight.console.fleet.tables import Sensor
-from boresight.console.operation import Beside, json_response, operations
+from boresight.console.operation import RowWithFields, json_response, operations
 from boresight.console.parameter_sets.service import get_incumbent_parameters
 from boresight.console.runs import comparisons, schemas
 from boresight.console.runs import service as runs
@@ -90,10 +90,10 @@ Seen = Annotated[FigureView, Depends()]
 
 
 @router.get("/{run_id}/figures", summary="List the figures", response_model=Page[schemas.FigureEntry])
-def list_figures(run_id: Id, session: Reading) -> Listing[Beside]:
+def list_figures(run_id: Id, session: Reading) -> Listing[RowWithFields]:
     """List the figures of a run with how to read each."""
     runs.get_run(session, run_id)
-    return Listing([Beside(one, href=f"/api/v1/runs/{run_id}/figures/{name}") for name, one in FIGURES.items()])
+    return Listing([RowWithFields(one, href=f"/api/v1/runs/{run_id}/figures/{name}") for name, one in FIGURES.items()])
 
 
 @router.get("/{run_id}/figures/{name}", summary="Read a figure", response_model=schemas.PlotlyFigure)

@@ -27,7 +27,7 @@ from boresight.console.access.dependencies import (
     Who,
     Writing,
 )
-from boresight.console.operation import Beside, OperationResponse, json_response, operations
+from boresight.console.operation import OperationResponse, RowWithFields, json_response, operations
 from boresight.console.runs import archive, choices, frames, presets, schemas
 from boresight.console.runs import service as runs
 from boresight.console.runs.frames import FrameLine
@@ -284,16 +284,16 @@ class NewPreset(Shape):
     settings: console_schemas.Settings = Field(default_factory=dict)
 
 
-def _own(offer: OfferedPreset) -> Beside:
-    return Beside(offer, **dict.fromkeys(("id", "number", "created_utc", "created_by", "archived_utc")))
+def _own(offer: OfferedPreset) -> RowWithFields:
+    return RowWithFields(offer, **dict.fromkeys(("id", "number", "created_utc", "created_by", "archived_utc")))
 
 
-def _saved(row: Preset) -> Beside:
-    return Beside(row, key=str(row.id), settings=row.document)
+def _saved(row: Preset) -> RowWithFields:
+    return RowWithFields(row, key=str(row.id), settings=row.document)
 
 
 @preset_router.get("", summary="List presets", response_model=Page[schemas.Preset])
-def list_presets(session: Reading, page: Paged, archived: bool = False) -> Listing[Beside]:
+def list_presets(session: Reading, page: Paged, archived: bool = False) -> Listing[RowWithFields]:
     """List saved versions, newest first, with the archived ones where asked; the first page begins with Boresight's own."""
     found = presets.list_presets(session, archived=archived, **page.rows)
     saved = page.cut(found, _saved)
@@ -302,19 +302,19 @@ def list_presets(session: Reading, page: Paged, archived: bool = False) -> Listi
 
 
 @preset_router.post("", summary="Save a preset", status_code=201, response_model=schemas.Preset)
-def save_preset(preset: NewPreset, actor: Who, session: Writing) -> Beside:
+def save_preset(preset: NewPreset, actor: Who, session: Writing) -> RowWithFields:
     """Save settings under a name; an existing name gets its next version."""
     return _saved(presets.save_preset(session, actor, preset.name, preset.sentence, preset.settings))
 
 
 @preset_router.get("/{preset_id}", summary="Read a preset", response_model=schemas.Preset)
-def get_preset(preset_id: Id, session: Reading) -> Beside:
+def get_preset(preset_id: Id, session: Reading) -> RowWithFields:
     """Read a saved version, archived or not."""
     return _saved(presets.get_preset(session, preset_id))
 
 
 @preset_router.post("/{preset_id}:archive", summary="Archive a preset", response_model=schemas.Preset)
-def archive_preset(preset_id: Id, actor: Who, seen: SeenTag, session: Writing) -> Beside:
+def archive_preset(preset_id: Id, actor: Who, seen: SeenTag, session: Writing) -> RowWithFields:
     """Stop offering a version; nothing is deleted."""
     seen.require(schemas.Preset, presets.get_preset(session, preset_id), f"Preset {preset_id}")
     return _saved(presets.archive_preset(session, actor, preset_id))

@@ -31,7 +31,7 @@ from boresight.console.access.dependencies import (
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.pages.sensors import list_sensor_choices
 from boresight.console.fleet.tables import Sensor
-from boresight.console.operation import Beside
+from boresight.console.operation import RowWithFields
 from boresight.console.pages.drawings import Drawing, detector_map, histogram, number_bars
 from boresight.console.pages.rendering import (
     AttemptResult,
@@ -45,7 +45,6 @@ from boresight.console.pages.rendering import (
 from boresight.console.pages.tables import (
     Table,
     TableColumn,
-    TableView,
     accept_one,
     is_number,
     is_text,
@@ -147,16 +146,11 @@ class TelemetryContext:
         return isinstance(error, OtherCameraError) and error.keepable
 
 
-def _in_use(view: TableView) -> dict[str, Any]:
-    """Return the filter that hides archived sets, unless the view shows them too."""
-    return {"archived": None, "in_use": None if view.where.get("archived") else 1}
-
-
 def _page(
     request: Request, roles: frozenset[str], limit_mb: float, shown: TelemetryContext, session: Session
 ) -> HTMLResponse:
     view = read_view(request, SETS)
-    found = read_page(session, view, **_in_use(view))
+    found = read_page(session, view, **view.hide_archived())
     return render(
         request,
         "telemetry/telemetry.html",
@@ -188,14 +182,14 @@ def telemetry_page(request: Request, session: Reading, roles: Roles, settings: S
 def telemetry_csv(request: Request, session: Reading) -> Response:
     """Give every set of a view as CSV."""
     view, names = read_view(request, SETS), read_names(session, sensors_of=None)
-    rows = (_csv_row(row, names) for row in read_all(session, view, **_in_use(view)))
+    rows = (_csv_row(row, names) for row in read_all(session, view, **view.hide_archived()))
     return write_csv(view, rows)
 
 
-def _csv_row(row: TelemetrySet, names: RunNames) -> Beside:
+def _csv_row(row: TelemetrySet, names: RunNames) -> RowWithFields:
     quality = find_quality(row.quality)
     time, temperature = quality.time, quality.temperature_c
-    return Beside(
+    return RowWithFields(
         row,
         set=row.id,
         verdict=quality.verdict,

@@ -23,7 +23,7 @@ from boresight.console.access.dependencies import (
     Writing,
 )
 from boresight.console.fleet.tables import Sensor
-from boresight.console.operation import Beside, operations
+from boresight.console.operation import RowWithFields, operations
 from boresight.console.schemas import Document, Row, file_field, multipart
 from boresight.console.telemetry import profiles, tables
 from boresight.console.telemetry import service as telemetry_sets
@@ -141,7 +141,9 @@ def list_telemetry_sets(
     response_model=TelemetrySet,
     openapi_extra=FORM,
 )
-def upload_telemetry_set(actor: Who, upload: Uploaded, prepared: Prepared, session: Writing, blobs: Blobs) -> Beside:
+def upload_telemetry_set(
+    actor: Who, upload: Uploaded, prepared: Prepared, session: Writing, blobs: Blobs
+) -> RowWithFields:
     """Store a file with its quality report. Nothing of a refused file is stored; the refusal names row and column.
 
     A set from another sensor's camera is refused with the number of that sensor; `keep_here` keeps it where it was sent.
@@ -151,7 +153,7 @@ def upload_telemetry_set(actor: Who, upload: Uploaded, prepared: Prepared, sessi
     purpose = upload.fields.get("purpose", "calibration")
     row = telemetry_sets.store_prepared(session, actor, blobs, upload.number("sensor_id"), prepared, purpose)
     preview = row.import_record if prepared.imported is None else prepared.imported.to_preview()
-    return Beside(row, import_record=preview)
+    return RowWithFields(row, import_record=preview)
 
 
 @router.get(
@@ -219,18 +221,18 @@ def get_telemetry_source(telemetry_set_id: Id, session: Reading, blobs: Blobs) -
 profile_router = operations("/import-profiles", tags=["telemetry sets"])
 
 
-def _saved(row: tables.ImportProfile) -> Beside:
-    return Beside(row, key=str(row.id))
+def _saved(row: tables.ImportProfile) -> RowWithFields:
+    return RowWithFields(row, key=str(row.id))
 
 
-def _own(offer: OfferedProfile) -> Beside:
+def _own(offer: OfferedProfile) -> RowWithFields:
     document, sha256 = offer.profile.to_dict(), offer.profile.sha256
     absent = dict.fromkeys(("id", "number", "created_utc", "created_by", "archived_utc"))
-    return Beside(offer, name=offer.key, document=document, sha256=sha256, **absent)
+    return RowWithFields(offer, name=offer.key, document=document, sha256=sha256, **absent)
 
 
 @profile_router.get("", summary="List mapping profiles", response_model=Page[ImportProfile])
-def list_import_profiles(session: Reading, page: Paged, archived: bool = False) -> Listing[Beside]:
+def list_import_profiles(session: Reading, page: Paged, archived: bool = False) -> Listing[RowWithFields]:
     """List saved versions, newest first, with the archived ones where asked; the first page begins with Boresight's own."""
     saved = page.cut(profiles.list_profiles(session, archived=archived, **page.rows), _saved)
     own = [_own(OfferedProfile(name, profile)) for name, profile in BUILT_IN.items()] if page.last_id is None else []
@@ -238,19 +240,19 @@ def list_import_profiles(session: Reading, page: Paged, archived: bool = False) 
 
 
 @profile_router.post("", summary="Save a mapping profile", status_code=201, response_model=ImportProfile)
-def save_import_profile(document: Document, actor: Who, session: Writing) -> Beside:
+def save_import_profile(document: Document, actor: Who, session: Writing) -> RowWithFields:
     """Save a profile under its name; an existing name gets its next version."""
     return _saved(profiles.save_profile(session, actor, document))
 
 
 @profile_router.get("/{profile_id}", summary="Read a mapping profile", response_model=ImportProfile)
-def get_import_profile(profile_id: Id, session: Reading) -> Beside:
+def get_import_profile(profile_id: Id, session: Reading) -> RowWithFields:
     """Read a saved version, archived or not."""
     return _saved(profiles.get_profile(session, profile_id))
 
 
 @profile_router.post("/{profile_id}:archive", summary="Archive a mapping profile", response_model=ImportProfile)
-def archive_import_profile(profile_id: Id, actor: Who, seen: SeenTag, session: Writing) -> Beside:
+def archive_import_profile(profile_id: Id, actor: Who, seen: SeenTag, session: Writing) -> RowWithFields:
     """Stop offering a version; nothing is deleted."""
     seen.require(ImportProfile, profiles.get_profile(session, profile_id), f"Mapping profile {profile_id}")
     return _saved(profiles.archive_profile(session, actor, profile_id))

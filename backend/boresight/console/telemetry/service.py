@@ -6,7 +6,6 @@ before the transaction and `store_prepared` inside it.
 
 from __future__ import annotations
 
-import hashlib
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -26,6 +25,7 @@ from boresight.console import list_queries as lists
 from boresight.console.fleet.tables import Sensor as SensorRow
 from boresight.console.telemetry import queries as rows
 from boresight.console.telemetry.tables import TelemetrySet, find_diagnosis
+from boresight.disks import compute_digest
 from boresight.errors import ConflictError, Fault, NotFoundError, RefusedInputError, UnavailableError
 from boresight.images.limits import LIMITS as IMAGE_LIMITS
 from boresight.images.limits import ImageLimits, ImageSource, is_archive
@@ -47,9 +47,10 @@ from boresight.telemetry.quality.findings import Finding
 from boresight.telemetry.quality.report import QualityParts, put_finding_first
 from boresight.telemetry.read.frames import frame_index
 from boresight.telemetry.read.limits import LIMITS, Limits
-from boresight.telemetry.read.readers import read_chunks, write_parquet
+from boresight.telemetry.readers import read_chunks
 from boresight.telemetry.sensors import Sensor, parse_sensor
 from boresight.telemetry.working_table import MEDIA_TYPE, WorkingTableParts, find_image
+from boresight.telemetry.writing import write_parquet
 
 PURPOSES = ("calibration", "validation")
 MEDIA_TYPES = {
@@ -176,7 +177,7 @@ def hold_prepared(  # noqa: PLR0913 - a file, what it is said to be, and what it
             table=table,
             name=name,
             media_type=ARCHIVE if found else MEDIA_TYPES.get(PurePath(name).suffix.lower(), PARQUET),
-            original_sha256=_sha256_of_file(original),
+            original_sha256=compute_digest(original),
             frames=quality["frames"],
             stars=quality["stars"],
             quality=quality,
@@ -306,7 +307,7 @@ def _named(other: OtherCameras) -> str:
 
 def _stored(table: Path) -> StoredTable:
     """A working table that is not in the store yet."""
-    return StoredTable(table, _sha256_of_file(table))
+    return StoredTable(table, compute_digest(table))
 
 
 def diagnose_stored(document: Mapping[str, Any], found: TelemetrySet, sources: ForecastSources) -> Diagnosis:
@@ -404,7 +405,7 @@ def add_telemetry_set(
     """Read, check and store an uploaded file of a sensor; see `hold_prepared` and `store_prepared`."""
     _refuse_upload(actor, purpose)
     sensor = session.get_known(SensorRow, sensor_id)
-    existing = rows.find_set_with_bytes(session, sensor_id, _sha256_of_file(path))
+    existing = rows.find_set_with_bytes(session, sensor_id, compute_digest(path))
     if existing is not None and existing.removed_utc is None:
         return _use_again(session, actor, existing)
     with hold_prepared(sensor.document, catalogue, path, file_name) as upload:
@@ -475,12 +476,6 @@ def _refuse_upload(actor: Actor, purpose: str) -> None:
     _refuse_analysis(actor)
     if purpose not in PURPOSES:
         raise RefusedInputError(f"There is no purpose {purpose!r}; choose calibration or validation.")
-
-
-def _sha256_of_file(path: Path) -> str:
-    """Return the address that a file's bytes would have."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _use_again(session: Session, actor: Actor, row: TelemetrySet) -> TelemetrySet:

@@ -7,6 +7,7 @@ from collections.abc import Collection, Sequence
 import sqlalchemy as sa
 
 from boresight.console.webhooks.tables import Webhook, WebhookDelivery
+from boresight.platform.audit import queries as audit_rows
 from boresight.platform.audit import seals as journals
 from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.db.sessions import Engine, Session
@@ -22,11 +23,6 @@ def list_records_after(session: Session, audit_id: int, limit: int) -> Sequence[
     """Return audit records after a number, oldest first."""
     query = sa.select(AuditRecord).where(AuditRecord.id > audit_id).order_by(AuditRecord.id).limit(limit)
     return session.scalars(query).all()
-
-
-def read_newest_audit_id(session: Session) -> int:
-    """Return the number of the newest audit record, 0 when there is none."""
-    return session.scalar(sa.select(sa.func.max(AuditRecord.id))) or 0
 
 
 def read_next_delivery_id(session: Session) -> int:
@@ -66,7 +62,7 @@ def put_off(session: Session, webhook_id: int, until_utc: str) -> None:
 
 def is_any_untold(session: Session) -> bool:
     """Whether there is an audit record without messages to a webhook yet."""
-    newest = read_newest_audit_id(session)
+    newest = audit_rows.read_newest_id(session)
     untold = sa.select(Webhook.id).where(Webhook.disabled_utc.is_(None), Webhook.told_audit_id < newest).limit(1)
     return session.scalar(untold) is not None
 

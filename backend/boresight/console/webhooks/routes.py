@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from boresight.console.access.dependencies import Reading, SecretKeeper, Who, Writing
 from boresight.console.jobs.dependencies import ServerWebhookSender
-from boresight.console.operation import Beside, OperationResponse, operations
+from boresight.console.operation import OperationResponse, RowWithFields, operations
 from boresight.console.schemas import Row, Shape
 from boresight.console.webhooks import service as webhooks
 from boresight.console.webhooks import tables
@@ -92,8 +92,8 @@ def _judge(wanted: WantedWebhook, actor: Who, sender: ServerWebhookSender) -> No
     webhooks.judge_address(actor, wanted.url, sender.targets)
 
 
-def _shown(row: tables.Webhook, box: SecretBox, **more: str) -> Beside:
-    return Beside(row, state=get_state(row, box), former_secret_until_utc=row.previous_until_utc, **more)
+def _shown(row: tables.Webhook, box: SecretBox, **more: str) -> RowWithFields:
+    return RowWithFields(row, state=get_state(row, box), former_secret_until_utc=row.previous_until_utc, **more)
 
 
 def _with_secret(row: tables.Webhook, secret: str, box: SecretBox) -> OperationResponse:
@@ -102,7 +102,7 @@ def _with_secret(row: tables.Webhook, secret: str, box: SecretBox) -> OperationR
 
 
 @router.get("", summary="List webhooks", response_model=Page[Webhook])
-def list_webhooks(actor: Who, session: Reading, page: Paged, box: SecretKeeper) -> Listing[Beside]:
+def list_webhooks(actor: Who, session: Reading, page: Paged, box: SecretKeeper) -> Listing[RowWithFields]:
     """List webhooks, newest first."""
     return page.cut_whole(webhooks.list_webhooks(session, actor), lambda row: _shown(row, box))
 
@@ -134,19 +134,19 @@ def renew_webhook_secret(
 
 
 @router.get("/{webhook_id}", summary="Read a webhook", response_model=Webhook)
-def get_webhook(webhook_id: Id, actor: Who, session: Reading, box: SecretKeeper) -> Beside:
+def get_webhook(webhook_id: Id, actor: Who, session: Reading, box: SecretKeeper) -> RowWithFields:
     """Read a webhook."""
     return _shown(webhooks.get_webhook(session, actor, webhook_id), box)
 
 
 @router.post("/{webhook_id}:disable", summary="Disable a webhook", response_model=Webhook)
-def disable_webhook(webhook_id: Id, actor: Who, box: SecretKeeper, session: Writing) -> Beside:
+def disable_webhook(webhook_id: Id, actor: Who, box: SecretKeeper, session: Writing) -> RowWithFields:
     """Send nothing more to an address; its log stays."""
     return _shown(webhooks.disable_webhook(session, actor, webhook_id), box)
 
 
 @router.post("/{webhook_id}:enable", summary="Enable a webhook", response_model=Webhook)
-def enable_webhook(webhook_id: Id, actor: Who, box: SecretKeeper, session: Writing) -> Beside:
+def enable_webhook(webhook_id: Id, actor: Who, box: SecretKeeper, session: Writing) -> RowWithFields:
     """Send events to an address again from now on."""
     return _shown(webhooks.enable_webhook(session, actor, webhook_id), box)
 

@@ -25,6 +25,7 @@ from boresight.console.webhooks.tables import Webhook, WebhookDelivery
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.actors import Actor, refuse_key, require_role
 from boresight.platform.audit import log as audit
+from boresight.platform.audit import queries as audit_rows
 from boresight.platform.audit.external_head import ExternalHead
 from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.db.secret_box import SecretBox
@@ -107,13 +108,13 @@ def create_webhook(
         url=url.strip(),
         actions=sorted({_read_kind(action) for action in actions}),
         secret=box.seal(secret),
-        told_audit_id=rows.read_newest_audit_id(session),
+        told_audit_id=audit_rows.read_newest_id(session),
         created_utc=utc_now(),
         created_by=actor.user_id,
     )
     session.put(row)
     audit.append(session, actor, "created", _subject(row), None, _describe(row))
-    row.told_audit_id = rows.read_newest_audit_id(session)
+    row.told_audit_id = audit_rows.read_newest_id(session)
     return row, secret
 
 
@@ -177,7 +178,7 @@ def enable_webhook(session: Session, actor: Actor, webhook_id: int) -> Webhook:
         row.disabled_utc = None
         row.version += 1
         audit.append(session, actor, "enabled", _subject(row), {"disabled": True}, {"disabled": False})
-        row.told_audit_id = rows.read_newest_audit_id(session)
+        row.told_audit_id = audit_rows.read_newest_id(session)
     return row
 
 

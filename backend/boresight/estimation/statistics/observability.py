@@ -47,6 +47,7 @@ from numpy.typing import NDArray
 from boresight.arrays import FloatArray
 from boresight.estimation.batch import compute_chi2, determined, normal_equations
 from boresight.estimation.stored_arcs import Arcs
+from boresight.wording import join_words
 
 #: A direction known worse than this many typical sigmas is called weak; the data then say little that was not known before.
 WEAK = 0.5
@@ -113,11 +114,7 @@ class Observability:
         if len(named) == 1:
             return f"{named[0][0]} moves nearly alone: it {known}."
         ratio = ", ".join(f"{value:+.2f} {symbol}" for symbol, value in named)
-        return f"{_listed([symbol for symbol, _ in named])} move together: the combination {ratio} (typical sigmas) {known}."
-
-
-def _listed(words: list[str]) -> str:
-    return f"{', '.join(words[:-1])} and {words[-1]}"
+        return f"{join_words([symbol for symbol, _ in named])} move together: the combination {ratio} (typical sigmas) {known}."
 
 
 def observability(A: FloatArray, names: tuple[str, ...], symbols: tuple[str, ...]) -> Observability:

@@ -27,7 +27,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from boresight.arrays import FloatArray
+from boresight.arrays import FloatArray, list_known
 from boresight.calibration.calibration import Calibration
 from boresight.figures.chart import Figure, Table, Trace
 from boresight.figures.live_traces import Panel, follow_column, follow_parameters
@@ -364,8 +364,8 @@ def list_history(history: History) -> Table:
     if history.time_utc:
         columns["time_utc"] = list(history.time_utc)
     for i, name in enumerate(history.names):
-        columns[name] = theme.plain(history.value[:, i])
-        columns[f"sigma_{name}"] = theme.plain(history.sigma[:, i])
+        columns[name] = list_known(history.value[:, i])
+        columns[f"sigma_{name}"] = list_known(history.sigma[:, i])
     return columns
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from boresight.arrays import FloatArray
+from boresight.arrays import FloatArray, list_known
 from boresight.calibration.calibration import Calibration
 from boresight.figures.chart import Table, Trace
 from boresight.figures.factory import Part, make_figure
@@ -96,8 +96,8 @@ def table(found: Correlations) -> Table:
     return {
         "parameter": [names[i] for i in rows],
         "with": [names[j] for j in columns],
-        "correlation": theme.plain(rho[rows, columns]),
-        "covariance_si": theme.plain(P[rows, columns]),
+        "correlation": list_known(rho[rows, columns]),
+        "covariance_si": list_known(P[rows, columns]),
     }
 
 

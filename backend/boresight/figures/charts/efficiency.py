@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 import plotly.graph_objects as go
 
-from boresight.arrays import FloatArray
+from boresight.arrays import FloatArray, list_known
 from boresight.calibration.calibration import Efficiency
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
@@ -54,9 +54,9 @@ def table(part: Efficiency) -> Table:
     ratios = _ratios(part)
     return {
         "parameter": list(part.names),
-        "cramer_rao_sigma": theme.plain(bound),
-        "claimed_sigma": theme.plain(bound * ratios),
-        "ratio": theme.plain(ratios),
+        "cramer_rao_sigma": list_known(bound),
+        "claimed_sigma": list_known(bound * ratios),
+        "ratio": list_known(ratios),
     }
 
 

@@ -22,7 +22,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from boresight.arrays import FloatArray
+from boresight.arrays import FloatArray, list_known
 from boresight.calibration.calibration import Calibration, FrameObservability, ReferenceInformation
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, make_figure
@@ -132,7 +132,7 @@ def table(view: FrameObservability) -> Table:
     """List one frame a row: the minimum singular value under each choice, per typical sigma."""
     columns: Table = {"frame": list(view.frame)}
     curves = view.minimum_singular_value.items()
-    return columns | {name: theme.plain(column(values)) for name, values in curves}
+    return columns | {name: list_known(column(values)) for name, values in curves}
 
 
 FRAME_OBSERVABILITY = make_figure(
@@ -217,9 +217,9 @@ def table_reference_information(view: FrameObservability) -> Table:
     """List one reference a row: its share of the information, and the parameter it serves worst."""
     return {
         "reference": [entry.reference for entry in view.information],
-        "share_of_information": theme.plain(_shares(view)),
-        "sigma_over_bound": theme.plain(1 / np.sqrt(_shares(view))),
-        "least_share": theme.plain(column([entry.least_share for entry in view.information])),
+        "share_of_information": list_known(_shares(view)),
+        "sigma_over_bound": list_known(1 / np.sqrt(_shares(view))),
+        "least_share": list_known(column([entry.least_share for entry in view.information])),
         "least_parameter": [entry.least for entry in view.information],
     }
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from boresight.arrays import FloatArray
+from boresight.arrays import FloatArray, list_known
 from boresight.calibration.calibration import NisOverTime, Whiteness
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
@@ -104,7 +104,7 @@ def table(part: NisOverTime) -> Table:
     """List one frame a row: the innovation a degree of freedom and its bounds."""
     columns: Table = {"frame": list(part.frame)}
     told = {"nis_per_dof": part.nis_per_dof, "lower": part.lower, "upper": part.upper}
-    return columns | {name: theme.plain(column(values)) for name, values in told.items()}
+    return columns | {name: list_known(column(values)) for name, values in told.items()}
 
 
 INNOVATIONS = part_figure(
@@ -155,7 +155,7 @@ def list_lags(part: Whiteness) -> Table:
     """List one lag a row: the autocorrelation and its bound."""
     return {
         "lag": list(part.lags),
-        "autocorrelation": theme.plain(column(part.autocorrelation)),
+        "autocorrelation": list_known(column(part.autocorrelation)),
         "bound": [part.bound] * len(part.lags),
     }
 

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 import plotly.graph_objects as go
 
-from boresight.arrays import FloatArray
+from boresight.arrays import FloatArray, list_known
 from boresight.calibration.calibration import Calibration, Values
 from boresight.estimation.statistics.consistency import ChiSquare, chi_square, nees
 from boresight.figures.chart import Table, Trace
@@ -210,8 +210,8 @@ def table(way: _Convergence) -> Table:
     """List every step: claimed and true error in sigmas of the bound."""
     return {
         way.history.axis: [int(step) for step in way.history.x],
-        "claimed_over_bound": theme.plain(way.claimed),
-        "true_over_bound": theme.plain(way.true),
+        "claimed_over_bound": list_known(way.claimed),
+        "true_over_bound": list_known(way.true),
     }
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from boresight.arrays import FloatArray
+from boresight.arrays import FloatArray, list_known
 from boresight.calibration.calibration import Calibration, MoreData
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
@@ -101,7 +101,7 @@ def _dress(figure: go.Figure, drawn: Sequence[Part[MoreData]], n_rows: int, n_pa
 def table(part: MoreData) -> Table:
     """List further frames and the predicted sigma of each parameter in SI."""
     further: Table = {"further_frames": list(part.further_frames)}
-    return further | {f"sigma_{name}": theme.plain(column(values)) for name, values in part.sigma.items()}
+    return further | {f"sigma_{name}": list_known(column(values)) for name, values in part.sigma.items()}
 
 
 MORE_DATA = part_figure(

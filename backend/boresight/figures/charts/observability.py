@@ -21,7 +21,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from boresight.arrays import FloatArray
+from boresight.arrays import FloatArray, list_known
 from boresight.calibration.advice import ENOUGH, MOST_TIMES
 from boresight.calibration.calibration import Calibration, Observability
 from boresight.cameras import CAMERA_MODELS
@@ -194,12 +194,12 @@ def table(seen: Observability) -> Table:
         spread = np.where(values > 0, 1.0 / values, np.nan)
     columns: Table = {
         "direction": list(range(1, len(values) + 1)),
-        "singular_value": theme.plain(values),
-        "sigma_of_direction": theme.plain(spread),
+        "singular_value": list_known(values),
+        "sigma_of_direction": list_known(spread),
     }
     V = _vectors(seen)
     if V is not None:
-        columns |= {name: theme.plain(row) for name, row in zip(seen.parameter_names, V, strict=True)}
+        columns |= {name: list_known(row) for name, row in zip(seen.parameter_names, V, strict=True)}
     return columns
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from boresight.arrays import FloatArray
+from boresight.arrays import FloatArray, list_known
 from boresight.calibration.calibration import Calibration, Values
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, make_figure
@@ -148,13 +148,13 @@ def table(result: Calibration) -> Table:
     change, sigma = _change(result, names), _column(result.reliable_sigma, names)
     return {
         "parameter": list(names),
-        "initial": theme.plain(_column(result.initial, names)),
-        "final": theme.plain(_column(result.parameters, names)),
-        "delta": theme.plain(change),
-        "sigma": theme.plain(_column(result.sigma, names)),
-        "sigma_with_misfit": theme.plain(sigma),
-        "delta_over_sigma": theme.plain(_ratio(change, sigma)),
-        "delta_in_typical_sigma": theme.plain(_ratio(change, _column(result.typical_sigma, names))),
+        "initial": list_known(_column(result.initial, names)),
+        "final": list_known(_column(result.parameters, names)),
+        "delta": list_known(change),
+        "sigma": list_known(_column(result.sigma, names)),
+        "sigma_with_misfit": list_known(sigma),
+        "delta_over_sigma": list_known(_ratio(change, sigma)),
+        "delta_in_typical_sigma": list_known(_ratio(change, _column(result.typical_sigma, names))),
     }
 
 

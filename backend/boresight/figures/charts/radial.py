@@ -25,7 +25,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from boresight.arrays import FloatArray
+from boresight.arrays import FloatArray, list_known
 from boresight.calibration.calibration import Calibration, Displacement, RadialDifference, StarCounts
 from boresight.calibration.evaluation.contrast import RadialContrast
 from boresight.figures.chart import Table
@@ -203,7 +203,7 @@ def _tie_arcsec(figure: go.Figure, window: list[float], radials: Sequence[Radial
 
 def table(radial: RadialDifference) -> Table:
     """List the curve: radius and difference in px, and the difference as an angle."""
-    return {name: theme.plain(lay_over(radial, getattr(radial, name))) for name in CONTRAST_COLUMNS}
+    return {name: list_known(lay_over(radial, getattr(radial, name))) for name in CONTRAST_COLUMNS}
 
 
 RADIAL = make_figure(
@@ -371,10 +371,10 @@ def table_distortion(curves: Distortion) -> Table:
     """List radius, old and new displacement and the new one's sigma, in px."""
     radial = curves.difference
     return {
-        "radius_px": theme.plain(column(radial.radius_px)),
-        "old_px": theme.plain(column(curves.displacement.initial)),
-        "new_px": theme.plain(column(curves.displacement.final)),
-        "sigma_px": theme.plain(lay_over(radial, radial.sigma_px)),
+        "radius_px": list_known(column(radial.radius_px)),
+        "old_px": list_known(column(curves.displacement.initial)),
+        "new_px": list_known(column(curves.displacement.final)),
+        "sigma_px": list_known(lay_over(radial, radial.sigma_px)),
     }
 
 

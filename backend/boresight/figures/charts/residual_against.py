@@ -17,18 +17,14 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from boresight.arrays import FloatArray
-from boresight.calibration.calibration import Calibration, ResidualAgainst, ResidualDependence
+from boresight.arrays import FloatArray, list_known
+from boresight.calibration.calibration import RESIDUAL_UNITS, Calibration, ResidualAgainst, ResidualDependence
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
 from boresight.figures.style.axes import grid_place
 
 PART = "residual_against"
-UNITS = {
-    "radius": "px", "magnitude": "mag", "temperature": "°C", "time": "h", "colour": "mag", "row": "px", "column": "px",
-    "row_phase": "px", "column_phase": "px",
-}  # fmt: skip
 #: What an axis is called where that is not the cause's own name.
 TITLES = {"colour": "B-V", "row_phase": "row phase", "column_phase": "column phase"}
 NARROW_LINE_PX = 170  # the height that a phone gives a panel of lines
@@ -38,9 +34,9 @@ REACH_SIGMA = 1.96
 
 def draw(drawn: Sequence[Part[ResidualAgainst]], beside: int = 3) -> go.Figure:
     """Draw a panel a cause, so many beside each other; one without data says why."""
-    rows = -(-len(UNITS) // beside)
+    rows = -(-len(RESIDUAL_UNITS) // beside)
     figure = make_subplots(rows, beside, horizontal_spacing=0.08, vertical_spacing=0.39 / rows)
-    for number, cause in enumerate(UNITS):
+    for number, cause in enumerate(RESIDUAL_UNITS):
         _panel(figure, drawn, cause, number, grid_place(number, beside))
     many, title = len(drawn) > 1, "Mean residual, 95 % bars; dotted: RMS"
     height = 760 if beside > 1 else 80 + NARROW_LINE_PX * rows
@@ -58,7 +54,7 @@ def _panel(
     for style, bins in known:
         figure.add_trace(_means(style, bins), **where)
         figure.add_trace(_rms(style, bins), **where)
-    unit = known[0][1].unit if known else UNITS[cause]
+    unit = known[0][1].unit if known else RESIDUAL_UNITS[cause]
     figure.update_xaxes(title_text=f"{TITLES.get(cause, cause)} ({unit})", **where)
     figure.update_yaxes(title_text="residual (px)" if where["col"] == 1 else None, **where)
     if not known:
@@ -132,7 +128,7 @@ def table(part: ResidualAgainst) -> Table:
         if bins is None:
             continue
         columns = (bins.edges, bins.mean_px, bins.sigma_of_mean_px, bins.rms_px, bins.count)
-        edges, means, sigma, spreads, counts = (theme.plain(column(values)) for values in columns)
+        edges, means, sigma, spreads, counts = (list_known(column(values)) for values in columns)
         rows += [
             (cause, edges[i], edges[i + 1], bins.unit, counts[i], means[i], sigma[i], spreads[i])
             for i in range(len(means))

@@ -15,7 +15,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from boresight.arrays import FloatArray
+from boresight.arrays import FloatArray, list_known
 from boresight.calibration.calibration import Histogram, ResidualDistribution
 from boresight.estimation.statistics.consistency import CLEAR_SIGMAS
 from boresight.figures.chart import Table
@@ -110,13 +110,13 @@ def _headline(drawn: Sequence[Part[ResidualDistribution]]) -> str:
 def table(part: ResidualDistribution) -> Table:
     """List one bin a row with its counts, and beside them the quantiles; the shorter of the two ends in empty cells."""
     edges = column(part.edges)
-    columns: Table = {"from_sigma": theme.plain(edges[:-1]), "to_sigma": theme.plain(edges[1:])}
+    columns: Table = {"from_sigma": list_known(edges[:-1]), "to_sigma": list_known(edges[1:])}
     columns |= {
         "count_before": list(part.before.counts),
         "count_after": list(part.after.counts),
-        "normal_deviate": theme.plain(column(part.normal)),
-        "quantile_sigma": theme.plain(column(part.quantile)),
-        "sigma_of_quantile": theme.plain(column(part.sigma_of_quantile)),
+        "normal_deviate": list_known(column(part.normal)),
+        "quantile_sigma": list_known(column(part.quantile)),
+        "sigma_of_quantile": list_known(column(part.sigma_of_quantile)),
     }
     longest = max(map(len, columns.values()))
     return {name: values + [None] * (longest - len(values)) for name, values in columns.items()}

@@ -24,7 +24,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
-from boresight.arrays import FloatArray
+from boresight.arrays import FloatArray, list_known
 from boresight.calibration.calibration import FieldOfResiduals, ResidualField, Residuals
 from boresight.estimation.statistics.consistency import CLEAR_SIGMAS
 from boresight.figures.chart import Table
@@ -149,7 +149,7 @@ def _arrows(
 def table(part: Residuals) -> Table:
     """List one star a row: frame, star, place and residual in px."""
     columns: Table = {"frame": list(part.frame)} | ({} if part.star_id is None else {"star_id": list(part.star_id)})
-    return columns | {name: theme.plain(column(getattr(part, name))) for name in COLUMNS}
+    return columns | {name: list_known(column(getattr(part, name))) for name in COLUMNS}
 
 
 RESIDUAL_MAP = part_figure(
@@ -186,8 +186,8 @@ def _map(top: float, one: Part[ResidualField], last: bool) -> go.Heatmap:
     _, style, part = one
     row, col = column(part.row_edges_px), column(part.col_edges_px)
     return go.Heatmap(
-        x=theme.plain((col[1:] + col[:-1]) / 2),
-        y=theme.plain((row[1:] + row[:-1]) / 2),
+        x=list_known((col[1:] + col[:-1]) / 2),
+        y=list_known((row[1:] + row[:-1]) / 2),
         z=theme.short(_rms(part)),
         customdata=theme.short(column(part.after.count)),
         zmin=0,
@@ -207,7 +207,7 @@ def table_residual_rms(part: ResidualField) -> Table:
     columns = {"row_from_px": row[i], "row_to_px": row[i + 1], "column_from_px": col[j], "column_to_px": col[j + 1]}
     sides = {f"rms_{side}_px": column(field.rms_px).ravel() for side, field in list_sides(part).items()}
     stars = {"stars": column(part.after.count).ravel()}
-    return {name: theme.plain(values) for name, values in (columns | sides | stars).items()}
+    return {name: list_known(values) for name, values in (columns | sides | stars).items()}
 
 
 RESIDUAL_RMS = part_figure(
@@ -369,7 +369,7 @@ def table_quiver(part: ResidualField) -> Table:
         cells = read_cells(part, field)
         columns["when"] += [side] * len(cells.row)
         for name, values in vars(cells).items():
-            columns.setdefault(COLUMN_OF[name], []).extend(theme.plain(values))
+            columns.setdefault(COLUMN_OF[name], []).extend(list_known(values))
     return columns
 
 

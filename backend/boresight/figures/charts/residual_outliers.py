@@ -14,6 +14,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from boresight.arrays import list_known
 from boresight.calibration.calibration import Calibration, ResidualOutliers
 from boresight.calibration.problem import UNMATCHED_REASON
 from boresight.figures.chart import Table
@@ -126,7 +127,7 @@ def table(part: ResidualOutliers) -> Table:
     columns: Table = {"frame": list(part.frame), "exposure": list(part.exposure)}
     columns |= {} if part.star_id is None else {"star_id": list(part.star_id)}
     names = ("row_px", "col_px", "d_row_px", "d_col_px", "normalised")
-    return columns | {name: theme.plain(column(getattr(part, name))) for name in names}
+    return columns | {name: list_known(column(getattr(part, name))) for name in names}
 
 
 RESIDUAL_OUTLIERS = part_figure(

@@ -13,7 +13,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from boresight.arrays import FloatArray
+from boresight.arrays import FloatArray, list_known
 from boresight.calibration.calibration import ResidualSpline
 from boresight.estimation.statistics.consistency import CLEAR_SIGMAS
 from boresight.figures.chart import Table
@@ -21,10 +21,10 @@ from boresight.figures.charts.residual_map import others
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
 from boresight.figures.style.axes import BETWEEN_PANELS, frame_maps, grid_place, stacked_px
+from boresight.uplink.correction_table import COLUMNS
 from boresight.verdicts.numbers import number
 
 SIDES = {"row": "of rows", "col": "of columns"}
-COLUMNS = ("row_px", "col_px", "d_row_px", "sigma_row_px", "d_col_px", "sigma_col_px")
 
 
 def draw(drawn: Sequence[Part[ResidualSpline]], beside: int = 2) -> go.Figure:
@@ -61,8 +61,8 @@ def _reach(part: ResidualSpline, side: str) -> float:
 def _field(part: ResidualSpline, side: str, reach: float, label: str, *, last: bool) -> go.Heatmap:
     d, sigma = _displacement(part, side)
     return go.Heatmap(
-        x=theme.plain(column(part.col_px)),
-        y=theme.plain(column(part.row_px)),
+        x=list_known(column(part.col_px)),
+        y=list_known(column(part.row_px)),
         z=theme.short(d),
         customdata=theme.short(sigma),
         zmin=-reach,
@@ -84,9 +84,7 @@ def find_clear(part: ResidualSpline, side: str) -> tuple[FloatArray, FloatArray]
 def _marks(part: ResidualSpline, side: str, label: str) -> go.Scatter:
     row, col = find_clear(part, side)
     marker = {"symbol": "diamond", "size": 7, "color": "#222222", "line": {"color": "#ffffff", "width": 1}}
-    return go.Scatter(
-        x=theme.plain(col), y=theme.plain(row), mode="markers", marker=marker, name=label, hoverinfo="skip"
-    )
+    return go.Scatter(x=list_known(col), y=list_known(row), mode="markers", marker=marker, name=label, hoverinfo="skip")
 
 
 def _headline(part: ResidualSpline) -> str:
@@ -102,7 +100,7 @@ def table(part: ResidualSpline) -> Table:
     """List one place a row: its displacement along rows and columns with their sigmas, px."""
     row, col = np.meshgrid(column(part.row_px), column(part.col_px), indexing="ij")
     values = (row, col, *(column(getattr(part, name)) for name in COLUMNS[2:]))
-    return {name: theme.plain(value.ravel()) for name, value in zip(COLUMNS, values, strict=True)}
+    return {name: list_known(value.ravel()) for name, value in zip(COLUMNS, values, strict=True)}
 
 
 RESIDUAL_SPLINE = part_figure(

@@ -26,7 +26,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from boresight.arrays import FloatArray
+from boresight.arrays import FloatArray, list_known
 from boresight.calibration.calibration import Calibration
 from boresight.cameras import CAMERA_MODELS
 from boresight.figures.chart import Figure, Table, Trace
@@ -222,9 +222,9 @@ def table(result: Calibration) -> Table:
         return {}
     steps: Table = {history.axis: [int(step) for step in history.x]}
     if history.axis == "iteration":
-        return steps | {"rms_arc_rad": theme.plain(history.rms_arc_rad)}
+        return steps | {"rms_arc_rad": list_known(history.rms_arc_rad)}
     columns = {"tail_rms_rad": history.tail_rms_rad, "aggregate_rms_rad": history.aggregate_rms_rad}
-    return steps | {name: theme.plain(values) for name, values in columns.items()}
+    return steps | {name: list_known(values) for name, values in columns.items()}
 
 
 RMS = Figure(
@@ -365,8 +365,8 @@ def table_rms_axes(found: AxisResiduals) -> Table:
     levels = np.array([rms_with_sigma(values) for values in found.by_axis.values()])
     return {
         "axis": list(found.by_axis),
-        "rms_px": theme.plain(levels[:, 0]),
-        "sigma_of_rms_px": theme.plain(levels[:, 1]),
+        "rms_px": list_known(levels[:, 0]),
+        "sigma_of_rms_px": list_known(levels[:, 1]),
         "residuals": [int(np.isfinite(values).sum()) for values in found.by_axis.values()],
     }
 

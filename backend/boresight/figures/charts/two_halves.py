@@ -14,6 +14,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from boresight.arrays import list_known
 from boresight.calibration.calibration import TwoHalves
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
@@ -86,7 +87,7 @@ def _headline(drawn: Sequence[Part[TwoHalves]]) -> str:
 
 def table(part: TwoHalves) -> Table:
     """List the parameters with their differences in sigmas, and beside them the cells of the map in arcsec."""
-    bars: Table = {"parameter": list(part.names), "difference_in_sigma": theme.plain(column(part.difference_in_sigma))}
+    bars: Table = {"parameter": list(part.names), "difference_in_sigma": list_known(column(part.difference_in_sigma))}
     columns = bars | cells(part.map, "difference_arcsec", part.map.difference_arcsec)
     length = max(len(values) for values in columns.values())
     return {name: values + [None] * (length - len(values)) for name, values in columns.items()}

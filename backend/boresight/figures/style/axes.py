@@ -8,6 +8,7 @@ from typing import Any
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from boresight.arrays import list_known
 from boresight.calibration.calibration import ArcSigmaMap, HalvesMap, Matrix
 from boresight.figures.chart import Table, Trace
 from boresight.figures.factory import P, Part, column
@@ -144,5 +145,5 @@ def cells(part: ArcSigmaMap | HalvesMap, name: str, values: Matrix) -> Table:
     return {
         "row_px": [row for row, _ in places],
         "col_px": [col for _, col in places],
-        name: theme.plain(column(values).ravel()),
+        name: list_known(column(values).ravel()),
     }

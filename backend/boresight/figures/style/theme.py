@@ -221,11 +221,6 @@ def short(values: NDArray[np.float64]) -> NDArray[np.float32]:
     return np.where(np.isfinite(values), values, np.nan).astype(np.float32)
 
 
-def plain(values: NDArray[np.float64]) -> list[float | None]:
-    """Turn an array into a table column at full precision, NaN as None."""
-    return [float(value) if np.isfinite(value) else None for value in values]
-
-
 def tag_run(run: str, part: str = "", sigmas: int | None = None) -> dict[str, Any]:
     """Say in a trace's `meta` whose it is, which of that run's curves, and of a band how many sigmas it reaches."""
     return {"run": run, "part": part} | ({} if sigmas is None else {"sigmas": sigmas})

@@ -29,8 +29,9 @@ from boresight.papers.enright.grid import FEW, SENSOR, SETTINGS, GridTrial, grid
 from boresight.papers.enright.pooled import Pooled
 from boresight.papers.enright.printed import TABLE_I, TABLE_II
 from boresight.papers.enright.tables import tables
-from boresight.papers.processes import Report, keep_silent, run_all
+from boresight.papers.processes import Report, run_all
 from boresight.simulation.sensors import SENSOR_NUMBERS
+from boresight.waiting import ignore_progress
 
 PAPER = "Enright, Jovanovic, Vaz, “Autonomous Recalibration of Star Trackers”, IEEE Sensors Journal, 2018"
 
@@ -108,7 +109,7 @@ class StudySize:
         return split(trial, FEW if self.quick else SETTINGS) if SENSOR in self.sensors else []
 
 
-def run(plan: StudySize, catalogue_folder: Path | None, say: Report = keep_silent) -> dict[str, Any]:
+def run(plan: StudySize, catalogue_folder: Path | None, say: Report = ignore_progress) -> dict[str, Any]:
     """Run the study; returns its document, schema `boresight.reproduction/1`."""
     plan.check()
     found = run_all(

@@ -35,7 +35,7 @@ from typing import Any
 
 import numpy as np
 
-from boresight.arrays import FloatArray, IntArray
+from boresight.arrays import ARCSEC_PER_RAD, FloatArray, IntArray
 from boresight.cameras.pinhole_radial import PINHOLE_RADIAL
 from boresight.estimation import arcs as arcsets
 from boresight.estimation.angular import all_pairs
@@ -327,9 +327,6 @@ def _information_held(view: EvaluationPoint, arcs: ArcSet) -> Record:
         ratio = np.diag(np.linalg.inv(svd)) / np.diag(np.linalg.inv(angular))
         found[weights] = ratio.tolist()
     return found
-
-
-ARCSEC_PER_RAD = 180 * 3600 / np.pi
 
 
 @dataclass(frozen=True)

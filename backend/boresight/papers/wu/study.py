@@ -19,7 +19,7 @@ from boresight.papers.documents import (
     table_document,
     write_study,
 )
-from boresight.papers.processes import Report, keep_silent, run_all, run_on_one_thread
+from boresight.papers.processes import Report, run_all, run_on_one_thread
 from boresight.papers.wu.drawings import LABELS, draw_criteria, draw_observability, draw_parameters, drawings
 from boresight.papers.wu.estimators import FIRST_FRAMES, START_SIGMA, Record, Trial, run_trial
 from boresight.papers.wu.findings import cited, errata, findings
@@ -27,6 +27,7 @@ from boresight.papers.wu.grid import ORDERS, GridTrial, grids, run_grid
 from boresight.papers.wu.tables import NAMES, Pooled, tables
 from boresight.papers.wu.timing import timing
 from boresight.simulation.sensors import WU_START, WU_TRUTH, WU_TYPICAL_SIGMA
+from boresight.waiting import ignore_progress
 
 PAPER = "Wu, Xu, Heikkilä, Zhao, Liu, Niu, “A Star Sensor On-Orbit Calibration Method Based on SVD”, Sensors, 2019"
 DRAWN = ("history", "observability")
@@ -101,7 +102,7 @@ class StudySize:
         return [GridTrial(trial, order) for trial in self.trials(sets) for order in chosen]
 
 
-def run(plan: StudySize, catalogue_folder: Path | None, say: Report = keep_silent) -> dict[str, Any]:
+def run(plan: StudySize, catalogue_folder: Path | None, say: Report = ignore_progress) -> dict[str, Any]:
     """Run the study; returns its document, schema `boresight.reproduction/1`."""
     if plan.frames <= FIRST_FRAMES:
         raise RefusedInputError(f"{plan.frames} images are too few: give more than {FIRST_FRAMES}.")

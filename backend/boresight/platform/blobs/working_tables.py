@@ -9,7 +9,7 @@ from pathlib import Path
 from boresight import disks as integrity
 from boresight.platform.blobs.store import CONVERTED, BlobStore
 from boresight.telemetry.read.limits import STORED
-from boresight.telemetry.read.readers import read_chunks
+from boresight.telemetry.readers import read_chunks
 from boresight.telemetry.working_table import WorkingTableParts, is_working_table
 
 

@@ -116,7 +116,7 @@ class DataVersionPoller:
         self._under_way: asyncio.Task[DataVersion | None] | None = None
         self._next: asyncio.Task[DataVersion | None] | None = None
 
-    async def now(self) -> DataVersion | None:
+    async def read_now(self) -> DataVersion | None:
         """Return a version that was read after this call began; None where the store does not answer."""
         if self._reader.at_once:
             return self._reader.look()

@@ -32,6 +32,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from boresight.errors import BoresightError, OverloadedError, UnauthenticatedError
 from boresight.platform.actors import Actor
 from boresight.platform.web.connections import CONNECTION, Connection
+from boresight.platform.web.middleware import FOR_MACHINES
 from boresight.platform.web.origins import SAFE_METHODS, get_network
 from boresight.platform.web.request_bodies import CLOSE, read_body
 from boresight.platform.web.response_cache import waited_s
@@ -101,7 +102,6 @@ class RequestQueue:
 
 COME_BACK_S = 2
 SMALL_BODY_BYTES = 64_000
-ALWAYS = ("/static/", "/healthz", "/readyz", "/metrics", "/api/v1/events")
 Refuse = Callable[[Request, Exception], Response]
 Begin = Callable[[Scope], Awaitable[None]]
 READERS, WRITERS = 2, 2  # run at once; all writers but one wait for the store
@@ -159,7 +159,7 @@ class ConcurrencyLimit:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Let a request in, or turn it away."""
-        if scope["type"] != "http" or scope["path"].startswith(ALWAYS):
+        if scope["type"] != "http" or scope["path"].startswith(FOR_MACHINES):
             await self.app(scope, receive, send)
             return
         try:

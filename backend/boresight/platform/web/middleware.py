@@ -70,7 +70,8 @@ ATTACHMENT_LIMIT_BYTES = 5_000_000
 ATTACHED = re.compile(r"/notes/(?:[a-z-]+/\d+|\d+/attachments)$")  # paths that take an attachment
 UPLOADED = ("/telemetry-sets", "/telemetry", "/sensors/propose")  # paths that take a file
 
-UNTRACED = ("/static/", "/healthz", "/readyz", "/metrics", "/api/v1/events")  # asked by machines, or endless
+#: Asked by browsers and monitoring by themselves, or endless: neither traced nor limited, and not asked who they are.
+FOR_MACHINES = ("/static/", "/healthz", "/readyz", "/metrics", "/api/v1/events")
 SERVER_FAULT = 500
 
 HeaderPairs = tuple[tuple[bytes, bytes], ...]
@@ -154,7 +155,7 @@ class RequestMiddleware:
 
 def _begin_span(traces: Traces, scope: Scope, headers: Mapping[bytes, bytes]) -> Span | None:
     """Begin the span of a request, in its caller's trace where that names one; requests that are nobody's act have none."""
-    if scope["path"].startswith(UNTRACED):
+    if scope["path"].startswith(FOR_MACHINES):
         return None
     parent = read_traceparent(headers.get(b"traceparent", b"").decode("latin-1"))
     state = scope["state"]

@@ -18,6 +18,7 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from boresight.errors import ForbiddenError
+from boresight.hosts import is_loopback
 from boresight.platform.audit.security_log import tell
 
 SAFE_METHODS = frozenset({HTTPMethod.GET, HTTPMethod.HEAD, HTTPMethod.OPTIONS})
@@ -96,16 +97,6 @@ def _same_authority(origin: SplitResult, host: str) -> bool:
         origin.hostname,
         origin.port or default,
     )
-
-
-def is_loopback(host: str | None) -> bool:
-    """Whether an address or name is this machine talking to itself."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host or "").is_loopback
-    except ValueError:
-        return False
 
 
 def get_network(address: str) -> str:

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING
 import erfa
 import numpy as np
 
-from boresight.arrays import BoolArray, FloatArray, TimeArray
+from boresight.arrays import DAY_US, BoolArray, FloatArray, TimeArray
 from boresight.errors import Fault, RefusedInputError
 from boresight.estimation.attitude import conjugate
 from boresight.telemetry.imports.times import parse_times, utc_to_tai
@@ -152,10 +152,10 @@ def _read_elements(name: str, first: str, second: str) -> Orbit:
             f"{name}: the two-line elements cannot be read ({error}): copy both lines completely."
         ) from error
     epoch = np.datetime64("1949-12-31T00:00:00", "us") + np.timedelta64(
-        round((satellite.jdsatepoch - 2433281.5) * 86400e6), "us"
+        round((satellite.jdsatepoch - 2433281.5) * DAY_US), "us"
     )
-    epoch = epoch + np.timedelta64(round(satellite.jdsatepochF * 86400e6), "us")
-    reach = np.timedelta64(round(OLDEST_ELEMENTS_DAYS * 86400e6), "us")
+    epoch = epoch + np.timedelta64(round(satellite.jdsatepochF * DAY_US), "us")
+    reach = np.timedelta64(round(OLDEST_ELEMENTS_DAYS * DAY_US), "us")
 
     def velocity(time_utc: TimeArray) -> tuple[FloatArray, BoolArray]:
         near = np.asarray(np.abs(time_utc - epoch) <= reach)  # false of NaT
@@ -175,7 +175,7 @@ def _propagated(satellite: Satrec, time_utc: TimeArray) -> FloatArray:
     """Return (n, 3) velocities in GCRS, metres a second."""
     known, place = np.unique(time_utc, return_inverse=True)
     days = (known - np.datetime64("2000-01-01T00:00:00", "us")).astype(np.int64)
-    jd, fraction = 2451544.5 + days // 86_400_000_000, (days % 86_400_000_000) / 86400e6
+    jd, fraction = 2451544.5 + days // 86_400_000_000, (days % 86_400_000_000) / DAY_US
     error, _, km_s = satellite.sgp4_array(jd.astype(np.float64), fraction)
     km_s[error != 0] = np.nan
     return np.asarray((teme_to_gcrs(km_s, known) * 1e3)[place])
@@ -188,7 +188,7 @@ def teme_to_gcrs(vector: FloatArray, time_utc: TimeArray) -> FloatArray:
         warnings.simplefilter("ignore", erfa.ErfaWarning)
         days = (
             utc_to_tai((hours + _HOUR / 2).astype("datetime64[us]")) - np.datetime64("2000-01-01T12:00:00", "us")
-        ).astype(np.int64) / 86400e6 + 32.184 / 86400
+        ).astype(np.int64) / DAY_US + 32.184 / 86400
         to_true, equinoxes = erfa.pnm06a(2451545.0, days), erfa.ee06a(2451545.0, days)
     turns = np.stack([erfa.rz(-angle, np.eye(3)) for angle in np.atleast_1d(equinoxes)])
     matrices = np.swapaxes(to_true, -1, -2) @ turns

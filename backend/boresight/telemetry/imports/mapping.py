@@ -38,9 +38,9 @@ from boresight.telemetry.imports.times import read_constant, read_times, tell_le
 from boresight.telemetry.read.checks import Checks, Faults, floats, integers, scale_quaternions, texts
 from boresight.telemetry.read.compression import expanded
 from boresight.telemetry.read.limits import LIMITS, Limits
-from boresight.telemetry.read.readers import contract_table, write_table
 from boresight.telemetry.schema import OPTIONAL_COLUMNS, REQUIRED_COLUMNS, UNMATCHED, Telemetry, find_exposures
 from boresight.telemetry.sensors import Sensor
+from boresight.telemetry.writing import contract_table, write_table
 
 SCHEMA: Final = "boresight.import/1"
 METADATA: Final = b"boresight.import"
@@ -419,7 +419,7 @@ class _Reading:
 
     # -- cells of the file
 
-    def names(self, column: str) -> list[str]:
+    def find_columns(self, column: str) -> list[str]:
         """Return a column's names in the file, one a star of a wide table."""
         if "{n}" in column and self.profile.wide is not None:
             found = [self.table.find(column.replace("{n}", str(slot))) for slot in self.slots]
@@ -431,7 +431,8 @@ class _Reading:
     def numbers(self, column: str) -> FloatArray:
         """Return (n_rows, n_stars) numbers of a column, or (n_rows, 1)."""
         found = [
-            floats(pa.chunked_array([self.table.columns[name]]), name, self.faults)[0] for name in self.names(column)
+            floats(pa.chunked_array([self.table.columns[name]]), name, self.faults)[0]
+            for name in self.find_columns(column)
         ]
         return np.column_stack(found)
 
@@ -451,7 +452,7 @@ class _Reading:
         self.meanings.append(Meaning(column, name, sentence))
         self.sources[column] = lambda _: name
 
-    def beside(self, columns: Sequence[str], sources: Sequence[str]) -> None:
+    def note_sources(self, columns: Sequence[str], sources: Sequence[str]) -> None:
         """Note where the further columns of a group come from; its first tells how."""
         for column, source in zip(columns, sources, strict=True):
             name = self.table.find(source)
@@ -522,7 +523,7 @@ class _Reading:
         if self.faults.count:
             self.faults.refuse()
         for axis, values, other in ((row, rows, cols), (col, cols, rows)):
-            for place, name in enumerate(self.names(axis.column)):
+            for place, name in enumerate(self.find_columns(axis.column)):
                 lone = np.isnan(values[:, place]) & ~np.isnan(other[:, place]) & present[:, place]
                 self.faults.add_entries(
                     lone, name, lambda _: "the cell is empty, and the other coordinate is not: give both"
@@ -650,7 +651,7 @@ class _Reading:
 
     def by_name(self, column: str) -> IntArray:
         """Return (n_entries,) numbers of the names in a column, in the order in which they come."""
-        found = self.names(column)[0]
+        found = self.find_columns(column)[0]
         cells = texts(pa.chunked_array([self.table.columns[found]])).combine_chunks()
         cells = pa.concat_arrays(cells.chunks) if isinstance(cells, pa.ChunkedArray) else cells
         coded = cells.take(pa.array(self.rows)).dictionary_encode()
@@ -663,7 +664,7 @@ class _Reading:
 
     def wholes(self, column: str, name: str) -> IntArray:
         """Return (n_entries,) whole numbers, none of them absent."""
-        found = self.names(column)[0]
+        found = self.find_columns(column)[0]
         values, absent = integers(pa.chunked_array([self.table.columns[found]]), found, self.faults)
         missing = np.zeros(len(self.table), dtype=np.bool_)
         missing[self.rows] = absent[self.rows]
@@ -713,7 +714,7 @@ class _Reading:
         if star is None:
             return None
         columns, others = [], 0
-        for name in self.names(star.column):
+        for name in self.find_columns(star.column):
             coded = texts(pa.chunked_array([self.table.columns[name]])).combine_chunks()
             coded = (
                 pa.concat_arrays(coded.chunks) if isinstance(coded, pa.ChunkedArray) else coded
@@ -747,14 +748,18 @@ class _Reading:
             values = np.column_stack([self.numbers(column)[:, 0] for column in turned.columns])
             absent = np.asarray(np.isnan(values).any(axis=1) & ~np.isnan(values).all(axis=1))
             self.faults.add_entries(
-                absent, self.names(turned.columns[0])[0], lambda _: "a quaternion is given in part: give all four"
+                absent,
+                self.find_columns(turned.columns[0])[0],
+                lambda _: "a quaternion is given in part: give all four",
             )
             every = _turn_to_detector(
-                values, replace(turned, columns=(self.names(turned.columns[0])[0], *turned.columns[1:])), self.faults
+                values,
+                replace(turned, columns=(self.find_columns(turned.columns[0])[0], *turned.columns[1:])),
+                self.faults,
             )
             found = every[self.rows]
             self.tell("q_x", turned.columns[0], _told_quaternion(turned))
-            self.beside(("q_y", "q_z", "q_w"), turned.columns[1:])
+            self.note_sources(("q_y", "q_z", "q_w"), turned.columns[1:])
             packets = np.setdiff1d(np.flatnonzero(np.isfinite(every[:, 0])), self.rows)
             if (
                 len(packets)
@@ -791,7 +796,7 @@ class _Reading:
             values = np.column_stack([self.numbers(column)[:, 0] for column in velocity.columns])
             found = values[self.rows] * (1e3 if velocity.unit == "km/s" else 1.0)
             self.tell("vx_km_s", velocity.columns[0], f"velocity in {velocity.unit}, GCRS")
-            self.beside(("vy_km_s", "vz_km_s"), velocity.columns[1:])
+            self.note_sources(("vy_km_s", "vz_km_s"), velocity.columns[1:])
         if orbit is None:
             return found
         if moments is None:

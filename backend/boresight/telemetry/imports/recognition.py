@@ -49,6 +49,7 @@ from boresight.telemetry.imports.tables import (
 from boresight.telemetry.read.compression import expanded, name_inside
 from boresight.telemetry.read.formats import BYTE_ORDER_MARK, format_at, parse_json
 from boresight.telemetry.read.limits import LIMITS
+from boresight.wording import join_words
 
 #: Bytes of a JSON document that is read whole to see what it holds.
 _MOST_JSON_BYTES: Final = 16_000_000
@@ -410,7 +411,7 @@ def draft_profile(found: Recognised) -> Draft:
     still: list[str] = []
     if found.guess:
         kinds = {"col": "x", "row": "y", "frame": "the frame", "time": "the time"}
-        taken = _listed([f"column {names[kind]} for {what}" for kind, what in kinds.items() if kind in names])
+        taken = join_words([f"column {names[kind]} for {what}" for kind, what in kinds.items() if kind in names])
         taken = taken.replace(" for x", " is taken for x", 1)
         still.append(f"what each column is: the file names none, and by their numbers {taken}")
     if found.told:
@@ -501,10 +502,6 @@ def _drafted_time(column: str, example: Mapping[str, str], still: list[str]) -> 
         still.append(f"time.system and time.form: what its numbers count, and from when ({assumed} are assumed)")
         return Time(column=column, form=form)
     return Time(column=column)
-
-
-def _listed(parts: Sequence[str]) -> str:
-    return " and ".join(filter(None, [", ".join(parts[:-1]), parts[-1]]))
 
 
 def _drafted_frames(names: Mapping[str, str], found: Recognised, wide: Wide | None, still: list[str]) -> Frames:

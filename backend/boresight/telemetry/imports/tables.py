@@ -32,7 +32,7 @@ from boresight.telemetry.read.formats import (
     refuse_other_kinds,
 )
 from boresight.telemetry.read.limits import LIMITS, Limits
-from boresight.telemetry.read.readers import open_tables
+from boresight.telemetry.read.tables import open_tables
 
 #: Bytes of a text that is split here or by astropy, of one that becomes Python objects, and of cells that are held in memory.
 MOST_TEXT_BYTES, MOST_OBJECT_BYTES, MOST_BYTES = 64_000_000, 16_000_000, 400_000_000

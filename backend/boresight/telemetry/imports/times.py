@@ -19,12 +19,12 @@ import erfa
 import numpy as np
 import pyarrow as pa
 
-from boresight.arrays import FloatArray, TimeArray
+from boresight.arrays import DAY_US, FloatArray, TimeArray
 from boresight.errors import RefusedInputError
 from boresight.telemetry.imports.profile import Time, TimeForm, TimeSystem
 from boresight.telemetry.read.checks import EARLIEST, LATEST, Faults, floats, times
 
-_US = {"days": 86400e6, "seconds": 1e6, "milliseconds": 1e3, "microseconds": 1.0, "nanoseconds": 1e-3}
+_US = {"days": DAY_US, "seconds": 1e6, "milliseconds": 1e3, "microseconds": 1.0, "nanoseconds": 1e-3}
 _EPOCHS: dict[TimeSystem, str] = {
     "utc": "1970-01-01T00:00:00",
     "tai": "1958-01-01T00:00:00",
@@ -96,7 +96,7 @@ def to_utc(clock: TimeArray, time: Time) -> TimeArray:
 def _read_numbers(values: FloatArray, form: TimeForm, system: TimeSystem, seconds_per_count: float) -> TimeArray:
     """Return numbers as readings of their clock, NaT where none."""
     if form in {"jd", "mjd"}:
-        epoch, us = _MJD_ZERO, (values - (_JD_OF_MJD_ZERO if form == "jd" else 0.0)) * 86400e6
+        epoch, us = _MJD_ZERO, (values - (_JD_OF_MJD_ZERO if form == "jd" else 0.0)) * DAY_US
     else:
         epoch = np.datetime64(_EPOCHS[system], "us")
         us = values * (_US[form] * (seconds_per_count if system == "on_board" else 1.0))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from boresight.arrays import BoolArray, FloatArray, IntArray
 from boresight.errors import RefusedInputError
+from boresight.telemetry.quality import StarOff
 from boresight.telemetry.read.checks import MOST_FAULTS, Faults
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
@@ -37,17 +38,6 @@ def on_detector(telemetry: Telemetry, sensor: Sensor) -> BoolArray:
     row_px, col_px = telemetry.row_px, telemetry.col_px
     on_rows = (row_px >= -0.5) & (row_px <= sensor.rows - 0.5)
     return on_rows & (col_px >= -0.5) & (col_px <= sensor.columns - 0.5)
-
-
-@dataclass(frozen=True)
-class StarOff:
-    """A matched star off the detector: its row as an editor counts, its numbers, and how far it lies past the edge, pixels."""
-
-    row: int
-    frame: int
-    exposure: int
-    star_id: int | None
-    off_px: float
 
 
 class OffDetectorError(RefusedInputError):
@@ -91,7 +81,11 @@ class OffDetector:
         for entry in entries[: MOST_FAULTS - len(self.first)].tolist():
             star = None if telemetry.star_id is None else int(telemetry.star_id[entry])
             frame, exposure = int(telemetry.frame[entry]), int(telemetry.exposure[entry])
-            self.first.append(StarOff(int(number[entry]), frame, exposure, star, float(off_px[entry])))
+            self.first.append(
+                StarOff(
+                    row=int(number[entry]), frame=frame, exposure=exposure, star_id=star, off_px=float(off_px[entry])
+                )
+            )
         for column, values, size in (
             ("row_px", telemetry.row_px, sensor.rows),
             ("col_px", telemetry.col_px, sensor.columns),

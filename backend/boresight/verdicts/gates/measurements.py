@@ -45,7 +45,7 @@ from typing import Any
 
 import numpy as np
 
-from boresight.arrays import FloatArray
+from boresight.arrays import ARCSEC_PER_RAD, FloatArray
 from boresight.calibration.calibration import Calibration, ChiSquareTest, Covariance, InnovationTest, TrustTest
 from boresight.calibration.matching.verification import MANY_REMOVED
 from boresight.calibration.process_noise import LAST_FRAMES, explains_chi2
@@ -138,7 +138,6 @@ ENDED = {
     ),
     "ground calibration": ("PASS", "A ground calibration is declared; there was nothing to settle."),
 }
-ARCSEC = float(np.degrees(1.0) * 3600)
 NO_DEFINITION = "There is no table definition: an administrator or analyst adds it under the sensor's table on board."
 
 
@@ -409,7 +408,7 @@ def measure_arc_uncertainty(inputs: GateInputs) -> Measurement:
         incumbent = _worst_arc(inputs, inputs.incumbent)[0] / inputs.pixel_rad
     return Measurement(
         worst / inputs.pixel_rad,
-        f"An arc of {degrees:.2g}° may be {worst * ARCSEC:.2g} arcsec off (1 sigma) at the worst place of the detector.",
+        f"An arc of {degrees:.2g}° may be {worst * ARCSEC_PER_RAD:.2g} arcsec off (1 sigma) at the worst place of the detector.",
         incumbent=incumbent,
     )
 

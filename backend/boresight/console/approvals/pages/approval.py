@@ -32,7 +32,7 @@ from boresight.console.approvals.threads import MENTION
 from boresight.console.change_proposals import service as proposals
 from boresight.console.fleet import queries as sensor_rows
 from boresight.console.fleet.tables import Sensor
-from boresight.console.operation import Beside
+from boresight.console.operation import RowWithFields
 from boresight.console.pages.rendering import (
     RefusalContext,
     attempt,
@@ -320,8 +320,8 @@ def _narrowed(show: str, actor: Actor) -> dict[str, Any]:
     }
 
 
-def _csv_row(entry: InboxRow) -> Beside:
-    return Beside(
+def _csv_row(entry: InboxRow) -> RowWithFields:
+    return RowWithFields(
         entry.approval,
         request=entry.approval.id,
         set=entry.parameter_set.name,
@@ -331,9 +331,9 @@ def _csv_row(entry: InboxRow) -> Beside:
     )
 
 
-def _alignment_csv_row(one: AlignmentRow, submitter: str) -> Beside:
+def _alignment_csv_row(one: AlignmentRow, submitter: str) -> RowWithFields:
     """One row of the CSV file; requests for alignments have numbers of their own, which `kind` tells from the others'."""
-    return Beside(
+    return RowWithFields(
         one.asked,
         request=one.asked.id,
         kind="ALIGNMENT",

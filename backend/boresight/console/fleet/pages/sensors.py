@@ -30,7 +30,7 @@ from boresight.console.fleet.schemas import (
 from boresight.console.fleet.service import SensorChoices
 from boresight.console.fleet.status import SensorStatus, SensorTile
 from boresight.console.fleet.tables import Sensor
-from boresight.console.operation import Beside
+from boresight.console.operation import RowWithFields
 from boresight.console.pages.formats import LEVELS
 from boresight.console.pages.rendering import RefusalContext, attempt, redirect, render
 from boresight.console.pages.tables import (
@@ -285,10 +285,10 @@ def compute_focal_length(tile: SensorTile) -> float:
     return pitch * camera.focal_px(np.array([values[name] for name in camera.parameter_names]), pitch)
 
 
-def _csv_row(tile: SensorTile) -> Beside:
+def _csv_row(tile: SensorTile) -> RowWithFields:
     sensor, baseline = tile.sensor, tile.baseline
     document = sensor.document
-    return Beside(
+    return RowWithFields(
         tile,
         number=sensor.id,
         sensor=sensor.name,

@@ -16,13 +16,12 @@ from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading, Who, csrf, same_for_roles
 from boresight.console.fleet import queries as sensor_queries
 from boresight.console.fleet.pages.sensors import list_sensor_choices
-from boresight.console.operation import Beside
+from boresight.console.operation import RowWithFields
 from boresight.console.pages.formats import instant, seconds_since
 from boresight.console.pages.rendering import make_change, render
 from boresight.console.pages.tables import (
     Table,
     TableColumn,
-    TableView,
     accept_one,
     is_number,
     is_text,
@@ -211,7 +210,7 @@ def compute_run_seconds(run: Run) -> float | None:
 def runs_page(request: Request, session: Reading) -> HTMLResponse:
     """Show a page of runs."""
     view = read_view(request, RUNS)
-    found = read_page(session, view, **_in_use(view))
+    found = read_page(session, view, **view.hide_archived())
     names = read_names(session, found.rows)
     on_page = {run.id for run in found.rows}
     return render(
@@ -233,18 +232,13 @@ def runs_csv(request: Request, session: Reading) -> Response:
     """Give every run of a view as CSV, in SI."""
     view = read_view(request, RUNS)
     names = _names(session, None, None)
-    return write_csv(view, (_csv_row(run, names) for run in read_all(session, view, **_in_use(view))))
+    return write_csv(view, (_csv_row(run, names) for run in read_all(session, view, **view.hide_archived())))
 
 
-def _in_use(view: TableView) -> dict[str, Any]:
-    """Return the filter that hides archived runs, unless the view shows them too."""
-    return {"archived": None, "in_use": None if view.where.get("archived") else 1}
-
-
-def _csv_row(run: Run, names: RunNames) -> Beside:
+def _csv_row(run: Run, names: RunNames) -> RowWithFields:
     line, summary = make_run_line(run, names), parse_run_summary(run.summary)
     told = {"run": run.id, "sensor": line.sensor, "telemetry_set": line.data, "launched_by": line.by}
-    return Beside(run, duration_s=line.seconds, **told, **{name: getattr(summary, name) for name in OF_SUMMARY})
+    return RowWithFields(run, duration_s=line.seconds, **told, **{name: getattr(summary, name) for name in OF_SUMMARY})
 
 
 preset_router = APIRouter(dependencies=[Depends(csrf)])

@@ -54,6 +54,7 @@ from boresight.figures.charts.observability import helpful_data, weakest_words
 from boresight.figures.charts.shadow import SHADOW
 from boresight.figures.charts.smoothed import SMOOTHED
 from boresight.figures.report import calibrate_command
+from boresight.figures.style.axes import ALIGNMENTS
 from boresight.figures.tables import (
     cause_rows,
     flight_rows,
@@ -140,7 +141,6 @@ def write_command(review: RunReview) -> str:
 
 Rows = list[tuple[str, str, str]]
 
-ALIGNS = {"frame": "frame", "time": "hours since the first frame", "update": "update"}
 SCALES = ("log", "linear")
 
 
@@ -165,7 +165,7 @@ class RunView:
 def read_run_view(query: QueryParams, result: Calibration | None) -> RunView:
     """Read the view; invalid values fall back to the defaults."""
     history = result.history if result else None
-    aligns = {name: words for name, words in ALIGNS.items() if history and (name != "time" or history.time_utc)}
+    aligns = {name: words for name, words in ALIGNMENTS.items() if history and (name != "time" or history.time_utc)}
     align, scale = query.get("align", "frame"), query.get("scale", "log")
     return RunView(
         align=align if align in aligns else "frame",

@@ -1,4 +1,4 @@
-"""Numba with half the work: what a process that only compiles loops leaves out. `make_lean` is called by nobody else.
+"""Numba with half the work: what a process that only compiles loops leaves out. `shorten_compilation` is called by nobody else.
 
 Numba makes every function that a loop calls ready to run by itself: linked with all that it calls, optimised, and turned into
 machine code, all thrown away once the loop holds a copy. Here a part is what its own lines say until a loop is put together from
@@ -28,7 +28,7 @@ from boresight.kernels.compilation import PART
 LONG = 300
 
 
-def make_lean() -> None:
+def shorten_compilation() -> None:
     """Let this process leave out what only interactive use needs."""
     gc.disable()  # it lives for seconds, and everything is reachable from everything
     codegen = cpu_target.target_context.codegen()

@@ -1,4 +1,4 @@
-"""Lanes: files of several sensors are taken in side by side, one of a sensor at a time, so that no sensor waits for another's.
+"""FileQueue: files of several sensors are taken in side by side, one of a sensor at a time, so that no sensor waits for another's.
 
 `AT_ONCE` files are read at a time, and of those that wait the one whose sensor was served longest ago is next. A file that takes
 longer than `SLOW_S` keeps its sensor, and its place is given away: it goes on beside `AT_ONCE` others, as long as fewer than `MOST`
@@ -32,15 +32,15 @@ class WaitingFile:
 
 @dataclass(frozen=True)
 class FileUnderWay:
-    """A file that is being taken in, and since when on the clock of the lanes."""
+    """A file that is being taken in, and since when on the clock of the queue."""
 
     name: str
     since_s: float
     thread: threading.Thread
 
 
-class Lanes:
-    """The lanes of one server."""
+class FileQueue:
+    """The files that one server takes in."""
 
     def __init__(self, name: str, clock: Callable[[], float] = time.monotonic) -> None:
         self._name = name
@@ -105,7 +105,7 @@ class Lanes:
 
     @property
     def fault(self) -> str:
-        """What is wrong: every lane taken by files that do not end."""
+        """What is wrong: every place taken by files that do not end."""
         if len(self._under_way) < MOST or self._list_quick():
             return ""
         return f"{MOST} files do not end, and no other is taken in: take them out of the folder and restart the server."

@@ -1,12 +1,12 @@
-"""Lanes of the watcher: a file that hangs or many files of one sensor hold up no other, and what hangs is said."""
+"""The queue of files: a file that hangs or many files of one sensor hold up no other, and what hangs is said."""
 
 import threading
 import time
 
 import pytest
 
-from boresight.console.jobs import lanes
-from boresight.console.jobs.lanes import AT_ONCE, MOST, Lanes, WaitingFile
+from boresight.console.jobs import file_queue
+from boresight.console.jobs.file_queue import AT_ONCE, MOST, FileQueue, WaitingFile
 
 
 class Folder:
@@ -30,8 +30,8 @@ class Folder:
 
 @pytest.fixture
 def folder(monkeypatch):
-    monkeypatch.setattr(lanes, "SLOW_S", 0.2)
-    monkeypatch.setattr(lanes, "ROUND_BUDGET_S", 3.0)
+    monkeypatch.setattr(file_queue, "SLOW_S", 0.2)
+    monkeypatch.setattr(file_queue, "ROUND_BUDGET_S", 3.0)
     made = Folder()
     yield made
     made.let_go.set()
@@ -39,7 +39,7 @@ def folder(monkeypatch):
 
 @pytest.fixture
 def taking():
-    return Lanes("test")
+    return FileQueue("test")
 
 
 def never():

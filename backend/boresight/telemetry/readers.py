@@ -1,4 +1,4 @@
-"""Reading telemetry whole, in parts of whole frames in constant memory, or in stretches read apart; and writing it again."""
+"""Reading telemetry whole, in parts of whole frames in constant memory, or in stretches read apart."""
 
 from __future__ import annotations
 
@@ -6,30 +6,27 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 import numpy as np
-import orjson
 import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.csv as arrow_csv
 from numpy.typing import NDArray
 
-from boresight.arrays import FloatArray, IntArray
 from boresight.errors import RefusedInputError
+from boresight.telemetry.imports.recognition import leading_to_import
 from boresight.telemetry.read.checks import Checks, Faults, check_columns, make_arrays, scale_quaternions
 from boresight.telemetry.read.compression import expanded, is_gzip
-from boresight.telemetry.read.formats import Tables, csv_tables, format_at, json_tables
+from boresight.telemetry.read.formats import Tables, format_at
 from boresight.telemetry.read.limits import LIMITS, Limits
 from boresight.telemetry.read.parquet import (
     ParquetLayout,
     open_parquet,
-    parquet_tables,
     read_layout,
     rows_of_file,
     rows_of_parquet,
 )
-from boresight.telemetry.schema import UNMATCHED, Telemetry, count_bytes, joined, select_rows
+from boresight.telemetry.read.tables import open_tables
+from boresight.telemetry.schema import Telemetry, count_bytes, joined, select_rows
 
 if TYPE_CHECKING:
     import pyarrow.parquet as arrow_parquet
@@ -44,8 +41,6 @@ def read_chunks(
     path: Path, name: str | None = None, *, frames: int = CHUNK_FRAMES, limits: Limits = LIMITS
 ) -> Iterator[Telemetry]:
     """Read a telemetry file in parts of whole frames."""
-    from boresight.telemetry.imports.recognition import leading_to_import  # noqa: PLC0415 - it imports this module
-
     name = name or path.name
     with expanded(path, name, limits) as place, leading_to_import(place, name):
         yield from iterate_chunks(open_tables(place, name, limits), name, frames, limits)
@@ -76,23 +71,10 @@ def iterate_chunks(tables: Tables, name: str, frames: int, limits: Limits = LIMI
 
 def rows_in(path: Path) -> int | None:
     """Return how many rows a file has where that is told cheaply, as Parquet does; None for text and what is compressed."""
-    from boresight.telemetry.imports.recognition import leading_to_import  # noqa: PLC0415 - it imports this module
-
     if is_gzip(path):
         return None
     with leading_to_import(path, path.name):
         return rows_of_parquet(path, path.name) if format_at(path, path.name) == "Parquet" else None
-
-
-def open_tables(path: Path, name: str, limits: Limits = LIMITS, *, as_text: bool = False) -> Tables:
-    """Open a telemetry file as tables; `as_text` reads CSV and JSON Lines as text cells. Refuses as `read_chunks`."""
-    match format_at(path, name):
-        case "Parquet":
-            return parquet_tables(path, name, limits)
-        case "JSON Lines":
-            return json_tables(path, name, limits, as_text=as_text)
-        case _:
-            return csv_tables(path, name, limits, as_text=as_text)
 
 
 def _sound(parts: Iterator[Telemetry], checks: Checks) -> Iterator[Telemetry]:
@@ -179,24 +161,6 @@ def read_telemetry(path: Path, name: str | None = None, limits: Limits = LIMITS)
     return joined(list(read_chunks(path, name, limits=limits)))
 
 
-def read_table(path: Path, name: str, limits: Limits = LIMITS) -> pa.Table:
-    """Return the columns of a telemetry file as they stand in it."""
-    with expanded(path, name, limits) as place:
-        tables = open_tables(place, name, limits)
-        parts = list(tables.read())
-        if any(part.schema != parts[0].schema for part in parts):  # some cell is no number: then every cell is a text
-            tables = open_tables(place, name, limits, as_text=True)
-            parts = list(tables.read())
-        tables.form.refuse()
-    plain = [part.cast(pa.schema([_plain(field) for field in part.schema])) for part in parts]
-    return pa.concat_tables(plain, promote_options="default")
-
-
-def _plain(field: pa.Field) -> pa.Field:
-    """A column's type without a dictionary."""
-    return field.with_type(field.type.value_type) if pa.types.is_dictionary(field.type) else field
-
-
 #: A stretch has frames for so many parts, so that its head that is read twice is a small share of it.
 PARTS = 4
 
@@ -221,8 +185,6 @@ class Stretch:
 
 def stretches(path: Path, name: str, frames: int, limits: Limits = LIMITS) -> list[Stretch]:
     """Cut a file into stretches of at least `PARTS * frames` frames."""
-    from boresight.telemetry.imports.recognition import leading_to_import  # noqa: PLC0415 - it imports this module
-
     if is_gzip(path):
         return []
     with leading_to_import(path, name):
@@ -269,103 +231,3 @@ def _first_frames(file: arrow_parquet.ParquetFile, starts: NDArray[np.int64]) ->
             yield from zip(rows[here].tolist(), (begun + here).tolist(), strict=True)
             starts = starts[len(here) :]
         last, seen, begun = frame[-1:], seen + len(frame), begun + len(rows)
-
-
-#: Rows that are compressed together: few enough that one frame of a large set is read in a moment (`telemetry.read.frames`).
-ROW_GROUP = 65_536
-
-
-def write_parquet(telemetry: Telemetry, path: Path) -> None:
-    """Write telemetry as Parquet, compressed with zstd; absent values are null."""
-    with path.open("wb") as stream:
-        write_table(contract_table(telemetry), stream, ".parquet")
-
-
-def write_csv(telemetry: Telemetry, path: Path) -> None:
-    """Write telemetry as CSV with every digit; absent values are empty cells, times end in Z."""
-    with path.open("wb") as stream:
-        write_table(contract_table(telemetry), stream, ".csv")
-
-
-def write_with_stars(table: pa.Table, star_id: IntArray, stream: IO[bytes], suffix: str) -> None:
-    """Write a telemetry file's columns again with other stars, everything else as it stands.
-
-    `star_id`: (n_rows,) Hipparcos numbers, 0 = unmatched, which is written as an absent cell.
-    """
-    cells = pa.array(star_id, mask=star_id == UNMATCHED)
-    if "star_id" in table.column_names:
-        table = table.set_column(table.column_names.index("star_id"), "star_id", cells)
-    else:
-        table = table.append_column("star_id", cells)
-    write_table(table, stream, suffix)
-
-
-def write_table(table: pa.Table, stream: IO[bytes], suffix: str) -> None:
-    """Write a table of telemetry as its suffix says, CSV where it says nothing."""
-    match suffix:
-        case ".parquet":
-            import pyarrow.parquet as arrow_parquet  # noqa: PLC0415 - with every file system that Arrow knows, 40 ms
-
-            arrow_parquet.write_table(table, stream, compression="zstd", row_group_size=ROW_GROUP)
-        case ".jsonl" | ".ndjson":
-            _write_json_lines(_with_time_texts(table), stream)
-        case _:
-            arrow_csv.write_csv(_with_time_texts(table), stream)
-
-
-def _write_json_lines(table: pa.Table, stream: IO[bytes]) -> None:
-    for batch in table.to_batches():
-        stream.writelines(orjson.dumps(row, option=orjson.OPT_APPEND_NEWLINE, default=str) for row in batch.to_pylist())
-
-
-def _with_time_texts(table: pa.Table) -> pa.Table:
-    """Return a table whose times are ISO 8601 text that ends in Z."""
-    for place, field in enumerate(table.schema):
-        if pa.types.is_timestamp(field.type):
-            stamps = pc.strftime(table[field.name], format="%Y-%m-%dT%H:%M:%SZ")
-            table = table.set_column(place, field.name, stamps)
-    return table
-
-
-def contract_table(telemetry: Telemetry) -> pa.Table:
-    """Return telemetry as a table of the contract's columns, absent columns left out."""
-    columns: dict[str, pa.Array] = {
-        "frame": pa.array(telemetry.frame),
-        "exposure": pa.array(telemetry.exposure),
-        "row_px": pa.array(telemetry.row_px),
-        "col_px": pa.array(telemetry.col_px),
-    }
-    if telemetry.time_utc is not None:
-        columns["time_utc"] = pa.array(telemetry.time_utc, pa.timestamp("us", tz="UTC"))
-    if telemetry.star_id is not None:
-        columns["star_id"] = pa.array(telemetry.star_id, mask=telemetry.star_id == UNMATCHED)
-    for name, values in _optional_numbers(telemetry).items():
-        if values is not None:
-            columns[name] = pa.array(values, mask=np.isnan(values))
-    return pa.table(columns | {name: _compact(cells) for name, cells in telemetry.unknown.items()})
-
-
-def _compact(cells: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Return texts with dictionaries of those texts alone that are used: a slice brings the dictionary of all it was cut from."""
-    if not pa.types.is_dictionary(cells.type):
-        return cells
-    chunks = []
-    for chunk in cells.chunks:
-        used, place = np.unique(chunk.indices.to_numpy(), return_inverse=True)
-        chunks.append(pa.DictionaryArray.from_arrays(place.astype(np.int32), chunk.dictionary.take(pa.array(used))))
-    return pa.chunked_array(chunks, cells.type)
-
-
-def _optional_numbers(telemetry: Telemetry) -> dict[str, FloatArray | None]:
-    """Return the optional float columns in the contract's units."""
-    quaternion, velocity = telemetry.quaternion, telemetry.velocity_m_s
-    return {
-        "magnitude": telemetry.magnitude,
-        "sigma_px": telemetry.sigma_px,
-        "ra_deg": None if telemetry.ra_rad is None else np.degrees(telemetry.ra_rad),
-        "dec_deg": None if telemetry.dec_rad is None else np.degrees(telemetry.dec_rad),
-        **{f"q_{axis}": None if quaternion is None else quaternion[:, k] for k, axis in enumerate("xyzw")},
-        **{f"v{axis}_km_s": None if velocity is None else velocity[:, k] / 1e3 for k, axis in enumerate("xyz")},
-        "temperature_c": telemetry.temperature_c,
-        "psf_sigma_px": telemetry.psf_sigma_px,
-    }
