@@ -19,6 +19,7 @@ from boresight.console.campaigns.tables import Campaign, CampaignRun
 from boresight.console.change_proposals import queries as proposal_queries
 from boresight.console.change_proposals import service as proposals
 from boresight.console.change_proposals.tables import ChangeProposal
+from boresight.console.fleet import pointings
 from boresight.console.fleet.pages import overview
 from boresight.console.fleet.tables import Sensor
 from boresight.console.notes import queries as note_queries
@@ -28,7 +29,7 @@ from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs import queries as run_queries
 from boresight.console.runs import service as runs
 from boresight.console.runs.pages.run import find_parameter_set
-from boresight.console.runs.tables import Run, RunEvent
+from boresight.console.runs.tables import ArchivedRun, Run, RunEvent
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.console.uplinks import packages
 from boresight.console.uplinks.tables import Package
@@ -315,3 +316,32 @@ def test_no_version_of_the_limits_is_lost_over_rest(site):
         found += [item["number"] for item in answer["items"]]
         path = answer["next"] and f"/api/v1/sensors/1/gate-profiles?limit=50&cursor={answer['next']}"
     assert found == [*reversed(numbers), numbers[0] - 1]
+
+
+def test_a_plan_starts_from_the_baseline_and_a_converged_run_however_many_others_are_newer(site):
+    baseline_run = site.add_run(state="SUCCEEDED", summary={"status": "converged"})
+    archived = site.add_run(state="SUCCEEDED", summary={"status": "converged"})
+    with open_writing(site.engine) as session:
+        ground = session.scalar(sa.select(ParameterSet))
+        ground.ground_state = "SUPERSEDED"
+        session.add(ArchivedRun(run_id=archived, archived_utc=utc_now()))
+        session.flush()
+        baseline = like(ground, name="PS-BASE", number=1, run_id=baseline_run, ground_state="BASELINE")
+        session.add(baseline)
+        session.flush()
+        for number in range(2, pointings.MOST_OFFERED + 3):
+            ended = {"status": "max_iterations"}
+            made = like(session.get_one(Run, 1), summary=ended)
+            session.add(made)
+            session.flush()
+            session.add(like(ground, name=f"PS-{number}", number=number, run_id=made.id, ground_state="CANDIDATE"))
+        audit.append(session, COMMAND_LINE, "brought in", "sensors/1")
+        session.flush()
+        sets, found = pointings.list_known(session, session.get_one(Sensor, 1))
+        assert [row.id for row in sets] == [baseline.id]
+        assert baseline_run in {run.id for run in found}
+        assert archived not in {run.id for run in found}
+        assert all(run.summary["status"] == "converged" for run in found)
+    page = site.visitor("ada").get("/sensors/1/plan")
+    assert f'<option value="set {baseline.id}" selected' in page
+    assert f'<option value="run {baseline_run}"' in page
