@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 
 import pytest
 import sqlalchemy as sa
@@ -12,6 +13,7 @@ from boresight.console.access import sessions as session_list
 from boresight.console.access.tables import LoginSession
 from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import Alarm
+from boresight.console.alignments import queries as alignment_queries
 from boresight.console.approvals import gate_profiles
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.tables import Approval, Signature
@@ -345,3 +347,21 @@ def test_a_plan_starts_from_the_baseline_and_a_converged_run_however_many_others
     page = site.visitor("ada").get("/sensors/1/plan")
     assert f'<option value="set {baseline.id}" selected' in page
     assert f'<option value="run {baseline_run}"' in page
+
+
+def test_an_alignment_is_offered_the_newest_runs_of_each_sensor_however_many_another_has(site):
+    many = 220
+    with open_writing(site.engine) as session:
+        run = session.get_one(Run, 1)
+        other = like(session.get_one(Sensor, 1), name="Other")
+        session.add(other)
+        session.flush()
+        session.add_all(like(run, sensor_id=other.id) for _ in range(many))
+        audit.append(session, COMMAND_LINE, "brought in", "sensors")
+        session.flush()
+        found = alignment_queries.list_usable_runs(session, 3)
+    assert [row.id for row in found] == sorted((row.id for row in found), reverse=True)
+    assert Counter(row.sensor_id for row in found) == {other.id: 3, 1: 2}
+    assert found[0].id == max(row.id for row in found) >= many
+    page = site.visitor("ada").get("/alignments/new")
+    assert [len(re.findall(rf": run {number}\b", page)) for number in (1, 2)] == [2, 2]  # for A and for B
