@@ -17,6 +17,9 @@ from boresight.console.alignments import queries as alignment_queries
 from boresight.console.approvals import gate_profiles
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.tables import Approval, Signature
+from boresight.console.backups import pages as backup_pages
+from boresight.console.backups import service as backups
+from boresight.console.backups.tables import Backup, BackupSchedule
 from boresight.console.campaigns.tables import Campaign, CampaignRun
 from boresight.console.change_proposals import queries as proposal_queries
 from boresight.console.change_proposals import service as proposals
@@ -365,3 +368,31 @@ def test_an_alignment_is_offered_the_newest_runs_of_each_sensor_however_many_ano
     assert found[0].id == max(row.id for row in found) >= many
     page = site.visitor("ada").get("/alignments/new")
     assert [len(re.findall(rf": run {number}\b", page)) for number in (1, 2)] == [2, 2]  # for A and for B
+
+
+def test_every_backup_is_listed_a_page_at_a_time(site):
+    many = 2 * backup_pages.ROWS_A_PAGE + 7
+    with open_writing(site.engine) as session:
+        schedule = BackupSchedule(
+            destination="/elsewhere", at_minute=0, every_hours=1, keep_daily=1, keep_weekly=0, keep_monthly=0, created_utc=utc_now()
+        )  # fmt: skip
+        session.add(schedule)
+        session.flush()
+        session.add_all(
+            Backup(
+                schedule_id=schedule.id, due_utc=utc_now(), state="SUCCEEDED", attempt=1, name=f"n-{number:03d}.backup",
+                started_utc=utc_now(),
+            )
+            for number in range(many)
+        )  # fmt: skip
+        audit.append(session, COMMAND_LINE, "brought in", "backups")
+        session.flush()
+        assert len(backups.list_backups(session)) == many
+    visitor, path, pages = site.visitor("ada"), "/backups", []
+    while path:
+        page = visitor.get(path)
+        pages.append(re.findall(r"n-(\d{3})\.backup", page))
+        older = re.search(r'href="(/backups\?before=\d+)"', page)
+        path = older and older[1]
+    assert [len(names) for names in pages] == [50, 50, 7]
+    assert [int(name) for names in pages for name in names] == [*range(many)][::-1]
