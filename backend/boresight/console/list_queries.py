@@ -256,6 +256,7 @@ LISTS = {
             "sensor": equals(Alarm.sensor_id),
             "sensor_name": _filter_sensor_name(Alarm.sensor_id),
             "kind": equals(Alarm.kind),
+            "q": _holds(Alarm.kind, Alarm.sentence),
         },
     ),
     "campaigns": List(

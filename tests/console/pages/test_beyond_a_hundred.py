@@ -396,3 +396,22 @@ def test_every_backup_is_listed_a_page_at_a_time(site):
         path = older and older[1]
     assert [len(names) for names in pages] == [50, 50, 7]
     assert [int(name) for names in pages for name in names] == [*range(many)][::-1]
+
+
+def test_the_palette_finds_an_alarm_by_its_sentence_however_many_are_newer(site):
+    with open_writing(site.engine) as session:
+        for number in range(2 * MANY):
+            sentence = "The Xylophone drifts by 100 %_." if number == 0 else "It drifts."
+            session.add(
+                Alarm(
+                    source=f"sensors/1/{number}", sensor_id=1, kind="DRIFT", level="serious", sentence=sentence, evidence={},
+                    raised_utc=utc_now(),
+                )
+            )  # fmt: skip
+            session.flush()
+        audit.append(session, COMMAND_LINE, "brought in", "sensors")
+        number = session.scalar(sa.select(sa.func.min(Alarm.id)).where(Alarm.sentence.contains("Xylophone")))
+    visitor = site.visitor("victor")
+    for text, expected in (("xylophone", [number]), ("100 %_", [number]), ("0%_", [])):
+        found = visitor.send("GET", "/search", params={"q": text}).json()["found"]
+        assert [one["href"] for one in found if one["kind"] == "Alarm"] == [f"/alarms/{one}" for one in expected]
