@@ -439,7 +439,7 @@ def overview_page(
             actions.count,
             tuple(actions.first),
             tuple((row.path, row.name) for row in favourites),
-            tuple((workers or {}).items()),
+            workers,
             backup and (backup.schedule and backup.schedule.id, backup.newest and backup.newest.id, backup.fault),
         ),
         view=view if view in VIEWS else VIEWS[0],
