@@ -34,6 +34,7 @@ from boresight.platform.audit import log as audit
 from boresight.platform.blobs.opening import open_blobs
 from boresight.platform.blobs.tables import Blob
 from boresight.platform.db.sessions import migrate, open_engine, open_writing, utc_now
+from boresight.platform.jobs.worker_news import WorkerState
 from boresight.platform.web import static_files
 from boresight.server import create_app
 from boresight.settings import Settings, read_settings
@@ -162,7 +163,7 @@ class Site:
         self.app = create_app(self.settings)
         self.app.state.write_lock = asyncio.Lock()
         # nothing computes behind the pages' tests
-        self.app.state.workers = SimpleNamespace(notify=lambda: None, state=dict)
+        self.app.state.workers = SimpleNamespace(notify=lambda: None, state=WorkerState)
         self.engine = self.app.state.engine
         self.blobs = self.app.state.blobs
 

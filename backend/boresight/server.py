@@ -214,7 +214,7 @@ def _outlets(settings: Settings) -> Outlets:
 def _beside(app: FastAPI) -> tuple[object, ...]:
     """Return what pages show besides the store: whether two are asked for, the light of the audit log, how the workers are."""
     workers = app.state.workers
-    return (app.state.policy.four_eyes, app.state.maintenance.light(), *(workers.state().values() if workers else ()))
+    return (app.state.policy.four_eyes, app.state.maintenance.light(), workers.state() if workers else None)
 
 
 def _tell(app: FastAPI) -> None:

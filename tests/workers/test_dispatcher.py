@@ -11,6 +11,7 @@ import dask
 import pytest
 from dask.utils import parse_timedelta
 
+from boresight.platform.jobs.worker_news import RunMoved, RunProgress
 from boresight.workers.cluster import DIED
 from boresight.workers.dispatcher import TURN_S, RunDispatcher
 from tests.effort import effort
@@ -26,7 +27,7 @@ def store(make_store, start_dispatcher):
 
 
 def told(run_id):
-    return [event["fraction"] for event in EVENTS if event["run_id"] == run_id and event["kind"] == "progress"]
+    return [event.fraction for event in EVENTS if isinstance(event, RunProgress) and event.run_id == run_id]
 
 
 @pytest.mark.full
@@ -62,8 +63,8 @@ def test_progress_reaches_the_row_and_the_listeners_with_a_thinned_history(store
     assert frames[-1] == 999
     store.cancel(run_id)
     store.wait_until_ended([run_id])
-    store.wait_for(lambda: EVENTS[-1] == {"kind": "run", "run_id": run_id, "attempt": 1})
-    assert next(event for event in EVENTS if event["run_id"] == run_id)["kind"] == "run"
+    store.wait_for(lambda: EVENTS[-1] == RunMoved(run_id, 1))
+    assert next(event for event in EVENTS if event.run_id == run_id) == RunMoved(run_id, 1)
     assert told(run_id) == sorted(told(run_id))
     run = store.run(run_id)
     took = datetime.fromisoformat(run.ended_utc) - datetime.fromisoformat(run.started_utc)

@@ -40,7 +40,7 @@ def test_points_follow_one_another_whichever_reports_were_replaced(steps: list[i
         reports.hear(report(thinned(make_history(list(range(1, end + 1)))).frame))
         if end == sum(steps) or data.draw(st.booleans()):
             for held, newest in reports.take({HELD}).items():
-                points = reports.news(held, newest)["history"]
+                points = reports.news(held, newest).history
                 assert points["after"] == last
                 assert points["frame"][-1] == end
                 assert len(points["frame"]) <= POINTS_AN_EVENT
@@ -71,17 +71,17 @@ def test_the_innovations_so_far_are_the_mean_over_all_points_before() -> None:
 
 def test_nothing_new_and_no_history_are_told_as_nothing() -> None:
     reports = ProgressInbox()
-    assert reports.news(HELD, report([]))["history"] is None
-    assert reports.news(HELD, report([1, 2]))["history"]["frame"] == [1, 2]
-    assert reports.news(HELD, report([1, 2]))["history"] is None
-    assert reports.news(HELD, report([1]))["history"]["after"] is None  # it began again
+    assert reports.news(HELD, report([])).history is None
+    assert reports.news(HELD, report([1, 2])).history["frame"] == [1, 2]
+    assert reports.news(HELD, report([1, 2])).history is None
+    assert reports.news(HELD, report([1])).history["after"] is None  # it began again
 
 
 def test_a_report_is_read_from_its_bytes_once(monkeypatch: pytest.MonkeyPatch) -> None:
     read, loads = [], orjson.loads
     monkeypatch.setattr("boresight.workers.link.orjson.loads", lambda text: read.append(text) or loads(text))
     heard = report([1, 2])
-    assert ProgressInbox().news(HELD, heard)["history"]["frame"] == [1, 2]
+    assert ProgressInbox().news(HELD, heard).history["frame"] == [1, 2]
     assert heard.progress("2026")["partial"]["status"] == "running"
     assert len(read) == 1
 
@@ -94,7 +94,7 @@ def test_another_attempt_is_told_from_its_start() -> None:
     again = (7, 2)
     reports.hear(report([1, 2], held=again))
     ((held, newest),) = reports.take({again}).items()
-    assert reports.news(held, newest)["history"]["frame"] == [1, 2]
+    assert reports.news(held, newest).history["frame"] == [1, 2]
 
 
 def test_the_log_gets_a_line_a_twentieth_and_never_two_within_two_seconds(monkeypatch: pytest.MonkeyPatch) -> None:

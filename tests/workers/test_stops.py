@@ -40,13 +40,13 @@ def test_a_scheduler_that_is_lost_in_the_middle_of_a_turn_is_told_in_a_line_with
 def test_workers_that_have_joined_are_known_without_any_run(make_store, start_dispatcher):
     store = make_store()
     dispatcher = start_dispatcher(store)
-    store.wait_for(lambda: dispatcher.state()["joined"])
-    assert dispatcher.state()["threads"] > 0
+    store.wait_for(lambda: dispatcher.state().joined)
+    assert dispatcher.state().threads > 0
 
 
 def test_no_worker_has_joined_where_none_is_to_be(make_store, start_dispatcher):
     dispatcher = start_dispatcher(make_store(workers="0"))
-    assert dispatcher.state()["joined"] is False
+    assert dispatcher.state().joined is False
 
 
 def test_a_run_of_a_corrupt_table_fails_with_that_cause_and_is_not_tried_again(make_store, start_dispatcher) -> None:

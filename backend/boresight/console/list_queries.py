@@ -174,6 +174,7 @@ LISTS = {
             "sensor": equals(Run.sensor_id),
             "sensor_name": _filter_sensor_name(Run.sensor_id),
             "state": equals(Run.state),
+            "status": equals(text_in(Run.summary, "status")),
             "method": equals(Run.method),
             "data": _takes_set,
             "among": equals(Run.id),
@@ -255,6 +256,7 @@ LISTS = {
             "sensor": equals(Alarm.sensor_id),
             "sensor_name": _filter_sensor_name(Alarm.sensor_id),
             "kind": equals(Alarm.kind),
+            "q": _holds(Alarm.kind, Alarm.sentence),
         },
     ),
     "campaigns": List(

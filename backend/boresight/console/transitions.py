@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from boresight.console.alarms.tables import Alarm
+from boresight.console.alarms.tables import ALARM_VERBS, Alarm
 from boresight.console.alignments.tables import AlignmentRequest
 from boresight.console.approvals.tables import Approval, Thread
 from boresight.console.change_proposals.tables import ChangeProposal
@@ -120,7 +120,7 @@ def describe_last_change(session: Session, row: Versioned) -> str:
     record = audit.find_last_change(session, name_subject(row))
     if record is None:
         return "nobody is on record for it"
-    return f"{record.actor} {record.action.removeprefix('alarm ')} it at {record.at_utc}"
+    return f"{record.actor} {ALARM_VERBS.get(record.action, record.action)} it at {record.at_utc}"
 
 
 def describe_baseline(session: Session, sensor_id: int) -> str:

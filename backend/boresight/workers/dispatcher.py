@@ -25,7 +25,6 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from statistics import median
-from typing import Any
 
 from distributed.comm import CommClosedError
 
@@ -47,6 +46,7 @@ from boresight.platform.db.data_version import DataVersionReader, VersionedCache
 from boresight.platform.db.documents import canonical
 from boresight.platform.db.sessions import Engine as Database
 from boresight.platform.db.sessions import Session, open_reading, open_writing, utc_now
+from boresight.platform.jobs.worker_news import RunMoved, RunProgress, WorkerState
 from boresight.platform.observability.traces import NO_SPAN, Span, get_traces, to_ns
 from boresight.settings import Settings
 from boresight.workers.cluster import Cluster, LostTaskError
@@ -337,7 +337,7 @@ class RunDispatcher:
         self,
         database: Database,
         settings: Settings,
-        broadcast: Callable[[dict[str, Any]], None] | None = None,
+        broadcast: Callable[[RunMoved | RunProgress], None] | None = None,
         *,
         suspect: Callable[[str], None] | None = None,
         observe: Callable[[str, float | None], None] | None = None,
@@ -385,11 +385,11 @@ class RunDispatcher:
         """Read the rows now, after a launch or cancellation."""
         self._wake.set()
 
-    def state(self) -> dict[str, Any]:
-        """Return its owner name, whether it and its cluster are up, whether a worker ever joined, and its threads and tasks."""
+    def state(self) -> WorkerState:
+        """Return how it and its workers are."""
         connected = self._cluster is not None and self._cluster.connected
-        counts = {"joined": self._joined, "threads": sum(self._threads.values()), "tasks": len(self._tasks)}
-        return {"owner": self.owner, "turns": self._thread.is_alive(), "connected": connected, **counts}
+        turns, threads = self._thread.is_alive(), sum(self._threads.values())
+        return WorkerState(self.owner, turns, connected, self._joined, threads, len(self._tasks))
 
     def _run(self) -> None:
         """Run turns until asked to stop; after an error, which is logged, the next turn tries again."""
@@ -514,7 +514,7 @@ class RunDispatcher:
         """Broadcast reports, and write them to the rows at most twice a second."""
         reports = self._reports.take(self._tasks.held())
         for held, report in reports.items():
-            self._broadcast({"kind": "progress", **self._reports.news(held, report)})
+            self._broadcast(self._reports.news(held, report))
         if due := self._reports.due(reports):
             self._rows.record(due, self._reports.lines(due))
 
@@ -575,7 +575,10 @@ class RunDispatcher:
         if not self._traces.on:
             return None
         told: dict[str, str | int] = {"boresight.run_id": run.run_id, "boresight.attempt": run.attempt}
-        told |= {"boresight.sensor_id": run.sensor_id, "boresight.sensor": str(run.sensor_document.get("name", ""))}
+        told |= {
+            "boresight.sensor_id": run.sensor_id,
+            "boresight.sensor": str(run.sensor_document.get("name", "")),
+        }
         self._traces.tell_past("queue", run.traceparent, to_ns(run.launched_utc), time.time_ns(), told)
         span = self._traces.begin("run", run.traceparent, told, kind="PRODUCER")
         self._spans[run.run_id, run.attempt] = span
@@ -602,7 +605,7 @@ class RunDispatcher:
         for held in self._spans.keys() & set(members) - self._tasks.held():
             self._spans.pop(held).end()
         for run_id, attempt in sorted(members):
-            self._broadcast({"kind": "run", "run_id": run_id, "attempt": attempt})
+            self._broadcast(RunMoved(run_id, attempt))
 
     def _on_cluster(self) -> Cluster:
         if self._cluster is None:

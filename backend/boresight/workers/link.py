@@ -19,6 +19,7 @@ from boresight.calibration.calibrate import Progress
 from boresight.calibration.calibration import Calibration, History, parse_calibration
 from boresight.console.runs.queries import HeldRun, Line
 from boresight.errors import CancelledError
+from boresight.platform.jobs.worker_news import RunProgress
 
 RECORD_EVERY_S = 0.5
 LINE_EVERY_S = 2.0
@@ -48,9 +49,9 @@ class Report:
         """The history so far, of a filter."""
         return None if self.calibration is None else parse_calibration(self.calibration).history
 
-    def told(self) -> dict[str, Any]:
-        """Return the progress event that is broadcast."""
-        return {name: getattr(self, name) for name in ("run_id", "attempt", "fraction", "message", "elapsed_s")}
+    def told(self, history: dict[str, Any] | None) -> RunProgress:
+        """Return the news that is broadcast, with the new points of its history."""
+        return RunProgress(self.run_id, self.attempt, self.fraction, self.message, self.elapsed_s, history)
 
     def progress(self, at_utc: str) -> dict[str, Any]:
         """Return the report as the run's row stores it, with the time when it came."""
@@ -86,12 +87,12 @@ class ProgressInbox:
         self._lines = {held: line for held, line in self._lines.items() if held in ours}
         return {held: report for held, report in reports.items() if held in ours}
 
-    def news(self, held: HeldRun, report: Report) -> dict[str, Any]:
-        """Return the event of a report with the new points of its history, and mark these as sent."""
+    def news(self, held: HeldRun, report: Report) -> RunProgress:
+        """Return the news of a report with the new points of its history, and mark these as sent."""
         points = points_after(report.history, self._told_frame.get(held))
         if points is not None:
             self._told_frame[held] = points["frame"][-1]
-        return report.told() | {"history": points}
+        return report.told(points)
 
     def due(self, reports: dict[HeldRun, Report]) -> dict[HeldRun, Report]:
         """Return the reports of attempts whose rows were not written in the last half second, and mark them as written."""

@@ -13,13 +13,14 @@ from boresight.console.administration.pages import STATES, keys_at, warnings
 from boresight.console.pages.formats import LEVEL_OF_STATE, LEVELS
 from boresight.figures import FIGURES
 from boresight.platform.db.sessions import open_writing
+from boresight.platform.jobs.worker_news import WorkerState
 from tests.passwords import new_password
 
 
 @pytest.fixture
 def site(site):
     site.app.state.workers = SimpleNamespace(
-        state=lambda: {"owner": "host/1", "connected": True, "tasks": 0}, notify=lambda: None
+        state=lambda: WorkerState(owner="host/1", connected=True), notify=lambda: None
     )
     return site
 

@@ -37,6 +37,7 @@ from boresight.figures.example_calibration import get_example_calibrations
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing, utc_after
+from boresight.platform.jobs.worker_news import WorkerState
 from boresight.resources import folder
 from boresight.simulation.sensors import st16_sensor
 from boresight.telemetry.sensors import sensor_document
@@ -199,7 +200,7 @@ def test_a_ground_shift_beyond_what_a_look_asks_anew_is_said_once_it_is_known(se
 
 @pytest.fixture
 def site(site):
-    site.app.state.workers = SimpleNamespace(state=lambda: {"connected": True, "tasks": 0}, notify=lambda: None)
+    site.app.state.workers = SimpleNamespace(state=lambda: WorkerState(connected=True), notify=lambda: None)
     return site
 
 
@@ -217,7 +218,7 @@ def test_a_sensor_shows_its_status_baseline_and_rms_before_and_after(site, read,
     assert "PS-ST16-1-0" in page
     assert "ground calibration" in page
     assert f"{rms['final'] * 1e6:.2f} from {rms['initial'] * 1e6:.1f}" in page
-    site.app.state.workers.state = lambda: {"connected": False, "tasks": 0}
+    site.app.state.workers.state = WorkerState
     assert "Not connected" in read(site.visitor("victor").get("/"))
 
 

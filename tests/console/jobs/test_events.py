@@ -28,6 +28,7 @@ from boresight.platform.actors import SYSTEM
 from boresight.platform.audit import log as audit
 from boresight.platform.audit import queries as audit_rows
 from boresight.platform.db.sessions import open_engine, open_reading, open_writing
+from boresight.platform.jobs.worker_news import RunProgress
 from tests.served import House, add_people, serving, settings_in
 from tests.stores import open_migrated, url_in
 
@@ -137,11 +138,11 @@ def test_a_filter_leaves_only_what_concerns_the_run(house):
     with following(house.person("victor"), run=watched["id"]) as events:
         next(events)
         house.launched()
-        house.app.state.broadcast.hear({"kind": "progress", "run_id": -1, "fraction": 0.1})
-        house.app.state.broadcast.hear({"kind": "progress", "run_id": watched["id"], "fraction": 0.5, "message": "x"})
+        house.app.state.broadcast.hear(step(-1, 0.1))
+        house.app.state.broadcast.hear(step(watched["id"], 0.5))
         house.end(watched["id"])
         first, second = next(events), next(events)
-    assert (first["event"], first["data"]) == ("progress", {"run_id": watched["id"], "fraction": 0.5, "message": "x"})
+    assert (first["event"], first["data"]) == ("progress", step(watched["id"], 0.5).to_dict())
     assert (second["event"], second["data"]["state"]) == ("run", "SUCCEEDED")
 
 
@@ -192,7 +193,7 @@ def test_a_listener_that_is_too_slow_is_told_so_and_let_go(tmp_path):
     async def fall_behind() -> list[EventBatch | None]:
         with broadcast.open_listener(SYSTEM) as listener:
             for k in range(QUEUE_LENGTH + 50):
-                broadcast.hear({"kind": "progress", "run_id": k})
+                broadcast.hear(step(k, 0.5))
                 if k % 100 == 0:
                     await asyncio.sleep(0.001)
             await asyncio.sleep(0.05)
@@ -252,9 +253,9 @@ def _of_runs(events):
     return (told for told in events if told["event"] != "audit")  # a log-in may be told late
 
 
-def step(run_id: int, fraction: float) -> dict[str, Any]:
+def step(run_id: int, fraction: float) -> RunProgress:
     points = {"after": None, "frame": [int(100 * fraction)], "parameters": [[1.0, None]]}
-    return {"kind": "progress", "run_id": run_id, "attempt": 1, "fraction": fraction, "history": points}
+    return RunProgress(run_id, 1, fraction, "x", 1.0, points)
 
 
 def test_who_comes_back_is_told_the_progress_that_was_missed_and_nothing_twice(house):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 
 import pytest
 import sqlalchemy as sa
@@ -12,13 +13,18 @@ from boresight.console.access import sessions as session_list
 from boresight.console.access.tables import LoginSession
 from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import Alarm
+from boresight.console.alignments import queries as alignment_queries
 from boresight.console.approvals import gate_profiles
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.tables import Approval, Signature
+from boresight.console.backups import pages as backup_pages
+from boresight.console.backups import service as backups
+from boresight.console.backups.tables import Backup, BackupSchedule
 from boresight.console.campaigns.tables import Campaign, CampaignRun
 from boresight.console.change_proposals import queries as proposal_queries
 from boresight.console.change_proposals import service as proposals
 from boresight.console.change_proposals.tables import ChangeProposal
+from boresight.console.fleet import pointings
 from boresight.console.fleet.pages import overview
 from boresight.console.fleet.tables import Sensor
 from boresight.console.notes import queries as note_queries
@@ -28,7 +34,7 @@ from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs import queries as run_queries
 from boresight.console.runs import service as runs
 from boresight.console.runs.pages.run import find_parameter_set
-from boresight.console.runs.tables import Run, RunEvent
+from boresight.console.runs.tables import ArchivedRun, Run, RunEvent
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.console.uplinks import packages
 from boresight.console.uplinks.tables import Package
@@ -315,3 +321,97 @@ def test_no_version_of_the_limits_is_lost_over_rest(site):
         found += [item["number"] for item in answer["items"]]
         path = answer["next"] and f"/api/v1/sensors/1/gate-profiles?limit=50&cursor={answer['next']}"
     assert found == [*reversed(numbers), numbers[0] - 1]
+
+
+def test_a_plan_starts_from_the_baseline_and_a_converged_run_however_many_others_are_newer(site):
+    baseline_run = site.add_run(state="SUCCEEDED", summary={"status": "converged"})
+    archived = site.add_run(state="SUCCEEDED", summary={"status": "converged"})
+    with open_writing(site.engine) as session:
+        ground = session.scalar(sa.select(ParameterSet))
+        ground.ground_state = "SUPERSEDED"
+        session.add(ArchivedRun(run_id=archived, archived_utc=utc_now()))
+        session.flush()
+        baseline = like(ground, name="PS-BASE", number=1, run_id=baseline_run, ground_state="BASELINE")
+        session.add(baseline)
+        session.flush()
+        for number in range(2, pointings.MOST_OFFERED + 3):
+            ended = {"status": "max_iterations"}
+            made = like(session.get_one(Run, 1), summary=ended)
+            session.add(made)
+            session.flush()
+            session.add(like(ground, name=f"PS-{number}", number=number, run_id=made.id, ground_state="CANDIDATE"))
+        audit.append(session, COMMAND_LINE, "brought in", "sensors/1")
+        session.flush()
+        sets, found = pointings.list_known(session, session.get_one(Sensor, 1))
+        assert [row.id for row in sets] == [baseline.id]
+        assert baseline_run in {run.id for run in found}
+        assert archived not in {run.id for run in found}
+        assert all(run.summary["status"] == "converged" for run in found)
+    page = site.visitor("ada").get("/sensors/1/plan")
+    assert f'<option value="set {baseline.id}" selected' in page
+    assert f'<option value="run {baseline_run}"' in page
+
+
+def test_an_alignment_is_offered_the_newest_runs_of_each_sensor_however_many_another_has(site):
+    many = 220
+    with open_writing(site.engine) as session:
+        run = session.get_one(Run, 1)
+        other = like(session.get_one(Sensor, 1), name="Other")
+        session.add(other)
+        session.flush()
+        session.add_all(like(run, sensor_id=other.id) for _ in range(many))
+        audit.append(session, COMMAND_LINE, "brought in", "sensors")
+        session.flush()
+        found = alignment_queries.list_usable_runs(session, 3)
+    assert [row.id for row in found] == sorted((row.id for row in found), reverse=True)
+    assert Counter(row.sensor_id for row in found) == {other.id: 3, 1: 2}
+    assert found[0].id == max(row.id for row in found) >= many
+    page = site.visitor("ada").get("/alignments/new")
+    assert [len(re.findall(rf": run {number}\b", page)) for number in (1, 2)] == [2, 2]  # for A and for B
+
+
+def test_every_backup_is_listed_a_page_at_a_time(site):
+    many = 2 * backup_pages.ROWS_A_PAGE + 7
+    with open_writing(site.engine) as session:
+        schedule = BackupSchedule(
+            destination="/elsewhere", at_minute=0, every_hours=1, keep_daily=1, keep_weekly=0, keep_monthly=0, created_utc=utc_now()
+        )  # fmt: skip
+        session.add(schedule)
+        session.flush()
+        session.add_all(
+            Backup(
+                schedule_id=schedule.id, due_utc=utc_now(), state="SUCCEEDED", attempt=1, name=f"n-{number:03d}.backup",
+                started_utc=utc_now(),
+            )
+            for number in range(many)
+        )  # fmt: skip
+        audit.append(session, COMMAND_LINE, "brought in", "backups")
+        session.flush()
+        assert len(backups.list_backups(session)) == many
+    visitor, path, pages = site.visitor("ada"), "/backups", []
+    while path:
+        page = visitor.get(path)
+        pages.append(re.findall(r"n-(\d{3})\.backup", page))
+        older = re.search(r'href="(/backups\?before=\d+)"', page)
+        path = older and older[1]
+    assert [len(names) for names in pages] == [50, 50, 7]
+    assert [int(name) for names in pages for name in names] == [*range(many)][::-1]
+
+
+def test_the_palette_finds_an_alarm_by_its_sentence_however_many_are_newer(site):
+    with open_writing(site.engine) as session:
+        for number in range(2 * MANY):
+            sentence = "The Xylophone drifts by 100 %_." if number == 0 else "It drifts."
+            session.add(
+                Alarm(
+                    source=f"sensors/1/{number}", sensor_id=1, kind="DRIFT", level="serious", sentence=sentence, evidence={},
+                    raised_utc=utc_now(),
+                )
+            )  # fmt: skip
+            session.flush()
+        audit.append(session, COMMAND_LINE, "brought in", "sensors")
+        number = session.scalar(sa.select(sa.func.min(Alarm.id)).where(Alarm.sentence.contains("Xylophone")))
+    visitor = site.visitor("victor")
+    for text, expected in (("xylophone", [number]), ("100 %_", [number]), ("0%_", [])):
+        found = visitor.send("GET", "/search", params={"q": text}).json()["found"]
+        assert [one["href"] for one in found if one["kind"] == "Alarm"] == [f"/alarms/{one}" for one in expected]

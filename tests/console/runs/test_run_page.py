@@ -21,6 +21,7 @@ from boresight.figures.tables import parameter_rows
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import open_writing, utc_after, utc_now
+from boresight.platform.jobs.worker_news import WorkerState
 from boresight.platform.web import static_files
 from boresight.verdicts.answers import make_four_views, make_headline
 from boresight.verdicts.verdict import (
@@ -448,7 +449,7 @@ def test_a_result_from_before_the_examination_says_how_to_have_one(site, read, r
     assert GIVEN in read(victor.get(f"/runs/{run_id}?part=evidence"))
 
 
-FREE = {"turns": True, "connected": True, "threads": 2, "tasks": 1}
+FREE = WorkerState(turns=True, connected=True, threads=2, tasks=1)
 HALF = {"fraction": 0.43, "message": "frame 17: 17 of 40 frames", "elapsed_s": 8.6}
 
 
@@ -469,13 +470,13 @@ def tell(site):
 @pytest.mark.parametrize(
     ("workers", "code", "numbers"),
     [
-        ({}, "no-workers", []),
-        (FREE | {"turns": False}, "no-workers", []),
-        (FREE | {"connected": False}, "no-worker-connected", []),
-        (FREE | {"threads": 0}, "no-worker-connected", []),
+        (WorkerState(), "no-workers", []),
+        (replace(FREE, turns=False), "no-workers", []),
+        (replace(FREE, connected=False), "no-worker-connected", []),
+        (replace(FREE, threads=0), "no-worker-connected", []),
         (FREE, "worker-free", []),
-        (FREE | {"tasks": 2}, "workers-busy", ["2", "{busy}"]),
-        (FREE | {"tasks": 1, "threads": 1}, "workers-busy", ["{busy}"]),
+        (replace(FREE, tasks=2), "workers-busy", ["2", "{busy}"]),
+        (replace(FREE, tasks=1, threads=1), "workers-busy", ["{busy}"]),
     ],
 )
 def test_a_queued_run_says_its_position_and_what_it_waits_for(site, workers, code, numbers):

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from playwright.sync_api import sync_playwright
 
 from boresight.platform.blobs.folder import FolderBlobStore
+from boresight.platform.jobs.worker_news import WorkerState
 from boresight.platform.web.metrics import CachedCheck
 from boresight.platform.web.middleware import SECURITY_HEADERS, SECURITY_POLICY, takes_gzip
 from boresight.server import _Server, create_app
@@ -83,12 +84,14 @@ def test_a_server_whose_workers_are_not_there_is_not_ready(tmp_path: Path) -> No
 def test_a_server_that_no_worker_has_joined_yet_is_not_ready(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
     state = house.app.state
     monkeypatch.setitem(state._state, "settings", dataclasses.replace(state.settings, workers=2))
-    told = {"connected": True, "joined": False, "threads": 0}
-    monkeypatch.setattr(state.workers, "state", lambda: told)
+    told = [WorkerState(connected=True)]
+    monkeypatch.setattr(state.workers, "state", lambda: told[-1])
     assert house.anybody().get("/readyz").status_code == 503
-    told |= {"joined": True, "threads": 2}
-    assert house.anybody().get("/readyz").status_code == 200
-    told |= {"threads": 0}  # its only worker has died and is being replaced
+    told.append(WorkerState(connected=True, joined=True, threads=2))
+    answer = house.anybody().get("/readyz")
+    assert answer.status_code == 200
+    assert answer.json()["checks"]["workers"] == {"ready": True, "expected": True, **dataclasses.asdict(told[-1])}
+    told.append(WorkerState(connected=True, joined=True))  # its only worker has died and is being replaced
     assert house.anybody().get("/readyz").status_code == 200
 
 

@@ -42,6 +42,7 @@ from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.secret_box import SecretBox
 from boresight.platform.db.sessions import Engine, Session, mark_dry_run, open_reading, open_writing
 from boresight.platform.jobs.forecasts import ForecastSources
+from boresight.platform.jobs.worker_news import WorkerState
 from boresight.platform.web.figure_cache import FigureCache
 from boresight.platform.web.openapi import refuses
 from boresight.platform.web.origins import SAFE_METHODS
@@ -233,7 +234,7 @@ class WorkerControl(Protocol):
     def notify(self) -> None:
         """Have the dispatcher look for runs at once."""
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> WorkerState:
         """Return the state of the workers."""
 
 

@@ -30,6 +30,7 @@ from boresight.console.runs.tables import RUN_STATES
 from boresight.console.webhooks.tables import WebhookDelivery
 from boresight.errors import BoresightError
 from boresight.platform.db.sessions import Engine, Session, open_reading
+from boresight.platform.jobs.worker_news import WorkerState
 
 MOST = 100  # sensors that have series of their own
 KEPT_S = 5.0
@@ -98,7 +99,7 @@ Values = Mapping[tuple[str, ...], float]
 class ServerParts:
     """What a server knows beside its store."""
 
-    workers: Callable[[], Mapping[str, Any] | None]
+    workers: Callable[[], WorkerState | None]
     broken: Callable[[], str]
 
 
@@ -131,12 +132,12 @@ class FleetMetrics(Collector):
         return []
 
     def _read_server(self) -> dict[str, Values]:
-        state = self.server.workers() or {}
+        state = self.server.workers() or WorkerState()
         return {
             "audit_intact": {(): float(not self.server.broken())},
-            "workers_connected": {(): float(bool(state.get("connected")))},
-            "worker_threads": {(): float(state.get("threads", 0))},
-            "worker_tasks": {(): float(state.get("tasks", 0))},
+            "workers_connected": {(): float(state.connected)},
+            "worker_threads": {(): float(state.threads)},
+            "worker_tasks": {(): float(state.tasks)},
         }
 
     def _read_store_again(self) -> dict[str, Values]:

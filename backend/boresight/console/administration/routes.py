@@ -8,6 +8,7 @@ server.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import asdict
 from functools import cache, partial
 from typing import Annotated, Any, Literal
 
@@ -153,11 +154,11 @@ def _workers(settings: Settings, workers: WorkerControl | None) -> dict[str, Any
     It stays ready when its only worker dies: another takes its place, and runs wait meanwhile.
     """
     expected = bool(settings.scheduler) or settings.workers > 0
-    state = {} if workers is None else workers.state()
+    state = None if workers is None else workers.state()
     return {
-        "ready": not expected or (bool(state.get("connected")) and bool(state.get("joined"))),
+        "ready": not expected or (state is not None and state.connected and state.joined),
         "expected": expected,
-        **state,
+        **({} if state is None else asdict(state)),
     }
 
 

@@ -17,7 +17,7 @@ from typing import Any
 from boresight.console import list_queries as lists
 from boresight.console.access.tables import User
 from boresight.console.alarms import queries
-from boresight.console.alarms.tables import Alarm, AlarmEvent
+from boresight.console.alarms.tables import ALARM_ACTIONS, Alarm, AlarmEvent
 from boresight.console.transitions import name_subject, require_seen
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_person, require_role
@@ -61,7 +61,7 @@ def record_step(session: Session, actor: Actor, row: Alarm, event: str, text: st
     after = {
         "event": event, "state": get_alarm_state(row), "version": row.version, "kind": row.kind, "level": row.level, **told
     }  # fmt: skip
-    audit.append(session, actor, f"alarm {event.lower()}", name_subject(row), None, after, text or None)
+    audit.append(session, actor, ALARM_ACTIONS[event], name_subject(row), None, after, text or None)
 
 
 def get_alarm_state(row: Alarm) -> str:

@@ -23,6 +23,9 @@ ALARM_EVENTS = (
     "COMMENTED",
     "CLOSED",
 )
+#: What the audit log calls each step, and how a sentence on an alarm does.
+ALARM_ACTIONS = {event: f"alarm {event.lower()}" for event in ALARM_EVENTS}
+ALARM_VERBS = {action: event.lower() for event, action in ALARM_ACTIONS.items()}
 
 
 class Alarm(Base):

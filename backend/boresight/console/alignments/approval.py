@@ -29,6 +29,7 @@ from boresight.console.transitions import describe_last_change, move, name_subje
 from boresight.errors import ConflictError, ForbiddenError, RefusedInputError
 from boresight.platform.actors import POLICY, Actor, Policy, require_person, require_role, require_scope
 from boresight.platform.audit import log as audit
+from boresight.platform.audit.subjects import AuditAction
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session, utc_now
 from boresight.platform.web.text_validation import refuse_control_characters
@@ -62,7 +63,7 @@ def submit(session: Session, actor: Actor, blobs: BlobStore, alignment_id: int, 
     )
     session.put(request)
     told = {"alignment": row.id, "result_sha256": request.result_sha256, "verdict": row.verdict}
-    audit.append(session, actor, "submitted", name_subject(request), None, told, request.reason)
+    audit.append(session, actor, AuditAction.SUBMITTED, name_subject(request), None, told, request.reason)
     return request
 
 
@@ -112,7 +113,9 @@ def sign(
     request.meaning, request.comment = decided.meaning.strip(), decided.comment.strip()
     request.closed_utc = utc_now()
     reason = f"{request.meaning}: {request.comment}" if request.comment else request.meaning
-    state, action = ("APPROVED", "approved") if decided.decision == "APPROVE" else ("REJECTED", "refused")
+    state, action = (
+        ("APPROVED", AuditAction.APPROVED) if decided.decision == "APPROVE" else ("REJECTED", AuditAction.REFUSED)
+    )
     told = {"result_sha256": request.result_sha256, "four_eyes": policy.four_eyes}
     move(session, actor, request, state, action, reason=reason, **told)
     return request
@@ -133,7 +136,7 @@ def withdraw(
         )
     _refuse_closed(session, request)
     request.closed_utc = utc_now()
-    move(session, actor, request, "WITHDRAWN", "withdrawn", reason=reason.strip()[:LONGEST_REASON] or None)
+    move(session, actor, request, "WITHDRAWN", AuditAction.WITHDRAWN, reason=reason.strip()[:LONGEST_REASON] or None)
     return request
 
 

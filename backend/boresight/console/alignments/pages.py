@@ -81,8 +81,8 @@ ALIGNMENTS = Table(
     "-alignment",
     kind="dense",
 )
-#: Runs that the form offers beside those that a link names.
-MOST_OFFERED = 200
+#: Runs of a sensor that the form offers beside those that a link names.
+MOST_OFFERED = 10
 BETWEEN = (
     "The rotation between the two trackers as they are mounted: it holds whatever parameters are on board, and carries the error "
     "of both cameras, which more pairs do not lower."

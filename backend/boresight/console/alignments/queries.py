@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import sqlalchemy as sa
+from sqlalchemy.orm import defer
 
 from boresight.console.alignments.tables import Alignment, AlignmentRequest
 from boresight.console.runs.tables import CALIBRATIONS, Run
@@ -49,10 +50,12 @@ def list_of_pair(session: Session, sensor_a_id: int, sensor_b_id: int, limit: in
     return session.scalars(query.order_by(Alignment.id.desc()).limit(limit)).all()
 
 
-def list_usable_runs(session: Session, limit: int) -> Sequence[Run]:
-    """Return the newest calibrations that succeeded, newest first."""
-    query = sa.select(Run).where(Run.state == "SUCCEEDED", CALIBRATIONS)
-    return session.scalars(query.order_by(Run.id.desc()).limit(limit)).all()
+def list_usable_runs(session: Session, most_of_sensor: int) -> Sequence[Run]:
+    """Return the newest calibrations of each sensor that succeeded, newest first."""
+    age = sa.func.row_number().over(partition_by=Run.sensor_id, order_by=Run.id.desc()).label("age")
+    ranked = sa.select(Run.id, age).where(Run.state == "SUCCEEDED", CALIBRATIONS).subquery()
+    query = sa.select(Run).join(ranked, ranked.c.id == Run.id).where(ranked.c.age <= most_of_sensor)
+    return session.scalars(query.order_by(Run.id.desc()).options(defer(Run.sensor_document))).all()
 
 
 def list_requests(session: Session, alignment_id: int) -> Sequence[AlignmentRequest]:

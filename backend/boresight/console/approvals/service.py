@@ -70,6 +70,7 @@ from boresight.platform.actors import (
     require_user,
 )
 from boresight.platform.audit import log as audit
+from boresight.platform.audit.subjects import AuditAction
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session, utc_after, utc_now
 from boresight.platform.db.times import seconds_between
@@ -255,17 +256,19 @@ def _decide(
     reason = f"{signature.meaning}: {signature.comment}" if signature.comment else signature.meaning
     if signature.decision == "REFUSE":
         approval.closed_utc = signature.signed_utc
-        move(session, actor, approval, "REJECTED", "refused", reason=reason, **told)
-        move(session, actor, parameter_set, resting_state(parameter_set, "REJECTED"), "refused", reason=reason)
+        move(session, actor, approval, "REJECTED", AuditAction.REFUSED, reason=reason, **told)
+        move(
+            session, actor, parameter_set, resting_state(parameter_set, "REJECTED"), AuditAction.REFUSED, reason=reason
+        )
         return
     signed = len(list_second_persons(session, approval, policy))
     told["approvals"] = f"{signed} of {approval.needed}"
     if signed < approval.needed:
-        move(session, actor, approval, "OPEN", "approved", reason=reason, **told)
+        move(session, actor, approval, "OPEN", AuditAction.APPROVED, reason=reason, **told)
         return
     approval.closed_utc = signature.signed_utc
-    move(session, actor, approval, "APPROVED", "approved", reason=reason, **told)
-    move(session, actor, parameter_set, "APPROVED", "approved", reason=reason)
+    move(session, actor, approval, "APPROVED", AuditAction.APPROVED, reason=reason, **told)
+    move(session, actor, parameter_set, "APPROVED", AuditAction.APPROVED, reason=reason)
 
 
 def assign(
@@ -290,7 +293,7 @@ def assign(
     named = None if user_id is None else _get_signer(session, approval, user_id, policy)
     approval.assigned_to = None if named is None else named.id
     asked = "nobody" if named is None else named.printed_name
-    move(session, actor, approval, "OPEN", "assigned", assigned_to=asked)
+    move(session, actor, approval, "OPEN", AuditAction.ASSIGNED, assigned_to=asked)
     return approval
 
 
@@ -394,7 +397,7 @@ def promote(
     row.baseline_from_utc, row.baseline_to_utc = now, None
     given = {"reason_given": bool(reason), "password_given": proof is not None}
     told = {"approval": approval.id, "kind": approval.kind, **given}
-    move(session, actor, row, "BASELINE", "promoted", reason=reason or approval.reason, **told)
+    move(session, actor, row, "BASELINE", AuditAction.PROMOTED, reason=reason or approval.reason, **told)
     record_promotion(session, actor, row, approval, reason)
     make_others_stale(session, actor, row)
     update_alarms(session, [row.sensor_id])
@@ -487,7 +490,7 @@ def _open(session: Session, actor: Actor, row: ParameterSet, reason: str, policy
     session.put(approval)
     told = {"set": row.name, "bound": bound.document(), "kind": approval.kind, "needed": approval.needed}
     told |= {"expires_utc": approval.expires_utc, "four_eyes": policy.four_eyes}
-    audit.append(session, actor, "opened", name_subject(approval), None, told, reason)
+    audit.append(session, actor, AuditAction.OPENED, name_subject(approval), None, told, reason)
     move(session, actor, row, "SUBMITTED", "asked to roll back to" if is_rollback else "submitted", reason=reason)
     return approval
 
@@ -510,6 +513,6 @@ def withdraw(
     if actor.user_id != approval.submitted_by:
         require_role(actor, "administrator")
     approval.closed_utc = utc_now()
-    move(session, actor, approval, "WITHDRAWN", "withdrew", reason=reason.strip() or None)
-    move(session, actor, row, resting_state(row, "WITHDRAWN"), "withdrew", reason=reason.strip() or None)
+    move(session, actor, approval, "WITHDRAWN", AuditAction.WITHDREW, reason=reason.strip() or None)
+    move(session, actor, row, resting_state(row, "WITHDRAWN"), AuditAction.WITHDREW, reason=reason.strip() or None)
     return row

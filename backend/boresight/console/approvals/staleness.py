@@ -19,6 +19,7 @@ from boresight.console.transitions import describe_baseline, move, resting_state
 from boresight.console.uplinks.queries import find_definition_in_force
 from boresight.errors import ConflictError, StaleError
 from boresight.platform.actors import SYSTEM, Actor
+from boresight.platform.audit.subjects import AuditAction
 from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import Session, keep_despite_refusal, utc_now
 from boresight.verdicts.gates import GateAnswer, parse_report
@@ -127,7 +128,7 @@ def _make_stale(session: Session, actor: Actor, approval: Approval, reason: str)
     """Close a request as STALE; its set may be submitted again."""
     row = session.get_one(ParameterSet, approval.parameter_set_id)
     approval.closed_utc = utc_now()
-    move(session, actor, approval, "STALE", "made stale", reason=reason)
+    move(session, actor, approval, "STALE", AuditAction.MADE_STALE, reason=reason)
     move(session, actor, row, resting_state(row, "CANDIDATE"), "returned", reason=f"its request became stale: {reason}")
 
 
@@ -169,7 +170,7 @@ def _expire(session: Session, approval: Approval) -> None:
     reason = f"nobody decided on it before {approval.expires_utc}"
     if approval.state == "APPROVED":
         reason = f"it was approved and not promoted before {approval.expires_utc}"
-    move(session, SYSTEM, approval, "EXPIRED", "let expire", reason=reason)
+    move(session, SYSTEM, approval, "EXPIRED", AuditAction.LET_EXPIRE, reason=reason)
     move(session, SYSTEM, row, resting_state(row, "EXPIRED"), "returned", reason=f"its request expired: {reason}")
 
 

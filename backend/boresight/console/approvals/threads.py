@@ -17,6 +17,7 @@ from boresight.console.transitions import move, name_subject, require_seen
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_person, require_role
 from boresight.platform.audit import log as audit
+from boresight.platform.audit.subjects import AuditAction
 from boresight.platform.db.sessions import Session, utc_now
 from boresight.platform.web.text_validation import refuse_control_characters
 from boresight.verdicts.gates import GATES
@@ -48,7 +49,7 @@ def add_remark(session: Session, actor: Actor, approval_id: int, text: str, thre
     )
     session.put(row)
     told = {"text": row.text} | ({} if thread_id is None else {"thread": thread_id})
-    audit.append(session, actor, "remarked", f"{name_subject(approval)}/remarks/{row.id}", None, told)
+    audit.append(session, actor, AuditAction.REMARKED, f"{name_subject(approval)}/remarks/{row.id}", None, told)
     return row
 
 

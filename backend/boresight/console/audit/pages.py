@@ -17,7 +17,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access.dependencies import KNOWN, Blobs, Reading, Who
-from boresight.console.audit.queries import name_objects
+from boresight.console.audit.queries import name_subjects
 from boresight.console.audit.service import anchor_now
 from boresight.console.jobs.dependencies import ServerAnchoring, ServerMaintenance
 from boresight.console.operation import RowWithFields
@@ -236,9 +236,9 @@ def _sought(view: TableView) -> dict[str, Any]:
 
 def make_audit_line(record: AuditRecord) -> AuditLine:
     """Lay out a record; its object links to its page where it has one."""
-    noun, _, rest = record.object.partition("/")
-    page = PAGE_OF_NOUN.get(noun)
-    address = f"/{page}/{rest}" if page and rest.isdecimal() else None
+    subject = record.subject
+    page = PAGE_OF_NOUN.get(subject.noun)
+    address = f"/{page}/{subject.id}" if page and subject.id is not None and subject.part is None else None
     return AuditLine(record, address, changes(record.before, record.after))
 
 
@@ -266,7 +266,7 @@ def audit_page(
         "audit/audit.html",
         view=view,
         lines=[make_audit_line(record) for record in found.rows],
-        called=name_objects(session, [record.object for record in found.rows]),
+        called=name_subjects(session, [record.subject for record in found.rows]),
         last=found.last,
         refusal=refusal,
         words=audit.read_words(session),

@@ -9,6 +9,7 @@ from boresight.console.access import queries as user_rows
 from boresight.console.fleet import queries as sensor_rows
 from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.telemetry import queries as telemetry_rows
+from boresight.platform.audit.subjects import AuditSubject
 from boresight.platform.db.sessions import Session
 
 
@@ -48,26 +49,25 @@ NUMBERED = {
 }
 
 
-def name_objects(session: Session, objects: Iterable[str]) -> dict[str, str]:
-    """Return what objects are called, by their addresses; those that are not known here keep the address."""
+def name_subjects(session: Session, subjects: Iterable[AuditSubject]) -> dict[AuditSubject, str]:
+    """Return what objects of the log are called; those that are not known here keep the address."""
+    found = {subject: str(subject) for subject in subjects}
     asked: dict[str, set[int]] = defaultdict(set)
-    found = {}
-    for address in objects:
-        noun, _, rest = address.partition("/")
-        number, _, part = rest.partition("/")
-        found[address] = address
-        if not number.isdecimal():
-            continue
-        if noun in NAMED:
-            asked[noun].add(int(number))
-        elif noun in NUMBERED:
-            thread = part.removeprefix("threads/")
-            found[address] = f"{NUMBERED[noun]} {number}" + (
-                f", thread {thread}" if part.startswith("threads/") else ""
-            )
+    for subject in found:
+        if subject.id is not None and subject.noun in NAMED:
+            asked[subject.noun].add(subject.id)
     names = {noun: NAMED[noun](session, numbers) for noun, numbers in asked.items()}
-    for address in found:
-        noun, number, part = (*address.split("/", 2), "", "")[:3]
-        if number.isdecimal() and (name := names.get(noun, {}).get(int(number))):
-            found[address] = f"{name}, {part.replace('-', ' ').replace('/', ' ')}" if part else name
+    for subject in found:
+        if subject.id is None:
+            continue
+        if name := names.get(subject.noun, {}).get(subject.id):
+            found[subject] = name if subject.part is None else f"{name}, {_name_part(subject.part)}"
+        elif subject.noun in NUMBERED:
+            part = subject.part
+            thread = f", thread {part.id}" if part is not None and part.noun == "threads" else ""
+            found[subject] = f"{NUMBERED[subject.noun]} {subject.id}{thread}"
     return found
+
+
+def _name_part(part: AuditSubject) -> str:
+    return str(part).replace("-", " ").replace("/", " ")

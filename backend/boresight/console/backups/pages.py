@@ -9,9 +9,12 @@ from boresight.console.access.dependencies import Blobs, Reading, ServerSettings
 from boresight.console.backups import service
 from boresight.console.pages.rendering import render
 from boresight.errors import BoresightError
+from boresight.platform.web.paging import parse_row_id
 from boresight.settings import Settings
 
 router = APIRouter()
+
+ROWS_A_PAGE = 50
 
 
 def _find_key(settings: Settings) -> tuple[str | None, str | None]:
@@ -24,15 +27,19 @@ def _find_key(settings: Settings) -> tuple[str | None, str | None]:
 
 @router.get("/backups", response_class=HTMLResponse)
 def backups_page(
-    request: Request, session: Reading, actor: Who, settings: ServerSettings, blobs: Blobs
+    request: Request, session: Reading, actor: Who, settings: ServerSettings, blobs: Blobs, before: str = ""
 ) -> HTMLResponse:
-    """Show the schedule and the newest backups."""
+    """Show the schedule and the backups, a page of them."""
     key_id, fault = _find_key(settings)
+    before_id = parse_row_id(before)
+    found = service.list_backups(session, ROWS_A_PAGE + 1, before_id)
     return render(
         request,
         "backups/backups.html",
         overview=service.look(session),
-        rows=service.list_backups(session),
+        rows=found[:ROWS_A_PAGE],
+        next_before=found[ROWS_A_PAGE - 1].id if len(found) > ROWS_A_PAGE else None,
+        is_first=before_id is None,
         key_id=key_id,
         key_fault=fault,
         blobs_at=blobs.kept_at,

@@ -30,8 +30,8 @@ def find_by_name(session: Session, name: str) -> Backup | None:
     return session.scalar(sa.select(Backup).where(Backup.name == name))
 
 
-def list_newest(session: Session, limit: int, before_id: int | None = None) -> Sequence[Backup]:
-    """Return the newest backups, of all or before one, newest first."""
+def list_newest(session: Session, limit: int | None, before_id: int | None = None) -> Sequence[Backup]:
+    """Return the newest backups, of all or before one, newest first; None for all."""
     query = sa.select(Backup) if before_id is None else sa.select(Backup).where(Backup.id < before_id)
     return session.scalars(query.order_by(Backup.id.desc()).limit(limit)).all()
 

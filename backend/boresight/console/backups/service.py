@@ -33,7 +33,6 @@ LATE = 2.0  # intervals without a backup that succeeded, after which one is miss
 GRACE_S = 3600.0
 EVERY_HOURS = (1, 2, 3, 4, 6, 8, 12, 24)
 MOST_KEPT = 1000
-LISTED = 50
 
 
 @dataclass(frozen=True)
@@ -236,8 +235,8 @@ def get_destination(session: Session, row: Backup) -> str:
     return session.get_known(BackupSchedule, row.schedule_id).destination
 
 
-def list_backups(session: Session, limit: int = LISTED, before_id: int | None = None) -> Sequence[Backup]:
-    """Return the newest backups, of all or before one, newest first."""
+def list_backups(session: Session, limit: int | None = None, before_id: int | None = None) -> Sequence[Backup]:
+    """Return the backups, all or the newest before one, newest first."""
     return queries.list_newest(session, limit, before_id)
 
 

@@ -39,6 +39,7 @@ from boresight.platform.actors import (
     require_user,
 )
 from boresight.platform.audit import log as audit
+from boresight.platform.audit.subjects import AuditAction
 from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import Session, keep_despite_refusal, utc_after, utc_now
 from boresight.platform.web.text_validation import refuse_control_characters
@@ -93,7 +94,7 @@ def change(
     session.put(row)
     told = {"kind": kind, "sensor": f"sensors/{sensor_id}", "against": row.base_number, "sha256": row.sha256}
     told |= {"document": complete, "expires_utc": row.expires_utc}
-    audit.append(session, actor, "proposed", name_subject(row), None, told, row.reason)
+    audit.append(session, actor, AuditAction.PROPOSED, name_subject(row), None, told, row.reason)
     return row
 
 

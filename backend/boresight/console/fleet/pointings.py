@@ -12,9 +12,10 @@ import numpy as np
 from boresight.calibration.calibration import USABLE, Calibration, parse_calibration
 from boresight.console.fleet.tables import Sensor
 from boresight.console.list_queries import list_newest
+from boresight.console.parameter_sets.queries import list_sets_in
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.results import read_result
-from boresight.console.runs.starts import find_start, is_trusted
+from boresight.console.runs.starts import TRUSTED, find_start
 from boresight.console.runs.tables import Run
 from boresight.errors import OverloadedError, RefusedInputError
 from boresight.platform.blobs.store import BlobStore
@@ -24,13 +25,12 @@ from boresight.simulation.pointings import Candidates, Constraints, Criterion
 from boresight.simulation.scenes import parse_orbit, parse_start
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.sensors import parse_sensor
-from boresight.verdicts.verdict import parse_run_summary
 
 #: What one request may ask for: seconds of one core.
 MOST_CANDIDATES, MOST_DWELLS = 5_000, 60
 #: How long a request waits for the one before it, and when it may come back.
 PATIENCE_S, COME_BACK_S = 5.0, 5
-#: Sets and runs that a form offers.
+#: Runs that a form offers.
 MOST_OFFERED = 20
 
 #: What begins a line of candidates that is a heading.
@@ -93,9 +93,10 @@ def read_candidate_lines(text: str) -> list[list[float]] | None:
 
 def list_known(session: Session, sensor: Sensor) -> tuple[list[ParameterSet], list[Run]]:
     """Return what a plan may add to: the sets of a sensor that may be started from, and its newest runs that converged."""
-    sets = [one for one in list_newest(session, ParameterSet, sensor=sensor.id, limit=MOST_OFFERED) if is_trusted(one)]
-    runs = list_newest(session, Run, sensor=sensor.id, state="SUCCEEDED", limit=MOST_OFFERED)
-    return sets, [run for run in runs if parse_run_summary(run.summary).status == USABLE]
+    runs = list_newest(
+        session, Run, sensor=sensor.id, state="SUCCEEDED", status=USABLE, in_use=True, limit=MOST_OFFERED
+    )
+    return list_sets_in(session, [sensor.id], TRUSTED), runs
 
 
 def compute(

@@ -54,6 +54,7 @@ from boresight.console.transitions import move, name_subject, require_seen
 from boresight.errors import BoresightError, ConflictError, RefusedInputError
 from boresight.platform.actors import DAY_S, INGEST, POLICY, Actor, Policy, require_person, require_role, require_scope
 from boresight.platform.audit import log as audit
+from boresight.platform.audit.subjects import AuditAction
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session, utc_after, utc_now, utc_text
 from boresight.platform.jobs.forecasts import ForecastSources
@@ -431,7 +432,7 @@ def _end(
     row.sentence, row.decided_utc = reasons[0].sentence, utc_now()
     row.evidence = dict(evidence or {"reasons": [{"code": one.code, "sentence": one.sentence} for one in reasons]})
     told = {"code": reasons[0].code, "run_id": row.run_id, "parameter_set_id": row.parameter_set_id}
-    move(session, INGEST, row, state, "decided", reason=row.sentence, **told)
+    move(session, INGEST, row, state, AuditAction.DECIDED, reason=row.sentence, **told)
     if state == "NOT JUDGED":
         _stop_after_failures(session, session.get_known(IngestPolicy, row.policy_id))
 

@@ -29,6 +29,7 @@ from boresight.platform.audit import queries as audit
 from boresight.platform.db.data_version import DataVersion, DataVersionReader
 from boresight.platform.db.sessions import Engine, Session, open_reading, utc_now
 from boresight.platform.jobs.periodic_thread import PeriodicThread
+from boresight.platform.jobs.worker_news import RunMoved, RunProgress
 from boresight.platform.web.paging import parse_row_id
 
 PAGE = 500
@@ -248,14 +249,13 @@ class Broadcast:
         self._thread.close()
         self._data_versions.close()
 
-    def hear(self, event: dict[str, Any]) -> None:
-        """Handle an event of the dispatcher: progress is passed on, a change of state makes the feed read its row."""
-        if event.get("kind") != "progress":
+    def hear(self, news: RunMoved | RunProgress) -> None:
+        """Handle news of the dispatcher: progress is passed on, a change of state makes the feed read its row."""
+        if isinstance(news, RunMoved):
             self.nudge()
             return
-        data = {name: value for name, value in event.items() if name not in {"kind", "history"}}
         with self._lock:
-            self._find([self._ring.add(data, event.get("history"))])
+            self._find([self._ring.add(news.to_dict(), news.history)])
 
     def nudge(self) -> None:
         """Look at the rows now."""

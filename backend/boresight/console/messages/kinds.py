@@ -6,7 +6,6 @@ page; it holds no number, no comment and no reason, because it passes through th
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 
@@ -20,9 +19,10 @@ from boresight.console.change_proposals.service import MAY_CONFIRM, TITLES
 from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
 from boresight.console.ingest.tables import IngestDecision
-from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.parameter_sets.tables import ONBOARD_ACTIONS, ParameterSet
 from boresight.console.runs.tables import Run
 from boresight.platform.actors import Policy
+from boresight.platform.audit.subjects import AuditAction, AuditSubject
 from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.db.sessions import Session
 
@@ -39,17 +39,29 @@ class News:
 
 @dataclass(frozen=True)
 class Source:
-    """An audit record with the number in its object, and what a kind may ask beside it."""
+    """An audit record with the number of its object and of the part that it is about, and what a kind may ask beside it."""
 
     session: Session
     record: AuditRecord
     number: int
+    part_number: int | None
     policy: Policy
 
-    @property
-    def after(self) -> Mapping[str, object]:
-        """What the record says of the state afterwards."""
-        return self.record.after or {}
+
+@dataclass(frozen=True)
+class Records:
+    """Which records a kind is made of: those of one noun, of a part of it or of none, by their actions; None takes all."""
+
+    noun: str
+    actions: Collection[str] | None
+    part: str | None = None
+
+    def hold(self, record: AuditRecord, subject: AuditSubject) -> bool:
+        """Whether a record is one of them."""
+        part = None if subject.part is None else subject.part.noun
+        return (subject.noun, part) == (self.noun, self.part) and (
+            self.actions is None or record.action in self.actions
+        )
 
 
 @dataclass(frozen=True)
@@ -58,7 +70,7 @@ class MessageKind:
 
     name: str
     title: str
-    records: re.Pattern[str]
+    records: Records
     tell: Callable[[Source], News | None]
 
 
@@ -76,13 +88,13 @@ def _tell_signature_waits(of: Source) -> News | None:
     )
 
 
-DECIDED = {
-    "approved": "is approved",
-    "refused": "is refused",
-    "withdrew": "was withdrawn",
-    "withdrawn": "was withdrawn",
-    "made stale": "is stale",
-    "let expire": "has expired",
+DECIDED: Mapping[str, str] = {
+    AuditAction.APPROVED: "is approved",
+    AuditAction.REFUSED: "is refused",
+    AuditAction.WITHDREW: "was withdrawn",
+    AuditAction.WITHDRAWN: "was withdrawn",
+    AuditAction.MADE_STALE: "is stale",
+    AuditAction.LET_EXPIRE: "has expired",
 }
 
 
@@ -109,7 +121,7 @@ def _tell_alignment_decided(of: Source) -> News:
 
 def _tell_decided(of: Source) -> News | None:
     row = of.session.get_one(Approval, of.number)
-    if of.after.get("state") == "OPEN":
+    if of.record.outcome.state == "OPEN":
         return None  # it needs another signature
     named = of.session.get_one(ParameterSet, row.parameter_set_id)
     concerned = {part.user_id for part in list_parts(of.session, row)} | {one.user_id for one in row.signatures}
@@ -124,13 +136,13 @@ def _tell_promoted(of: Source) -> News:
 
 def _tell_on_board(of: Source) -> News:
     row = of.session.get_one(ParameterSet, of.number)
-    said = f"{row.name} is {of.after.get('onboard_state')} on board"
+    said = f"{row.name} is {of.record.outcome.onboard_state} on board"
     return News(row.sensor_id, said, f"/parameter-sets/{row.id}/uplink")
 
 
 def _tell_alarm(of: Source) -> News:
     row = of.session.get_one(Alarm, of.number)
-    again = " again, or graver" if of.after.get("event") == "RAISED AGAIN" else ""
+    again = " again, or graver" if of.record.outcome.event == "RAISED AGAIN" else ""
     return News(row.sensor_id, f"alarm {row.id}, {row.kind}, {row.level}, is raised{again}", f"/alarms/{row.id}")
 
 
@@ -149,7 +161,7 @@ def _tell_request_assigned(of: Source) -> News | None:
 
 
 def _tell_run(of: Source, states: Collection[str]) -> News | None:
-    row, state = of.session.get_one(Run, of.number), str(of.after.get("state"))
+    row, state = of.session.get_one(Run, of.number), of.record.outcome.state
     if state not in states or row.launched_by is None:
         return None
     return News(row.sensor_id, f"run {row.id} {state}", f"/runs/{row.id}", [row.launched_by])
@@ -165,7 +177,7 @@ def _tell_ingest_asks(of: Source) -> News | None:
 
 
 def _tell_mentioned(of: Source) -> News | None:
-    row = of.session.get_one(Remark, int(of.record.object.rpartition("/")[2]))
+    row = of.session.get_one(Remark, of.part_number)
     named = {user.id for user in user_rows.list_users(of.session) if user.name in (row.mentions or ())}
     if not named:
         return None
@@ -190,35 +202,38 @@ def _tell_account(of: Source) -> News | None:
     return News(None, f"{of.record.actor} {of.record.action} {person.printed_name}", "/sessions", [of.number])
 
 
-def _kind(name: str, title: str, records: str, tell: Callable[[Source], News | None]) -> MessageKind:
-    return MessageKind(name, title, re.compile(records), tell)
-
-
-#: A record is matched as `object action`; the first number in it is that of the row.
 KINDS: Mapping[str, MessageKind] = {
     kind.name: kind
     for kind in (
-        _kind("signature-waits", "A request waits for my signature", r"approvals/(\d+) opened", _tell_signature_waits),
-        _kind("request-decided", "A request that I have a part in is decided, stale or expired",
-              rf"approvals/(\d+) (?:{'|'.join(DECIDED)})", _tell_decided),
-        _kind("mention", "Somebody mentions me", r"approvals/(\d+)/remarks/\d+ remarked", _tell_mentioned),
-        _kind("alarm-assigned", "An alarm is assigned to me", r"alarms/(\d+) alarm assigned", _tell_alarm_assigned),
-        _kind("request-assigned", "A request is assigned to me", r"approvals/(\d+) assigned", _tell_request_assigned),
-        _kind("promoted", "A parameter set becomes the baseline", r"parameter-sets/(\d+) promoted", _tell_promoted),
-        _kind("on-board", "What is on board changes", r"parameter-sets/(\d+) recorded .+ for", _tell_on_board),
-        _kind("alarm", "An alarm is raised, or becomes graver", r"alarms/(\d+) alarm raised(?: again)?", _tell_alarm),
-        _kind("run-failed", "A run of mine fails or is lost", r"runs/(\d+) ended",
-              lambda of: _tell_run(of, ("FAILED", "LOST"))),
-        _kind("run-ended", "A run of mine ends in another way", r"runs/(\d+) ended",
-              lambda of: _tell_run(of, ("SUCCEEDED", "CANCELLED"))),
-        _kind("ingest-asks", "New telemetry needs an answer", r"ingest-decisions/(\d+) decided", _tell_ingest_asks),
-        _kind("change-waits", "New limits or table layouts wait for a second person",
-              r"change-proposals/(\d+) proposed", _tell_change_waits),
-        _kind("alignment-waits", "An alignment waits for my signature",
-              r"alignment-requests/(\d+) submitted", _tell_alignment_signature_waits),
-        _kind("alignment-decided", "A request for an alignment that I have a part in is decided",
-              rf"alignment-requests/(\d+) (?:{'|'.join(DECIDED)})", _tell_alignment_decided),
-        _kind("account", "Somebody else changes my account", r"users/(\d+) .+", _tell_account),
+        MessageKind("signature-waits", "A request waits for my signature",
+                    Records("approvals", {AuditAction.OPENED}), _tell_signature_waits),
+        MessageKind("request-decided", "A request that I have a part in is decided, stale or expired",
+                    Records("approvals", DECIDED), _tell_decided),
+        MessageKind("mention", "Somebody mentions me",
+                    Records("approvals", {AuditAction.REMARKED}, "remarks"), _tell_mentioned),
+        MessageKind("alarm-assigned", "An alarm is assigned to me",
+                    Records("alarms", {AuditAction.ALARM_ASSIGNED}), _tell_alarm_assigned),
+        MessageKind("request-assigned", "A request is assigned to me",
+                    Records("approvals", {AuditAction.ASSIGNED}), _tell_request_assigned),
+        MessageKind("promoted", "A parameter set becomes the baseline",
+                    Records("parameter-sets", {AuditAction.PROMOTED}), _tell_promoted),
+        MessageKind("on-board", "What is on board changes",
+                    Records("parameter-sets", {*ONBOARD_ACTIONS.values()}), _tell_on_board),
+        MessageKind("alarm", "An alarm is raised, or becomes graver",
+                    Records("alarms", {AuditAction.ALARM_RAISED, AuditAction.ALARM_RAISED_AGAIN}), _tell_alarm),
+        MessageKind("run-failed", "A run of mine fails or is lost", Records("runs", {AuditAction.ENDED}),
+                    lambda of: _tell_run(of, ("FAILED", "LOST"))),
+        MessageKind("run-ended", "A run of mine ends in another way", Records("runs", {AuditAction.ENDED}),
+                    lambda of: _tell_run(of, ("SUCCEEDED", "CANCELLED"))),
+        MessageKind("ingest-asks", "New telemetry needs an answer",
+                    Records("ingest-decisions", {AuditAction.DECIDED}), _tell_ingest_asks),
+        MessageKind("change-waits", "New limits or table layouts wait for a second person",
+                    Records("change-proposals", {AuditAction.PROPOSED}), _tell_change_waits),
+        MessageKind("alignment-waits", "An alignment waits for my signature",
+                    Records("alignment-requests", {AuditAction.SUBMITTED}), _tell_alignment_signature_waits),
+        MessageKind("alignment-decided", "A request for an alignment that I have a part in is decided",
+                    Records("alignment-requests", DECIDED), _tell_alignment_decided),
+        MessageKind("account", "Somebody else changes my account", Records("users", None), _tell_account),
     )
 }  # fmt: skip
 
@@ -234,12 +249,12 @@ class KindNews:
 
 def list_news(session: Session, record: AuditRecord, policy: Policy) -> list[KindNews]:
     """Return what an audit record tells people, by kind."""
-    found = []
+    found, subject = [], record.subject
+    part_number = None if subject.part is None else subject.part.id
     for kind in KINDS.values():
-        matched = kind.records.fullmatch(f"{record.object} {record.action}")
-        if matched is None:
+        if subject.id is None or not kind.records.hold(record, subject):
             continue
-        news = kind.tell(Source(session, record, int(matched[1]), policy))
+        news = kind.tell(Source(session, record, subject.id, part_number, policy))
         if news is not None:
             sensor = None if news.sensor_id is None else session.get(Sensor, news.sensor_id)
             found.append(KindNews(kind.name, news, sensor.name if sensor else ""))

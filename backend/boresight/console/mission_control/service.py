@@ -20,7 +20,7 @@ from datetime import datetime
 import numpy as np
 import numpy.typing as npt
 
-from boresight.console.audit.queries import name_objects
+from boresight.console.audit.queries import name_subjects
 from boresight.console.ingest.rules import PolicyRules
 from boresight.console.mission_control import queries as rows
 from boresight.console.mission_control.tables import MissionControlLink
@@ -28,6 +28,7 @@ from boresight.errors import ConflictError
 from boresight.mission_control.archive import ArchiveRows, count_us, write_time
 from boresight.mission_control.yamcs import YamcsEvent
 from boresight.platform.audit import queries as audit_rows
+from boresight.platform.audit.subjects import AuditAction
 from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.db.sessions import Session, utc_after, utc_now
 
@@ -132,24 +133,24 @@ def unpack_times(content: bytes) -> npt.NDArray[np.int64]:
 def list_new_events(session: Session, row: MissionControlLink) -> tuple[Sequence[YamcsEvent], int]:
     """Return the events that are to be told, oldest first, and the number of the newest record that was looked at."""
     records = rows.list_records_after(session, row.told_audit_id, RECORDS_A_TURN)
-    names = name_objects(session, {record.object for record in records})
-    events = [event for record in records if (event := make_event(record, names[record.object])) is not None]
+    names = name_subjects(session, {record.subject for record in records})
+    events = [event for record in records if (event := make_event(record, names[record.subject])) is not None]
     return events, records[-1].id if records else row.told_audit_id
 
 
 def make_event(record: AuditRecord, name: str) -> YamcsEvent | None:
     """Return the event that an audit record is for those who operate: a request, a promotion, an alarm; None for any other."""
-    noun, after = record.object.partition("/")[0], record.after or {}
-    if record.action == "opened" and noun == "approvals" and "/threads/" not in record.object:
+    subject, outcome = record.subject, record.outcome
+    if record.action == AuditAction.OPENED and subject.noun == "approvals" and subject.part is None:
         kind, severity, said = "approvals.opened", "WATCH", "A request waits for signatures"
-    elif record.action == "promoted":
+    elif record.action == AuditAction.PROMOTED:
         kind, severity, said = "parameter-sets.promoted", "INFO", "A parameter set is the baseline"
-    elif record.action in {"alarm raised", "alarm raised again"}:
+    elif record.action in {AuditAction.ALARM_RAISED, AuditAction.ALARM_RAISED_AGAIN}:
         kind = "alarms.raised"
-        severity = {"critical": "CRITICAL", "serious": "DISTRESS"}.get(str(after.get("level")), "WARNING")
-        said = f"Alarm {after.get('kind')}"
-    elif record.action == "alarm returned":
-        kind, severity, said = "alarms.returned", "INFO", f"Alarm {after.get('kind')} returned to normal"
+        severity = {"critical": "CRITICAL", "serious": "DISTRESS"}.get(outcome.level or "", "WARNING")
+        said = f"Alarm {outcome.kind}"
+    elif record.action == AuditAction.ALARM_RETURNED:
+        kind, severity, said = "alarms.returned", "INFO", f"Alarm {outcome.kind} returned to normal"
     else:
         return None
     message = f"{said}: {name}{f'. {record.reason}' if record.reason else ''}"

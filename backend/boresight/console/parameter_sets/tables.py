@@ -12,6 +12,8 @@ from boresight.platform.db.documents import JsonText
 
 GROUND_STATES = ("CANDIDATE", "SUBMITTED", "APPROVED", "BASELINE", "SUPERSEDED", "REJECTED", "WITHDRAWN", "EXPIRED")
 ONBOARD_STATES = ("NOT SENT", "SENT", "LOADED", "VERIFIED", "ACTIVE", "MISMATCH", "UNKNOWN")
+#: What the audit log calls the record of each.
+ONBOARD_ACTIONS = {state: f"recorded {state} for" for state in ONBOARD_STATES}
 
 
 class ParameterSet(Base):

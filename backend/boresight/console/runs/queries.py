@@ -39,6 +39,7 @@ from boresight.console.telemetry.tables import TelemetrySet, find_quality
 from boresight.errors import RefusedInputError
 from boresight.platform.audit import chain, seals
 from boresight.platform.audit import seals as journals
+from boresight.platform.audit.subjects import AuditAction
 from boresight.platform.blobs.tables import Blob
 from boresight.platform.db.sessions import Session, utc_after, utc_now
 from boresight.platform.observability.traces import get_traceparent
@@ -435,7 +436,7 @@ def finish_all(session: Session, ends: Sequence[RunEnd]) -> dict[HeldRun, str]:
     for end in written:
         seals.note(session, Run, end.run_id)
         after = {"state": end.state, "result_sha256": end.result_sha256}
-        chain.append_own(session, "ended", f"runs/{end.run_id}", after=after, reason=end.reason)
+        chain.append_own(session, AuditAction.ENDED, f"runs/{end.run_id}", after=after, reason=end.reason)
     return {(end.run_id, end.attempt): end.state for end in written}
 
 

@@ -35,7 +35,6 @@ KINDS = {
     "sensor": "Sensor", "run": "Run", "set": "Parameter set", "parameter set": "Parameter set", "request": "Request",
     "approval": "Request", "telemetry": "Telemetry", "telemetry set": "Telemetry", "alarm": "Alarm",
 }  # fmt: skip
-NEWEST_ALARMS = 200  # whose sentences are looked through
 SHORTEST_WORD = 2  # of what is no row: one letter would find them all
 HELP = {
     "Glossary": "/help/glossary",
@@ -120,9 +119,8 @@ def _find(session: Session, text: str) -> Iterator[Found]:
 def _alarms(session: Session, text: str) -> list[Alarm]:
     """Return the newest alarms of a sensor, or whose sentence or kind has a text."""
     of_sensor = lists.read_page(session, "alarms", {"sensor_name": text}, "-alarm", limit=MOST_OF_A_KIND)
-    newest = lists.list_newest(session, Alarm, limit=NEWEST_ALARMS) if len(text) >= SHORTEST_WORD else ()
-    said = (row for row in newest if text.lower() in f"{row.kind} {row.sentence}".lower())
-    found = {row.id: row for row in (*of_sensor, *islice(said, MOST_OF_A_KIND))}
+    said = _rows(session, "alarms", text, "-alarm") if len(text) >= SHORTEST_WORD else ()
+    found = {row.id: row for row in (*of_sensor, *said)}
     return list(found.values())[:MOST_OF_A_KIND]
 
 

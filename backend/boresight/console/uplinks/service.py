@@ -21,7 +21,7 @@ from boresight.console.access.passwords import PasswordProof
 from boresight.console.alarms.rules import update_alarms
 from boresight.console.fleet.timeline import happened_on
 from boresight.console.parameter_sets import queries as set_rows
-from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.parameter_sets.tables import ONBOARD_ACTIONS, ParameterSet
 from boresight.console.transitions import name_subject, require_seen
 from boresight.console.uplinks import queries as rows
 from boresight.console.uplinks.table_definitions import find_definition_in_force
@@ -111,7 +111,7 @@ def add_entry(
     told = {"method": basis.method, "meaning": basis.meaning, "found": basis.details.get("sentence")}
     after = {"onboard_state": onboard_state, "version": row.version, "record": f"uplinks/{uplink.id}"}
     after |= {name: value for name, value in told.items() if value is not None}
-    audit.append(session, actor, f"recorded {onboard_state} for", name_subject(row), before, after, source.strip())
+    audit.append(session, actor, ONBOARD_ACTIONS[onboard_state], name_subject(row), before, after, source.strip())
     update_alarms(session, [row.sensor_id])
     return uplink
 

@@ -48,7 +48,7 @@ def make_message_id(delivery_id: int) -> str:
 
 def name_kind(record: AuditRecord) -> str:
     """Name the kind of an audit record: `parameter-sets.promoted`."""
-    return f"{record.object.partition('/')[0]}.{'-'.join(record.action.split())}"
+    return f"{record.subject.noun}.{'-'.join(record.action.split())}"
 
 
 def make_message(record: AuditRecord) -> dict[str, object]:

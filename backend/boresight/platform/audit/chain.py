@@ -82,7 +82,9 @@ def append(session: Session, *, roles: Sequence[str], **values: Any) -> AuditRec
 
 def append_own(session: Session, action: str, subject: str, **values: Any) -> AuditRecord:
     """Queue a record of an action by Boresight itself for the commit."""
-    return append(session, actor="Boresight", credential="system", action=action, object=subject, roles=[], **values)
+    return append(
+        session, actor="Boresight", credential="system", action=str(action), object=subject, roles=[], **values
+    )
 
 
 def pending(session: Session) -> list[AuditRecord]:

@@ -69,7 +69,7 @@ def append(
         actor_id=actor.user_id,
         actor=actor.printed_name,
         credential=actor.credential,
-        action=action,
+        action=str(action),
         object=subject,
         before=None if before is None else dict(before),
         after=None if after is None else dict(after),

@@ -8,6 +8,7 @@ import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
 from boresight.platform.audit.signing import PublicKey
+from boresight.platform.audit.subjects import AuditOutcome, AuditSubject, parse_outcome, parse_subject
 from boresight.platform.db.declared import STRICT, Base, Journal, Sealing
 from boresight.platform.db.documents import JsonText
 
@@ -33,6 +34,16 @@ class AuditRecord(Base):
     hash: Mapped[str] = mapped_column(sa.Text, unique=True)
     rows: Mapped[dict[str, Any] | None] = mapped_column(JsonText)  # SHA-256 of each row as this change left it
     roles: Mapped[list[str] | None] = mapped_column(JsonText)  # of the actor, at the time
+
+    @property
+    def subject(self) -> AuditSubject:
+        """Its object, typed."""
+        return parse_subject(self.object)
+
+    @property
+    def outcome(self) -> AuditOutcome:
+        """The state that it left its object in."""
+        return parse_outcome(self.after)
 
 
 class AuditAnchor(Base):

@@ -309,10 +309,8 @@ def measure_chi_square(inputs: GateInputs) -> Measurement:
     result = inputs.result
     if result is None or result.chi2_per_dof is None or result.chi2 is None:
         return absent(NO_RUN if result is None else "The run stored no chi-square: run it again.")
-    found = _around_one(result.chi2_per_dof, result.chi2, "Residuals")
-    if explains_chi2(result):
-        return replace(found, sentence=f"{found.sentence.removesuffix('.')}: {LAST_FRAMES}.")
-    return found
+    why = LAST_FRAMES if explains_chi2(result) else ""
+    return _around_one(result.chi2_per_dof, result.chi2, "Residuals", why)
 
 
 def measure_nis(inputs: GateInputs) -> Measurement:
@@ -324,14 +322,15 @@ def measure_nis(inputs: GateInputs) -> Measurement:
     return _around_one(result.nis.mean, result.nis, what)
 
 
-def _around_one(value: float, test: ChiSquareTest | InnovationTest, what: str) -> Measurement:
-    """Describe a mean square beside its 95 % bounds."""
+def _around_one(value: float, test: ChiSquareTest | InnovationTest, what: str, why: str = "") -> Measurement:
+    """Describe a mean square beside its 95 % bounds, and why it is there."""
     if test.lower is None or test.upper is None:
         return absent(INCOMPLETE)
     inside = "inside" if test.lower <= value <= test.upper else "outside"
     return Measurement(
         float(value),
-        f"{what} are {np.sqrt(value):.3g} times as large as expected, {inside} the 95 % bounds of sound sets.",
+        f"{what} are {np.sqrt(value):.3g} times as large as expected, {inside} the 95 % bounds of sound sets"
+        f"{f': {why}' if why else ''}.",
         bounds=(test.lower, test.upper),
     )
 

@@ -23,7 +23,7 @@ from boresight.console.approvals import service as approvals
 from boresight.console.approvals import threads
 from boresight.console.approvals.tables import Remark
 from boresight.console.audit.pages import make_audit_line
-from boresight.console.audit.queries import name_objects
+from boresight.console.audit.queries import name_subjects
 from boresight.console.backups import service as backups
 from boresight.console.change_proposals import queries as proposal_queries
 from boresight.console.change_proposals import service as proposals
@@ -42,6 +42,7 @@ from boresight.console.saved_views import service as saved_views
 from boresight.console.uplinks.stations import UPLINK_STEPS
 from boresight.platform.actors import Actor, Policy
 from boresight.platform.audit import log as audit
+from boresight.platform.audit.subjects import AuditAction
 from boresight.platform.db.data_version import VersionedCache
 from boresight.platform.db.sessions import Session
 from boresight.platform.web.response_cache import HELD_S, mark_outdated
@@ -324,11 +325,11 @@ def _read_recent_calibrations(summaries: Sequence[RunSummary], drift: Alarm | No
 
 def _recorded(session: Session) -> Iterator[RecentEvent]:
     """Yield the newest audit records except the ends of runs, whose rows say more."""
-    records = [one for one in audit.list_records(session, limit=RECENT_EVENTS) if one.action != "ended"]
-    names = name_objects(session, [one.object for one in records])
+    records = [one for one in audit.list_records(session, limit=RECENT_EVENTS) if one.action != AuditAction.ENDED]
+    names = name_subjects(session, [one.subject for one in records])
     for record in records:
         line = make_audit_line(record)
-        yield RecentEvent(record.at_utc, record.actor, record.action, names[record.object], line.address, line.gist)
+        yield RecentEvent(record.at_utc, record.actor, record.action, names[record.subject], line.address, line.gist)
 
 
 def _ended_runs(session: Session, names: Mapping[int, str]) -> Iterator[RecentEvent]:
@@ -438,7 +439,7 @@ def overview_page(
             actions.count,
             tuple(actions.first),
             tuple((row.path, row.name) for row in favourites),
-            tuple((workers or {}).items()),
+            workers,
             backup and (backup.schedule and backup.schedule.id, backup.newest and backup.newest.id, backup.fault),
         ),
         view=view if view in VIEWS else VIEWS[0],

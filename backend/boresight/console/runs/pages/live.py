@@ -5,7 +5,7 @@ A filter comes to its fraction frame by frame, so what is left can be told; of a
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -22,6 +22,7 @@ from boresight.console.runs import service as runs
 from boresight.console.runs.tables import Run, RunEvent, parse_progress
 from boresight.errors import RefusedInputError
 from boresight.platform.db.sessions import Session
+from boresight.platform.jobs.worker_news import WorkerState
 from boresight.platform.web.media import CameraFile
 from boresight.verdicts.numbers import count, duration, fixed, percent
 
@@ -53,7 +54,7 @@ class StateNotice:
 
 
 def list_notices(
-    session: Session, run: Run, log: Sequence[RunEvent], workers: Mapping[str, Any] | None = None
+    session: Session, run: Run, log: Sequence[RunEvent], workers: WorkerState | None = None
 ) -> list[StateNotice]:
     """Return the notices that explain a run's state."""
     notices_by_state = {
@@ -147,7 +148,7 @@ def _lost_sentence(run: Run) -> str:
     return " ".join(filter(None, [told, _reason(run), "Run it again to get one."]))
 
 
-def _explain_queue(session: Session, run: Run, workers: Mapping[str, Any] | None) -> StateNotice:
+def _explain_queue(session: Session, run: Run, workers: WorkerState | None) -> StateNotice:
     """Describe how many runs are ahead, and what the first of them waits for."""
     before = run_queries.count_queued_before(session, run.id)
     place = f"Position {before + 1} in the queue." if before else "Next in the queue."
@@ -155,14 +156,14 @@ def _explain_queue(session: Session, run: Run, workers: Mapping[str, Any] | None
     return StateNotice("standby", f"{place} {waits_for}", code)
 
 
-def _waits_for(session: Session, workers: Mapping[str, Any] | None) -> tuple[str, str]:
-    if not workers or not workers.get("turns"):
+def _waits_for(session: Session, workers: WorkerState | None) -> tuple[str, str]:
+    if not workers or not workers.turns:
         return "no-workers", NO_WORKERS
-    threads = workers.get("threads") or 0
-    if not workers.get("connected") or not threads:
+    threads = workers.threads
+    if not workers.connected or not threads:
         return "no-worker-connected", NOT_THERE
     busy = sorted(run.id for run in runs.list_runs(session, state=["RUNNING", "CANCELLING"]))
-    if workers["tasks"] < threads:
+    if workers.tasks < threads:
         return "worker-free", "A worker is free: the run starts at once."
     named = (
         f" with {', '.join(f'run #{number}' for number in busy[:6])}{' and others' * (len(busy) > 6)}" if busy else ""
