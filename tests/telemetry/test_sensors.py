@@ -16,11 +16,13 @@ from boresight.errors import RefusedInputError
 from boresight.telemetry.declarations import DECLARATIONS, NOTHING_DECLARED, Declared, Readout
 from boresight.telemetry.quality.detector import OffDetector, check_against_sensor
 from boresight.telemetry.schema import select_rows
-from boresight.telemetry.sensors import parse_sensor, read_sensor, sensor_document
+from boresight.telemetry.sensors import parse_sensor, read_described_camera, read_sensor, sensor_document
 from tests.effort import effort
 from tests.refusals import has_code
 from tests.strategies import sensors
 from tests.telemetry.troubles import calm_telemetry
+
+SAME = ("name", "camera_model", "free", "rows", "columns", "pixel_pitch_m")
 
 
 def refusal(document):
@@ -87,6 +89,16 @@ def test_a_sensor_survives_its_document_and_json(sensor):
     np.testing.assert_array_equal(again.initial, sensor.initial)
     np.testing.assert_array_equal(again.typical_sigma, sensor.typical_sigma)
     assert sensor_document(again) == sensor_document(sensor)
+    camera = read_described_camera(sensor_document(sensor))
+    assert [getattr(camera, one) for one in SAME] == [getattr(sensor, one) for one in SAME]
+    assert list(camera.initial.values()) == sensor.initial.tolist()
+
+
+def test_all_parameters_are_free_where_a_stored_document_names_none(document):
+    given = {name: value for name, value in document.items() if name != "free"}
+    assert (
+        read_described_camera(given).free == parse_sensor(given).free == CAMERA_MODELS["inverted_wang"].parameter_names
+    )
 
 
 def test_what_no_data_can_show_is_declared_by_words(document):

@@ -49,6 +49,7 @@ from boresight.platform.db.sessions import Session, open_reading, open_writing, 
 from boresight.platform.jobs.worker_news import RunMoved, RunProgress, WorkerState
 from boresight.platform.observability.traces import NO_SPAN, Span, get_traces, to_ns
 from boresight.settings import Settings
+from boresight.telemetry.sensors import read_described_camera
 from boresight.workers.cluster import Cluster, LostTaskError
 from boresight.workers.dispatched_tasks import DispatchedTask, DispatchedTasks
 from boresight.workers.link import ProgressInbox, Report
@@ -577,7 +578,7 @@ class RunDispatcher:
         told: dict[str, str | int] = {"boresight.run_id": run.run_id, "boresight.attempt": run.attempt}
         told |= {
             "boresight.sensor_id": run.sensor_id,
-            "boresight.sensor": str(run.sensor_document.get("name", "")),
+            "boresight.sensor": read_described_camera(run.sensor_document).name,
         }
         self._traces.tell_past("queue", run.traceparent, to_ns(run.launched_utc), time.time_ns(), told)
         span = self._traces.begin("run", run.traceparent, told, kind="PRODUCER")

@@ -10,8 +10,10 @@ from hypothesis import strategies as st
 
 from boresight.console.runs.comparisons import ASSUMPTION, MOST_RUNS, read_run_ids
 from boresight.console.runs.pages.compare import read_view, together
+from boresight.console.runs.tables import Run
 from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES
+from boresight.platform.db.sessions import open_reading
 from tests.sites import as_shown, codes
 
 
@@ -102,7 +104,9 @@ def test_more_than_eight_runs_are_warned_of_with_the_table_and_the_band_at_hand(
 
 
 def test_unlike_models_are_refused_with_both_named_and_a_set_to_convert(site, read, results):
-    other = site.add_run(state="SUCCEEDED", result=results["batch"], sensor_document={"camera_model": "pinhole_radial"})
+    with open_reading(site.engine) as session:
+        document = session.get_one(Run, 1).sensor_document | {"camera_model": "pinhole_radial"}
+    other = site.add_run(state="SUCCEEDED", result=results["batch"], sensor_document=document)
     ada = site.visitor("ada")
     made = ada.send("POST", "/api/v1/parameter-sets", json={"run_id": 1}, headers={"X-CSRF-Token": ada.csrf_token})
     assert made.status_code == 201

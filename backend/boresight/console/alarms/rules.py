@@ -161,7 +161,9 @@ def _check_ingest(sensor: Any, policy: IngestPolicy | None) -> Iterator[AlarmCau
 
 
 def _check_feed(sensor: Any, policy: IngestPolicy | None, link: MissionControlLink | None) -> Iterator[AlarmCause]:
-    if policy is not None and policy.state == "ACTIVE" and policy.document.get("feed") and link is not None:
+    if link is None or policy is None or policy.state != "ACTIVE":
+        return
+    if policy.feed:
         sentence = f"No telemetry of {sensor.name} is pulled: {link.fault}"
         details = {"policy_id": policy.id, "system": link.system, "succeeded_utc": link.succeeded_utc}
         yield AlarmCause(name_source(sensor.id, "LINK"), sensor.id, "LINK", "serious", sentence, details)

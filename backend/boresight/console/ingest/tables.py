@@ -60,6 +60,11 @@ class IngestPolicy(Base):
     paused_utc: Mapped[str | None] = mapped_column(sa.Text)
     resumed_utc: Mapped[str | None] = mapped_column(sa.Text)
 
+    @property
+    def feed(self) -> str:
+        """The archive that its rules pull from; none where an older version wrote them."""
+        return str(self.document.get("feed", ""))
+
 
 @dataclass(frozen=True)
 class DecisionEvidence:

@@ -16,6 +16,7 @@ from typing import Any
 from boresight.calibration.calibration import Calibration, Trust, parse_calibration, to_plain
 from boresight.calibration.conversion import converted
 from boresight.calibration.exports import Source, export_document, find_camera_format
+from boresight.calibration.parameter_set import parse_parameter_set
 from boresight.cameras import CAMERA_MODELS
 from boresight.console.approvals.tables import Approval
 from boresight.console.fleet.tables import Sensor
@@ -31,7 +32,7 @@ from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import Session, utc_now
 from boresight.telemetry.sensors import Sensor as SensorDescription
-from boresight.telemetry.sensors import parse_sensor
+from boresight.telemetry.sensors import parse_sensor, read_described_camera
 
 
 def record_promotion(
@@ -202,6 +203,6 @@ def get_incumbent_parameters(session: Session, run: Run) -> dict[str, float | No
     baseline = rows.find_baseline(session, run.sensor_id)
     if baseline is None:
         return {}
-    parameters: Mapping[str, float | None] = baseline.document.get("parameters") or {}
-    initial: Mapping[str, Any] = (run.sensor_document or {}).get("initial") or {}
+    parameters = parse_parameter_set(baseline.document).parameters.to_dict()
+    initial = read_described_camera(run.sensor_document).initial
     return {} if all(parameters.get(name) == value for name, value in initial.items()) else dict(parameters)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from boresight.arrays import known_or_none
@@ -28,6 +29,7 @@ from boresight.platform.blobs.store import BlobStore
 from boresight.platform.blobs.working_tables import table_path
 from boresight.platform.db.sessions import Session
 from boresight.telemetry.sampling import shared_exposures
+from boresight.telemetry.sensors import DescribedCamera, read_described_camera
 
 MOST_RUNS = 20
 LONGEST_NUMBER = 18  # digits of a row's number
@@ -63,13 +65,17 @@ class ComparedRun:
     @property
     def camera_model(self) -> str:
         """The camera model the run was launched with."""
-        return str(self.run.sensor_document.get("camera_model"))
+        return self._camera.camera_model
 
     @property
     def detector(self) -> tuple[int, int, float]:
         """Rows, columns and pixel pitch in metres of the sensor at launch."""
-        detector = self.run.sensor_document["detector"]
-        return int(detector["rows"]), int(detector["columns"]), float(detector["pixel_pitch_m"])
+        camera = self._camera
+        return camera.rows, camera.columns, camera.pixel_pitch_m
+
+    @cached_property
+    def _camera(self) -> DescribedCamera:
+        return read_described_camera(self.run.sensor_document)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from boresight.calibration.calibration import USABLE
 from boresight.calibration.joint.prior import refuse_cosine, refuse_vary, refuse_without_prior
 from boresight.calibration.joint.variation import check_variation, refuse_one_pass
 from boresight.calibration.options import CalibrationSettings
-from boresight.cameras import CAMERA_MODELS
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs import queries
@@ -18,7 +17,7 @@ from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.db.sessions import Session
-from boresight.telemetry.sensors import parse_sensor
+from boresight.telemetry.sensors import parse_sensor, read_described_camera
 from boresight.verdicts.verdict import parse_run_summary
 
 #: States in which a parameter set may be started from.
@@ -96,8 +95,7 @@ def check_start(
     start: Start | None,
 ) -> None:
     """Refuse what a run of these sets cannot make of its prior, or of parameters that vary from set to set."""
-    names = CAMERA_MODELS[sensor.document["camera_model"]].parameter_names
-    free = list(settings.free or sensor.document.get("free") or names)
+    free = list(settings.free or read_described_camera(sensor.document).free)
     if settings.vary and len(sets) < 2:
         refuse_one_pass()
     if settings.vary:
@@ -123,11 +121,11 @@ def check_start(
 
 def _check_same_parameters(sensor: Sensor, free: Sequence[str], start: Start) -> None:
     """Refuse a calibration of another camera model, or of other free parameters."""
-    before = parse_sensor(start.run.sensor_document)
-    if before.camera_model != sensor.document["camera_model"]:
+    before, now = parse_sensor(start.run.sensor_document), read_described_camera(sensor.document)
+    if before.camera_model != now.camera_model:
         raise RefusedInputError(
             f"{start.name} is of the camera model {before.camera_model}, and {sensor.name} has "
-            f"{sensor.document['camera_model']} now; start from a calibration of that model.",
+            f"{now.camera_model} now; start from a calibration of that model.",
             code="other-camera-model",
         )
     known = list(start.run.stated_settings.free or before.free)

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
+from boresight.calibration.parameter_set import parse_parameter_set
 from boresight.console import list_queries as lists
 from boresight.console.access import users
 from boresight.console.access.tables import User
@@ -330,7 +331,7 @@ def _uplink_step(viewer: _Viewer, row: ParameterSet, known: _Records) -> NextSte
         said = "Export the uplink package; it contains the back-out."
         return viewer.step_for(("operator", "analyst"), said, "Export", f"{address}/package", posts=True)
     if row.onboard_state == "ACTIVE":
-        turns = bool((row.document or {}).get("alignment"))
+        turns = bool(parse_parameter_set(row.document).alignment)
         beside = (
             " Unless its update of C_SD was loaded too, the reported attitude has turned: see Alignment."
             if turns

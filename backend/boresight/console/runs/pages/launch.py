@@ -52,6 +52,7 @@ from boresight.platform.db.sessions import Session
 from boresight.platform.db.times import read_time
 from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.web.paging import parse_row_id
+from boresight.telemetry.sensors import read_described_camera
 from boresight.verdicts.numbers import count, duration
 
 #: The settings with one form field each; free parameters have one per sensor.
@@ -401,7 +402,7 @@ def _sets_with(session: Session, set_id: int) -> dict[str, Any]:
 
 def list_free_parameters(sensor: Sensor) -> list[str]:
     """Return the free parameters of a sensor's file; all where it names none."""
-    return list(sensor.document.get("free") or list_parameter_names(sensor))
+    return list(read_described_camera(sensor.document).free)
 
 
 def list_parameter_names(sensor: Sensor) -> tuple[str, ...]:
