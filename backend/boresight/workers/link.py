@@ -48,7 +48,7 @@ class Report:
         """The history so far, of a filter."""
         return None if self.calibration is None else parse_calibration(self.calibration).history
 
-    def told(self) -> dict[str, Any]:
+    def to_event(self) -> dict[str, Any]:
         """Return the progress event that is broadcast."""
         return {name: getattr(self, name) for name in ("run_id", "attempt", "fraction", "message", "elapsed_s")}
 
@@ -91,7 +91,7 @@ class ProgressInbox:
         points = points_after(report.history, self._told_frame.get(held))
         if points is not None:
             self._told_frame[held] = points["frame"][-1]
-        return report.told() | {"history": points}
+        return report.to_event() | {"history": points}
 
     def due(self, reports: dict[HeldRun, Report]) -> dict[HeldRun, Report]:
         """Return the reports of attempts whose rows were not written in the last half second, and mark them as written."""

@@ -217,7 +217,7 @@ def shadow_view(telemetry: Telemetry, baseline: MatchedFrames, candidate: Matche
     ends = np.searchsorted(telemetry.frame, baseline.view.frames, side="right")
     rows = np.stack([np.append(0, ends[:-1]), ends], axis=1)
     reasons = baseline.frame_reasons, candidate.frame_reasons
-    kept = _kept(baseline.view.valid_frames, candidate.view.valid_frames)
+    kept = _choose_frames(baseline.view.valid_frames, candidate.view.valid_frames)
     ids = zip(_ids(baseline, lost, rows[kept]), _ids(candidate, gained, rows[kept]), strict=True)
     return ShadowOfSet(
         frames=[
@@ -245,7 +245,7 @@ def _moved(here: MatchedFrames, there: MatchedFrames) -> BoolArray:
     return np.asarray(held & ~(kept & (here.matches.star_id == there.matches.star_id)))
 
 
-def _kept(baseline: BoolArray, candidate: BoolArray) -> IntArray:
+def _choose_frames(baseline: BoolArray, candidate: BoolArray) -> IntArray:
     """Which frames to keep, ascending: those that one state alone solves first, then evenly over the set."""
     differing = _thinned(np.flatnonzero(baseline != candidate), MOST_DIFFERING)
     return np.union1d(differing, _thinned(np.arange(len(baseline)), MOST_FRAMES - len(differing)))
