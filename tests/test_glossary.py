@@ -20,6 +20,8 @@ REPLACED = set(
         desk sighting specimen upkeep weigh weigh_block weighed wu_weighed""",
     )
 )
+#: What no function of the product is called, with or without an underscore: what acts is a verb that says what it does.
+NO_VERBS = {"again", "kept", "said", "shown", "told"}
 #: A member of the REST API and of stored gate reports keeps its name.
 PUBLISHED = {
     "backend/boresight/console/approvals/gates.py: held_out",
@@ -81,3 +83,13 @@ def test_nothing_is_named_by_a_replaced_word_again():
         names = IN_SCRIPTS.findall(path.read_text(encoding="utf-8"))
         found += [f"{path.relative_to(ROOT)}: {name}" for name in (path.stem, *names) if name in REPLACED]
     assert [one for one in found if one not in PUBLISHED] == []
+
+
+def test_no_function_is_named_by_a_word_that_does_not_say_what_it_does():
+    found = [
+        f"{path.relative_to(ROOT)}:{node.lineno} {node.name}"
+        for path in (ROOT / "backend").rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_bytes()))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.name.strip("_") in NO_VERBS
+    ]
+    assert found == []

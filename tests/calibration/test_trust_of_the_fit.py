@@ -375,7 +375,7 @@ def test_a_filter_shows_its_own_innovations_and_its_wandering_is_not_taken_for_d
 def test_an_outlier_of_a_long_series_is_shown_wherever_it_is():
     values = np.random.default_rng(2).chisquare(40, 30_000) / 40
     values[12_345], values[29_999] = 9.0, 0.01
-    shown = innovations._shown(values)
+    shown = innovations._thin(values)
     assert len(shown) <= innovations.MOST_POINTS
     assert {12_345, 29_999} <= set(shown)
     assert (np.diff(shown) > 0).all()

@@ -228,13 +228,13 @@ def converted(
         "sigma": dict(zip(names, sigma, strict=True)),
         "covariance": None if found.P is None else {"names": names, "matrix": found.P.tolist()},
         "conversion": _how(name, sensor.camera_model, x, found, allowed, _assumed(document, sensor))
-        | _told(spline, found),
+        | _describe_residual(spline, found),
     }
     parse_parameters(written, sensor_under(sensor, written), f"{name} in {target}")
     return written
 
 
-def _told(spline: ResidualSplineFit | None, found: Conversion) -> dict[str, Any]:
+def _describe_residual(spline: ResidualSplineFit | None, found: Conversion) -> dict[str, Any]:
     """Say what residual the target follows too, and how far its directions are turned about the axes of D: C_SD turns back."""
     if spline is None:
         return {}

@@ -537,7 +537,7 @@ class CalibrationSettings:
                 )
         for name, value in document.items():
             OPTIONS[name].check(value)
-        settings = cls(**{name: _kept(OPTIONS[name], value) for name, value in document.items()})
+        settings = cls(**{name: _normalise(OPTIONS[name], value) for name, value in document.items()})
         settings.check()
         return settings
 
@@ -564,7 +564,7 @@ class CalibrationSettings:
         return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
 
 
-def _kept(declared: Option, value: Any) -> Any:
+def _normalise(declared: Option, value: Any) -> Any:
     """Keep a list as a tuple, numbers in ascending order."""
     if not isinstance(value, list | tuple):
         return value
@@ -668,7 +668,7 @@ def format_value(value: Any) -> str:
     return f"{value:.15g}" if isinstance(value, int | float) else str(value or "")
 
 
-def said(name: str, value: Any) -> str:
+def describe_value(name: str, value: Any) -> str:
     """Say what a value means, for a person."""
     declared = OPTIONS[name]
     if isinstance(value, bool):

@@ -59,11 +59,11 @@ class GroupedCommand(click.Command):
 def _help(option: Option) -> str:
     """Return an option's help: its sentence, its choices and its default."""
     words = f" Choose from {option.range}." if option.kind == "word" else ""
-    default = "" if option.default in (None, False) else f"  [default: {_shown(option.default)}]"
+    default = "" if option.default in (None, False) else f"  [default: {_format_default(option.default)}]"
     return f"{option.sentence}{words}{default}"
 
 
-def _shown(default: Any) -> str:
+def _format_default(default: Any) -> str:
     return ",".join(map(str, default)) if isinstance(default, tuple) else str(default)
 
 

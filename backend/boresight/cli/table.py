@@ -96,7 +96,7 @@ def encode(parameters: Path, sensor_file: Path, definition_file: Path, alignment
     held = table_definition.quantised(definition, values)
     effect = table_definition.quantisation_effect(camera, sensor, values, held)
     write_bytes(image, file)
-    tell(_shown(definition, image), file)
+    tell(_format_fields(definition, image), file)
     tell(f"rounding moves a star by at most {effect['max_px']:.3g} px, {effect['max_arcsec']:.3g} arcsec", file)
 
 
@@ -113,13 +113,13 @@ def decode(context: click.Context, image: Path, sensor_file: Path, definition_fi
 
     definition = table_definition.read_definition(definition_file, read_sensor(sensor_file))
     content = cfe.table_image(definition.cfe, definition.length_bytes, read_bytes(image, image.name))
-    click.echo(_shown(definition, content))
+    click.echo(_format_fields(definition, content))
     if table_definition.decode(definition, content).crc_ok is False:
         click.echo(f"boresight: the stored CRC of {image.name} does not match its bytes.", err=True)
         context.exit(REFUSED)
 
 
-def _shown(definition: Any, content: bytes) -> str:
+def _format_fields(definition: Any, content: bytes) -> str:
     from boresight.uplink.table_definition import decode
 
     decoded = decode(definition, content)

@@ -92,7 +92,7 @@ class Written:
     is_trial: bool = False
 
     @property
-    def kept(self) -> dict[str, Any]:
+    def without_secrets(self) -> dict[str, Any]:
         """The body without the members that are shown only once."""
         return self.body | dict.fromkeys(self.shown_once)
 
@@ -117,7 +117,7 @@ class Idempotency:
         if isinstance(made, Response):
             return made
         if self.is_dry_run or made.is_trial:
-            return json_response(made.kept, headers={"X-Validate-Only": "true"})
+            return json_response(made.without_secrets, headers={"X-Validate-Only": "true"})
         if self.key is not None:
             session.add(
                 IdempotentResponse(
@@ -126,7 +126,7 @@ class Idempotency:
                     request_sha256=self.request_sha256,
                     status=made.status,
                     headers=made.headers,
-                    body=made.kept,
+                    body=made.without_secrets,
                     created_utc=utc_now(),
                 )
             )

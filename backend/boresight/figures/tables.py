@@ -502,7 +502,7 @@ def flight_tolerance(result: Calibration) -> str:
     return f"{urad(tolerance_rad, 3)}{NARROW_SPACE}µrad" if tolerance_rad is not None else MISSING
 
 
-def shown(result: Calibration) -> tuple[str, ShadowOfSet] | None:
+def find_shown_set(result: Calibration) -> tuple[str, ShadowOfSet] | None:
     """Return which set is shown side by side under baseline and candidate, and its view; None where there is none.
 
     The validation set where the run has one, for it took no part in the estimate; else the calibration set.
@@ -513,7 +513,7 @@ def shown(result: Calibration) -> tuple[str, ShadowOfSet] | None:
 
 def side_by_side(result: Calibration) -> str:
     """Say in a sentence what baseline and candidate would each lose; empty where they were not set side by side."""
-    found = shown(result)
+    found = find_shown_set(result)
     return found[1].summary.sentence if found else ""
 
 

@@ -124,7 +124,10 @@ class Connection:
     ) -> Iterator[bytes]:
         """Send one request and yield the body of its answer as it comes, within the budgets."""
         ends_s, left = time.monotonic() + LONGEST_ANSWER_S, most_bytes
-        with self._told(), self._client.stream(method, path, headers=dict(headers or {}), **given) as answer:
+        with (
+            self._explain_failures(),
+            self._client.stream(method, path, headers=dict(headers or {}), **given) as answer,
+        ):
             if not answer.is_success:
                 self._refuse(answer)
             for piece in answer.iter_raw():
@@ -140,7 +143,7 @@ class Connection:
                 yield piece
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
+    def _explain_failures(self) -> Iterator[None]:
         """Say in one sentence what went wrong on the way."""
         place = f"{self.server.name} at {self.server.url}"
         where = f"{self.server.setting}_URL and the network"

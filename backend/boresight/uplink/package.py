@@ -78,7 +78,7 @@ def make_files(inputs: Inputs, *, signed: bool) -> dict[str, bytes]:
     for place, made in tables.items():
         before = None if alone else backout if place == "" else subject
         way_back = tables["backout/"]
-        said = _said(inputs, place) | {"back_to": way_back.facts, "keeps_image": way_back.missing is not None}
+        said = _make_sentences(inputs, place) | {"back_to": way_back.facts, "keeps_image": way_back.missing is not None}
         held = _files(sensor, definition, sets[place], before, made, said)
         files |= {f"{place}{name}": content for name, content in held.items()}
     if definition is not None:
@@ -171,7 +171,7 @@ def _quantisation(definition: TableDefinition, sensor: Sensor, parameters: Mappi
     }
 
 
-def _said(inputs: Inputs, folder: str) -> dict[str, Any]:
+def _make_sentences(inputs: Inputs, folder: str) -> dict[str, Any]:
     """Return the sentences that the sheets share; the way back's own sheet has none."""
     subject, sensor = inputs["subject"], inputs["sensor"]
     of = {

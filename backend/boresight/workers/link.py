@@ -49,7 +49,7 @@ class Report:
         """The history so far, of a filter."""
         return None if self.calibration is None else parse_calibration(self.calibration).history
 
-    def told(self, history: dict[str, Any] | None) -> RunProgress:
+    def to_event(self, history: dict[str, Any] | None) -> RunProgress:
         """Return the news that is broadcast, with the new points of its history."""
         return RunProgress(self.run_id, self.attempt, self.fraction, self.message, self.elapsed_s, history)
 
@@ -92,7 +92,7 @@ class ProgressInbox:
         points = points_after(report.history, self._told_frame.get(held))
         if points is not None:
             self._told_frame[held] = points["frame"][-1]
-        return report.told(points)
+        return report.to_event(points)
 
     def due(self, reports: dict[HeldRun, Report]) -> dict[HeldRun, Report]:
         """Return the reports of attempts whose rows were not written in the last half second, and mark them as written."""

@@ -175,7 +175,7 @@ def execute_group(group: list[Work], calculation: str = CALCULATION) -> list[Run
     """Compute several small runs one after the other in one task; each result is synced to the disk while the next computes."""
     with ThreadPoolExecutor(max_workers=1, thread_name_prefix="boresight-results") as keeper:
         computed = [execute(*work, calculation, keeper.submit) for work in group]
-        return [_kept(end, sha256) for end, sha256 in computed]
+        return [_await_storing(end, sha256) for end, sha256 in computed]
 
 
 def execute(
@@ -226,7 +226,7 @@ def _execute(
         return RunEnd(run_id, attempt, "FAILED", reason, log=[_traceback()]), None
 
 
-def _kept(end: RunEnd, sha256: Future[str] | None) -> RunEnd:
+def _await_storing(end: RunEnd, sha256: Future[str] | None) -> RunEnd:
     """Return an end with the address of its result, once that is stored."""
     if sha256 is None:
         return end

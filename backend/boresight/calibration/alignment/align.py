@@ -147,8 +147,8 @@ def _write(
     known = variation.temperature_c[np.isfinite(variation.temperature_c)]
     bounds = None if fit.dof < 1 else [float(chdtri(fit.dof, p)) / fit.dof for p in (0.975, 0.025)]
     return Alignment(
-        a=_told(a),
-        b=_told(b),
+        a=_describe_side(a),
+        b=_describe_side(b),
         quaternion=write_quaternion(fit.M),
         matrix=[[float(one) for one in row] for row in fit.M],
         sigma_arcsec=_sigmas(fit.covariance)[:3],
@@ -222,7 +222,7 @@ def _known_rad(fit: Fit) -> FloatArray:
     return np.asarray(np.sqrt(np.diag(fit.covariance_to_load)[:3]))
 
 
-def _told(side: Side) -> AlignedSide:
+def _describe_side(side: Side) -> AlignedSide:
     return AlignedSide(
         name=side.name,
         parameters=side.parameters,
@@ -267,7 +267,7 @@ def _number(numbers: IntArray, place: int) -> int | None:
 
 def _residuals(pairs: Pairs, variation: Variation, found: Estimate) -> PairResiduals:
     fit = found.fit
-    some = np.flatnonzero(_shown(found.keep))
+    some = np.flatnonzero(_select_residuals(found.keep))
     sigma = np.sqrt(np.einsum("kii->ki", pairs.R)[some]) * ARCSEC_PER_RAD
     left = fit.residual - pairs.G @ fit.shared
     basis = variation.basis(fit.terms)[some, 1:]
@@ -283,7 +283,7 @@ def _residuals(pairs: Pairs, variation: Variation, found: Estimate) -> PairResid
     )
 
 
-def _shown(keep: BoolArray) -> BoolArray:
+def _select_residuals(keep: BoolArray) -> BoolArray:
     """Which residuals are kept: all of few; of many evenly spread ones, and those that were removed first."""
     if len(keep) <= MOST_RESIDUALS:
         return np.ones(len(keep), np.bool_)

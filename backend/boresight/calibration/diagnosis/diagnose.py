@@ -601,7 +601,7 @@ class _Search:
         names = [*(["no_time"] if self._wants_time(before) else []), *start.names, "unknown"]
         n = len(self.bench.exposures)
         causes = [FoundCause(name=name, exposures_solved=before.solved, exposures=n) for name in names]
-        return self._told(before, before, causes, mended=False)
+        return self._make_diagnosis(before, before, causes, mended=False)
 
     def _wants_time(self, before: Trial) -> bool:
         """Whether stars need a time that the telemetry has not."""
@@ -620,9 +620,9 @@ class _Search:
         causes += [
             FoundCause(name=name, exposures_solved=best.solved, exposures=n, alternative=True) for name in alternatives
         ]
-        return self._told(before, best, causes, mended=True)
+        return self._make_diagnosis(before, best, causes, mended=True)
 
-    def _told(self, before: Trial, best: Trial, causes: list[FoundCause], *, mended: bool) -> Diagnosis:
+    def _make_diagnosis(self, before: Trial, best: Trial, causes: list[FoundCause], *, mended: bool) -> Diagnosis:
         mapping = best.hypothesis.mapping
         found = Diagnosis(
             sensor=self.bench.sensor.name,

@@ -215,7 +215,7 @@ def shadow_view(telemetry: Telemetry, baseline: MatchedFrames, candidate: Matche
     lost, gained = _moved(baseline, candidate), _moved(candidate, baseline)
     ends = np.searchsorted(telemetry.frame, baseline.view.frames, side="right")
     rows = np.stack([np.append(0, ends[:-1]), ends], axis=1)
-    kept = _kept(baseline.view.valid_frames, candidate.view.valid_frames)
+    kept = _choose_frames(baseline.view.valid_frames, candidate.view.valid_frames)
     columns = (
         baseline.view.frames[kept].tolist(),
         time_texts(telemetry, rows[kept, 0]),
@@ -243,7 +243,7 @@ def _moved(here: MatchedFrames, there: MatchedFrames) -> BoolArray:
     return np.asarray(held & ~(kept & (here.matches.star_id == there.matches.star_id)))
 
 
-def _kept(baseline: BoolArray, candidate: BoolArray) -> IntArray:
+def _choose_frames(baseline: BoolArray, candidate: BoolArray) -> IntArray:
     """Which frames to keep, ascending: those that one state alone solves first, then evenly over the set."""
     differing = _thinned(np.flatnonzero(baseline != candidate), MOST_DIFFERING)
     return np.union1d(differing, _thinned(np.arange(len(baseline)), MOST_FRAMES - len(differing)))

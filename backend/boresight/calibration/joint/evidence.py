@@ -150,7 +150,7 @@ def _with_terms(
     value = (solution.slope * units).reshape(-1, n)
     sigma = (np.sqrt(np.diag(solution.slope_covariance)) * units).reshape(-1, n)
 
-    def told(of_all: FloatArray, term: str) -> Values[float]:
+    def name_values(of_all: FloatArray, term: str) -> Values[float]:
         return Values(dict(zip(found.vary, of_all[:, terms.names.index(term)].tolist(), strict=True)))
 
     if "temperature" in terms.names:
@@ -158,12 +158,14 @@ def _with_terms(
         found = replace(
             found,
             reference_temperature_c=terms.reference_temperature_c,
-            slope=told(value, "temperature"),
-            slope_sigma=told(sigma, "temperature"),
+            slope=name_values(value, "temperature"),
+            slope_sigma=name_values(sigma, "temperature"),
             coefficients=dict(zip(found.vary, value[:, warm].tolist(), strict=True)),
             coefficient_sigma=dict(zip(found.vary, sigma[:, warm].tolist(), strict=True)),
             tests={name: judge_columns(fitted, k * n + np.array(warm)) for k, name in enumerate(found.vary)},
         )
     return (
-        replace(found, rate=told(value, "drift"), rate_sigma=told(sigma, "drift")) if "drift" in terms.names else found
+        replace(found, rate=name_values(value, "drift"), rate_sigma=name_values(sigma, "drift"))
+        if "drift" in terms.names
+        else found
     )

@@ -167,7 +167,7 @@ def _unseen(
 ) -> Iterator[UnseenDeparture]:
     """Say what the tests may miss of each departure that stays in the camera."""
     tested = float(np.sqrt(len(fitted.e) / sums.n_arcs))  # a part is tested, the sigmas are of all
-    fields: Mapping[str, FloatArray] = fitted.kept["first fields"]
+    fields: Mapping[str, FloatArray] = fitted.computed["first fields"]
     for one in (one for one in departures if one.name in STAYING):
         score, tangential = scores[one.name], one.name == TANGENTIAL
         found = find_unseen(sums, score, UNLIKELY, LEAST_SHARE if tangential else OWN_SHARE)

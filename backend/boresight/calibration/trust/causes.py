@@ -489,7 +489,7 @@ def _describe(
             kind,
             sentence="The centroid noise is {size} times the stated one; the sigmas use the measured scale",
         )
-    if isinstance(flaw := examined.fitted.kept.get("flaw"), Flaw) and one.name == "flaw":
+    if isinstance(flaw := examined.fitted.computed.get("flaw"), Flaw) and one.name == "flaw":
         where = f"row {flaw.row_px:.0f}, column {flaw.col_px:.0f}"
         kind = replace(kind, sentence=kind.sentence.replace("one place", where))
     return Cause(

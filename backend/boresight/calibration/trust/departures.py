@@ -135,7 +135,7 @@ def find_departures(fitted: FittedSet) -> tuple[list[Departure], dict[str, str]]
         found.append(Departure("drift", "rows", partial(_drift, known.time)))
     if "exposure" not in known.missing:
         found.append(Departure("exposure", "rows", _exposure))
-    if isinstance(flaw := fitted.kept.get("flaw"), Flaw):
+    if isinstance(flaw := fitted.computed.get("flaw"), Flaw):
         found.append(Departure("flaw", "detector", partial(_flaw, flaw)))
     return found, known.missing
 
@@ -159,9 +159,9 @@ def find_companions(fitted: FittedSet) -> list[Departure]:
 
 def find_quantities(fitted: FittedSet) -> Quantities:
     """Look up what the fields of a set may depend on, once."""
-    if "quantities" not in fitted.kept:
-        fitted.kept["quantities"] = _look_up(fitted)
-    answer: Quantities = fitted.kept["quantities"]
+    if "quantities" not in fitted.computed:
+        fitted.computed["quantities"] = _look_up(fitted)
+    answer: Quantities = fitted.computed["quantities"]
     return answer
 
 
@@ -502,9 +502,9 @@ def _readout(block: Block) -> FloatArray:
 def _scale_with(values: FloatArray, order: int, block: Block) -> FloatArray:
     """Rows of a scale of the image that changes with a quantity of the frame."""
     L = legendre.legvander(values[block.frame_of_arc], order)[:, 1:]
-    if "scale" not in block.kept:
-        block.kept["scale"] = block.displace(_pairs(_places(block)), "detector")
-    return block.kept["scale"] * L
+    if "scale" not in block.computed:
+        block.computed["scale"] = block.displace(_pairs(_places(block)), "detector")
+    return block.computed["scale"] * L
 
 
 def _drift(time: FloatArray, block: Block) -> FloatArray:

@@ -164,7 +164,7 @@ class Block:
         return rows
 
     @cached_property
-    def kept(self) -> dict[str, FloatArray]:
+    def computed(self) -> dict[str, FloatArray]:
         """Rows that several departures are made of."""
         return {}
 
@@ -267,7 +267,7 @@ def _add_block(block: Block, departures: Sequence[Departure]) -> ScoreSums:
     """The sums of one block; displacements of one kind go through the loop together."""
     u = {one.name: one.fields(block) for one in departures}
     if block.first == 0:
-        block.fitted.kept["first fields"] = u
+        block.fitted.computed["first fields"] = u
     G, squares = dict[str, FloatArray](), dict[str, FloatArray]()
     for kind in ("detector", "sky"):
         names = [one.name for one in departures if one.kind == kind]

@@ -95,9 +95,9 @@ def residual_field(fitted: FittedSet, found: StarResiduals) -> ResidualField:
 
 def before(fitted: FittedSet, found: StarResiduals) -> tuple[FloatArray, FloatArray]:
     """Residuals (n_stars, 2) and shares (n_stars, 2, 2) at the sensor's own parameters, taken as known."""
-    if fitted.kept.get("before of") is not found:
-        fitted.kept.update({"before of": found, "before": _before(fitted, found)})
-    answer: tuple[FloatArray, FloatArray] = fitted.kept["before"]
+    if fitted.computed.get("before of") is not found:
+        fitted.computed.update({"before of": found, "before": _before(fitted, found)})
+    answer: tuple[FloatArray, FloatArray] = fitted.computed["before"]
     return answer
 
 
@@ -309,12 +309,12 @@ def residual_against(fitted: FittedSet, found: StarResiduals) -> tuple[ResidualA
             entries[name] = entry
         else:
             missing[name] = (
-                f"The set is too small or its {_shown(name)} too uniform for two bins of {FEWEST_IN_A_BIN} stars."
+                f"The set is too small or its {_spell(name)} too uniform for two bins of {FEWEST_IN_A_BIN} stars."
             )
     return ResidualAgainst(**entries), missing
 
 
-def _shown(name: str) -> str:
+def _spell(name: str) -> str:
     return name.replace("_", " ")
 
 
@@ -406,8 +406,8 @@ def _level(name: str) -> float:
 def _against_sentence(name: str, largest: float, p: float) -> str:
     which = f"residual along the {'columns' if ALONG[name] else 'rows'}" if name in ALONG else "radial residual"
     if p >= _level(name):
-        return f"The {which} does not depend on {_shown(name)}beyond noise ({probability(p)})."
+        return f"The {which} does not depend on {_spell(name)}beyond noise ({probability(p)})."
     return (
-        f"The {which} depends on {_shown(name)}: bins are up to {largest:.2g} px off, more than noise explains "
+        f"The {which} depends on {_spell(name)}: bins are up to {largest:.2g} px off, more than noise explains "
         f"({probability(p)})."
     )

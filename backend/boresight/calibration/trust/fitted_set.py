@@ -111,7 +111,7 @@ class FittedSet:
         return self.estimate.status != "rank_deficient"
 
     @cached_property
-    def kept(self) -> dict[str, Any]:
+    def computed(self) -> dict[str, Any]:
         """What one part has computed and another wants too."""
         return {}
 

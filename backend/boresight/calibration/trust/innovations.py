@@ -97,7 +97,7 @@ def nis_over_time(fitted: FittedSet) -> NisOverTime:
     outside = float(np.mean((beyond > 1 - tail) | (beyond < tail)))
     low, high = share_bounds(len(values), 1 - CONFIDENCE, 1 - UNLIKELY)
     runs = runs_p_value(per_dof) if len(values) >= FEWEST_FOR_RUNS else 1.0
-    shown = _shown(per_dof)
+    shown = _thin(per_dof)
     lower, upper = (chdtri(dof[shown], share) / dof[shown] for share in (1 - tail, tail))
     return NisOverTime(
         frame=frame[shown].tolist(),
@@ -114,7 +114,7 @@ def nis_over_time(fitted: FittedSet) -> NisOverTime:
     )
 
 
-def _shown(values: FloatArray) -> NDArray[np.int64]:
+def _thin(values: FloatArray) -> NDArray[np.int64]:
     """Places to draw: all, or of a long series the lowest and the highest of each stretch, so that no outlier is lost."""
     if len(values) <= MOST_POINTS:
         return np.arange(len(values))

@@ -213,7 +213,7 @@ def _hand_back(ground: FittedSet, held: batch.BatchFit, name: str) -> None:
         return
     if not ground.settings.sequential and restarts < MOST_RESTARTS:
         raise LowerMinimum(ended.x, f"the fit with {name} held", fall)
-    ground.kept["lower_minimum"] = f"{fall:.3g} lower in chi-square, beyond the fit with {name} held"
+    ground.computed["lower_minimum"] = f"{fall:.3g} lower in chi-square, beyond the fit with {name} held"
 
 
 def _refitted(ground: FittedSet, arcs: ArcSet, held: batch.BatchFit, best: Optimum) -> Optimum:
@@ -299,7 +299,7 @@ def drop_one_sentence(fitted: FittedSet, entries: list[DroppedParameter]) -> str
     spare = [symbols[entry.name] for entry in entries if not entry.needed]
     weakest = min(entries, key=lambda entry: entry.chi2_increase)
     least = f"{symbols[weakest.name]} costs least when held fixed, {weakest.chi2_increase:.3g} in chi-square"
-    if lower := fitted.kept.get("lower_minimum"):
+    if lower := fitted.computed.get("lower_minimum"):
         least += f"; against another minimum, {lower}: run the batch, which takes the lowest"
     if not spare:
         return (

@@ -48,7 +48,7 @@ def find_residual_spline(fitted: FittedSet) -> ResidualSplineFit:
     )  # fmt: skip
     if fit.data.dof <= 0 or not np.isfinite(fit.posterior.surface.coefficients).all():
         raise Unavailable("There are too few stars for a residual spline: add frames.")
-    fitted.kept["flaw"] = find_flaw(fit)
+    fitted.computed["flaw"] = find_flaw(fit)
     shape = (sensor.rows, sensor.columns)
     counts = [max(FEWEST_PLACES, round(PLACES * n / max(shape))) for n in shape]
     row, col = grid(*shape, *counts)

@@ -129,7 +129,7 @@ def _ask_dependence(cause: str) -> Callable[[Examined], Outcome | None]:
 
 def _ask_flaw(examined: Examined) -> Outcome | None:
     """Ask the place that was found, with its chance at any place."""
-    flaw, score = examined.fitted.kept.get("flaw"), examined.scores.get("flaw")
+    flaw, score = examined.fitted.computed.get("flaw"), examined.scores.get("flaw")
     if flaw is None or score is None or score.dof == 0:
         return None
     return flaw.p, _bounded(examined, score, _excess(examined, score))

@@ -269,7 +269,7 @@ def list_sessions(
 ) -> Listing[LoginSession]:
     """List one's log-ins, newest first, with where they were started and why they ended."""
     found = sessions.list_sessions(session, actor, user_id, is_open=open, **page.rows)
-    return page.cut(found, lambda row: _shown(row, actor, settings))
+    return page.cut(found, lambda row: make_row(row, actor, settings))
 
 
 @session_router.post("/current:end-others", summary="End all others", response_model=schemas.EndedSessions)
@@ -281,10 +281,10 @@ def end_other_sessions(actor: Who, session: Writing) -> dict[str, int]:
 @session_router.post("/{session_id}:end", summary="End a log-in", response_model=schemas.LoginSession)
 def end_session(session_id: Id, actor: Who, settings: ServerSettings, session: Writing) -> RowWithFields:
     """End one log-in: one's own, or as an administrator another's."""
-    return _shown(sessions.end_session(session, actor, session_id), actor, settings)
+    return make_row(sessions.end_session(session, actor, session_id), actor, settings)
 
 
-def _shown(row: LoginSession, actor: Actor, settings: Settings) -> RowWithFields:
+def make_row(row: LoginSession, actor: Actor, settings: Settings) -> RowWithFields:
     """Return a log-in, with when it ends at the latest."""
     ends_utc = settings.session_limits.ends_utc(row.created_utc)
     return RowWithFields(row, ends_utc=ends_utc, current=row.id == actor.session_id)

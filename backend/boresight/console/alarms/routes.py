@@ -76,7 +76,8 @@ class Assignee(Shape):
     user_id: Id | None = Field(description="Null: nobody.")
 
 
-def _shown(row: tables.Alarm) -> RowWithFields:
+def make_row(row: tables.Alarm) -> RowWithFields:
+    """Return an alarm with its state."""
     return RowWithFields(row, state=alarms.get_alarm_state(row))
 
 
@@ -92,13 +93,13 @@ def list_alarms(
 ) -> Listing[tables.Alarm]:
     """List the alarms that are open, newest first, or those of a state."""
     sought = alarms.AlarmFilter(sensor_id=sensor_id, kind=kind, state=state)
-    return page.cut(alarms.list_alarms(session, sought, **page.rows), _shown)
+    return page.cut(alarms.list_alarms(session, sought, **page.rows), make_row)
 
 
 @router.get("/{alarm_id}", summary="Read an alarm", response_model=Alarm)
 def get_alarm(alarm_id: Id, session: Reading) -> RowWithFields:
     """Read an alarm with its evidence; the ETag is needed to handle it."""
-    return _shown(session.get_known(tables.Alarm, alarm_id))
+    return make_row(session.get_known(tables.Alarm, alarm_id))
 
 
 @router.get("/{alarm_id}/events", summary="Read its steps", response_model=Page[AlarmEvent])
@@ -110,28 +111,28 @@ def list_alarm_events(alarm_id: Id, session: Reading) -> Listing[tables.AlarmEve
 @router.post("/{alarm_id}:acknowledge", summary="Acknowledge an alarm", response_model=Alarm)
 def acknowledge_alarm(alarm_id: Id, comment: Comment, actor: Who, seen: SeenVersion, session: Writing) -> RowWithFields:
     """Acknowledge an alarm; if it has returned to normal, this closes it."""
-    return _shown(alarms.acknowledge(session, actor, alarm_id, comment.text, seen))
+    return make_row(alarms.acknowledge(session, actor, alarm_id, comment.text, seen))
 
 
 @router.post("/{alarm_id}:shelve", summary="Shelve an alarm", response_model=Alarm)
 def shelve_alarm(alarm_id: Id, shelf: Shelf, actor: Who, seen: SeenVersion, session: Writing) -> RowWithFields:
     """Shelve an alarm until a time, with the reason; it is not counted meanwhile."""
-    return _shown(alarms.shelve(session, actor, alarm_id, shelf.until_utc, shelf.reason, seen))
+    return make_row(alarms.shelve(session, actor, alarm_id, shelf.until_utc, shelf.reason, seen))
 
 
 @router.post("/{alarm_id}:unshelve", summary="Unshelve an alarm", response_model=Alarm)
 def unshelve_alarm(alarm_id: Id, actor: Who, seen: SeenVersion, session: Writing) -> RowWithFields:
     """Unshelve an alarm before its time."""
-    return _shown(alarms.unshelve(session, actor, alarm_id, seen))
+    return make_row(alarms.unshelve(session, actor, alarm_id, seen))
 
 
 @router.post("/{alarm_id}:assign", summary="Assign an alarm", response_model=Alarm)
 def assign_alarm(alarm_id: Id, assignee: Assignee, actor: Who, seen: SeenVersion, session: Writing) -> RowWithFields:
     """Assign an alarm to a person, or remove its assignee."""
-    return _shown(alarms.assign(session, actor, alarm_id, assignee.user_id, seen))
+    return make_row(alarms.assign(session, actor, alarm_id, assignee.user_id, seen))
 
 
 @router.post("/{alarm_id}:comment", summary="Comment on an alarm", response_model=Alarm)
 def comment_on_alarm(alarm_id: Id, comment: Comment, actor: Who, seen: SeenVersion, session: Writing) -> RowWithFields:
     """Add a comment to an open alarm; comments cannot be edited."""
-    return _shown(alarms.comment(session, actor, alarm_id, comment.text, seen))
+    return make_row(alarms.comment(session, actor, alarm_id, comment.text, seen))

@@ -85,7 +85,7 @@ def acknowledge(session: Session, actor: Actor, alarm_id: int, text: str, seen_v
     if row.acknowledged:
         raise ConflictError(f"Alarm {row.id} is acknowledged already; comment on it, or shelve it.")
     row.acknowledged = 1
-    record_step(session, actor, row, "ACKNOWLEDGED", _said(text))
+    record_step(session, actor, row, "ACKNOWLEDGED", _check_text(text))
     close_if_over(session, actor, row)
     return row
 
@@ -100,7 +100,9 @@ def shelve(session: Session, actor: Actor, alarm_id: int, until: str, reason: st
             code="not-a-future-time",
         )
     row.shelved_until_utc = until_utc
-    record_step(session, actor, row, "SHELVED", _said(reason, needed="reason why it can wait"), until_utc=until_utc)
+    record_step(
+        session, actor, row, "SHELVED", _check_text(reason, needed="reason why it can wait"), until_utc=until_utc
+    )
     return row
 
 
@@ -128,7 +130,7 @@ def assign(session: Session, actor: Actor, alarm_id: int, user_id: int | None, s
 def comment(session: Session, actor: Actor, alarm_id: int, text: str, seen_version: int | None) -> Alarm:
     """Add a comment to an alarm."""
     row = _take_to_handle(session, actor, alarm_id, seen_version, "comment on an alarm")
-    record_step(session, actor, row, "COMMENTED", _said(text, needed="comment"))
+    record_step(session, actor, row, "COMMENTED", _check_text(text, needed="comment"))
     return row
 
 
@@ -142,7 +144,7 @@ def _take_to_handle(session: Session, actor: Actor, alarm_id: int, seen_version:
     return row
 
 
-def _said(text: str, needed: str = "") -> str:
+def _check_text(text: str, needed: str = "") -> str:
     refuse_control_characters(comment=text)
     if (needed and not text.strip()) or len(text) > LONGEST_TEXT:
         raise RefusedInputError(f"Give a {needed or 'comment'} of {int(bool(needed))} to {LONGEST_TEXT} characters.")

@@ -343,8 +343,8 @@ async def _closed(
         said = f"Request {request_id} is {outcome.made.state}."
         return redirect(f"/alignments/{outcome.made.alignment_id}", flash=said)
 
-    def again(session: Session) -> HTMLResponse:
+    def render_again(session: Session) -> HTMLResponse:
         number = session.get_known(AlignmentRequest, request_id).alignment_id
         return _page(request, actor, number, replace(form, refusal=outcome.refusal), session)
 
-    return await read_again(request, again)
+    return await read_again(request, render_again)

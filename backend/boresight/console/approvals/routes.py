@@ -163,7 +163,7 @@ def _examine(
 Examined = Annotated[gates.GateAssessment, Depends(_examine)]
 
 
-def _shown(session: Session, row: GateReport) -> RowWithFields:
+def make_row(session: Session, row: GateReport) -> RowWithFields:
     """Return a report with its waivers applied, and whether its inputs are unchanged."""
     document = to_plain(gates.lay_waivers(session, row)) | {"bound": row.document["bound"]}  # as it is stored
     laid_over = {name: document[name] for name in LAID_OVER}
@@ -188,7 +188,7 @@ def assess_parameter_set(
     The same evidence gives the same report, which is then not stored again. If the evidence changed while the frames
     were matched the answer is 412: assess it again. An open request that binds another report is STALE at its next signature.
     """
-    return _shown(session, gates.record_report(session, actor, examined))
+    return make_row(session, gates.record_report(session, actor, examined))
 
 
 @gate_report_router.get(
@@ -196,7 +196,7 @@ def assess_parameter_set(
 )
 def get_gate_report(parameter_set_id: Id, session: Reading, sha256: Hash | None = None) -> RowWithFields:
     """Read the newest report, or the one that a request binds, with its waivers; `holds`: whether its evidence is unchanged."""
-    return _shown(session, gates.get_report(session, parameter_set_id, sha256))
+    return make_row(session, gates.get_report(session, parameter_set_id, sha256))
 
 
 @gate_report_router.post(

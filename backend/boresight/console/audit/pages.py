@@ -93,7 +93,11 @@ def changes(before: Mapping[str, Any] | None, after: Mapping[str, Any] | None) -
     names = [*new, *(name for name in old if name not in new)]
     return [
         ChangedMember(
-            name, _shown(name, old.get(name)), _shown(name, new.get(name)), name_member(name), find_unit(name)
+            name,
+            _format_member(name, old.get(name)),
+            _format_member(name, new.get(name)),
+            name_member(name),
+            find_unit(name),
         )
         for name in names
         if old.get(name) != new.get(name)
@@ -133,7 +137,7 @@ def find_unit(name: str) -> str:
     return next((unit for suffix, unit in UNITS if last.endswith(suffix)), "")
 
 
-def _shown(name: str, value: Any) -> str:
+def _format_member(name: str, value: Any) -> str:
     """Format a member for display; a long one is shortened."""
     if value is None:
         return MISSING

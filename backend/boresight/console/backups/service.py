@@ -92,11 +92,18 @@ def set_schedule(
             created_by=actor.user_id,
         )
     )
-    audit.append(session, actor, "scheduled", "backups", None if before is None else _told(before), _told(row))
+    audit.append(
+        session,
+        actor,
+        "scheduled",
+        "backups",
+        None if before is None else _list_values(before),
+        _list_values(row),
+    )
     return row
 
 
-def _told(row: BackupSchedule) -> dict[str, object]:
+def _list_values(row: BackupSchedule) -> dict[str, object]:
     names = ("destination", "at_minute", "every_hours", "keep_daily", "keep_weekly", "keep_monthly")
     return {name: getattr(row, name) for name in names}
 

@@ -126,19 +126,20 @@ class CampaignCancellation(Shape):
     reason: str = ""
 
 
-def _shown(view: CampaignView) -> RowWithFields:
+def make_row(view: CampaignView) -> RowWithFields:
+    """Return a campaign with the counts of its runs."""
     told = {name: getattr(view, name) for name in ("state", "sensors", "ended", "fraction", "counts", "newest_id")}
     return RowWithFields(view.row, **told)
 
 
 def _require_seen(session: Session, campaign_id: int, seen: EntityTag) -> None:
-    seen.require(Campaign, _shown(campaigns.read_campaign(session, campaign_id)), f"Campaign {campaign_id}")
+    seen.require(Campaign, make_row(campaigns.read_campaign(session, campaign_id)), f"Campaign {campaign_id}")
 
 
 @router.get("", summary="List campaigns", response_model=Page[Campaign])
 def list_campaigns(session: Reading, page: Paged) -> Listing[CampaignView]:
     """List campaigns with the counts of their runs, newest first."""
-    return page.cut(campaigns.list_campaigns(session, **page.rows), _shown)
+    return page.cut(campaigns.list_campaigns(session, **page.rows), make_row)
 
 
 @router.post(
@@ -163,13 +164,13 @@ def launch_campaign(
     )
     if isinstance(made, dict):
         return OperationResponse(made, shape=DryRunOfCampaign, is_trial=True)
-    return _shown(campaigns.read_campaign(session, made.id))
+    return make_row(campaigns.read_campaign(session, made.id))
 
 
 @router.get("/{campaign_id}", summary="Read a campaign", response_model=Campaign)
 def get_campaign(campaign_id: Id, session: Reading) -> RowWithFields:
     """Read a campaign: how many of its runs are in each state, and how far it is."""
-    return _shown(campaigns.read_campaign(session, campaign_id))
+    return make_row(campaigns.read_campaign(session, campaign_id))
 
 
 @router.get("/{campaign_id}/results", summary="List the results", response_model=Page[CampaignResult])
@@ -190,7 +191,7 @@ def cancel_campaign(
     """Cancel every run of a campaign that has not ended."""
     _require_seen(session, campaign_id, seen)
     campaigns.cancel_campaign(session, actor, campaign_id, cancellation.reason if cancellation else "")
-    return _shown(campaigns.read_campaign(session, campaign_id))
+    return make_row(campaigns.read_campaign(session, campaign_id))
 
 
 @router.post(
@@ -203,4 +204,4 @@ def relaunch_campaign(campaign_id: Id, actor: Who, seen: SeenTag, session: Writi
     """Queue new runs for the sensors whose run failed, was lost, or could not be launched."""
     _require_seen(session, campaign_id, seen)
     campaigns.relaunch_failed(session, actor, campaign_id)
-    return _shown(campaigns.read_campaign(session, campaign_id))
+    return make_row(campaigns.read_campaign(session, campaign_id))

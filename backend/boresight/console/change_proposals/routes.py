@@ -74,7 +74,8 @@ class ProposalComment(Shape):
     comment: str = Field("", max_length=4000, description="Required to refuse.")
 
 
-def _shown(session: Session, row: tables.ChangeProposal) -> RowWithFields:
+def make_row(session: Session, row: tables.ChangeProposal) -> RowWithFields:
+    """Return a proposal with what it changes."""
     return RowWithFields(row, differences=proposals.list_differences(session, row))
 
 
@@ -83,7 +84,7 @@ def in_force_or_proposed(
 ) -> GateProfile | TableDefinition | OperationResponse:
     """Answer a change that is in force with its version, and one that waits with its proposal."""
     if isinstance(row, tables.ChangeProposal):
-        return OperationResponse(_shown(session, row), 202, ChangeProposal)
+        return OperationResponse(make_row(session, row), 202, ChangeProposal)
     return row
 
 
@@ -99,13 +100,13 @@ def list_change_proposals(
 ) -> Listing[tables.ChangeProposal]:
     """List changes of gate limits and table layouts that were proposed, newest first."""
     found = proposals.list_proposals(session, sensor_id=sensor_id, kind=kind, state=state, **page.rows)
-    return page.cut(found, lambda row: _shown(session, row))
+    return page.cut(found, lambda row: make_row(session, row))
 
 
 @router.get("/{proposal_id}", summary="Read a proposed change", response_model=ChangeProposal)
 def get_change_proposal(proposal_id: Id, session: Reading) -> RowWithFields:
     """Read a proposal with what it changes; the ETag is needed to decide on it."""
-    return _shown(session, session.get_known(tables.ChangeProposal, proposal_id))
+    return make_row(session, session.get_known(tables.ChangeProposal, proposal_id))
 
 
 @router.post("/{proposal_id}:confirm", summary="Confirm a change", response_model=ChangeProposal)
@@ -118,7 +119,7 @@ def confirm_change(
     version that is no longer in force is STALE too, and the answer is 412.
     """
     comment = "" if said is None else said.comment
-    return _shown(session, proposals.confirm(session, actor, proposal_id, seen, comment))
+    return make_row(session, proposals.confirm(session, actor, proposal_id, seen, comment))
 
 
 @router.post("/{proposal_id}:refuse", summary="Refuse a change", response_model=ChangeProposal)
@@ -126,10 +127,10 @@ def refuse_change(
     proposal_id: Id, said: ProposalComment, actor: Who, seen: SeenVersion, session: Writing
 ) -> RowWithFields:
     """Refuse a change as a second person, with a comment."""
-    return _shown(session, proposals.refuse(session, actor, proposal_id, seen, said.comment))
+    return make_row(session, proposals.refuse(session, actor, proposal_id, seen, said.comment))
 
 
 @router.post("/{proposal_id}:withdraw", summary="Withdraw a proposal", response_model=ChangeProposal)
 def withdraw_change(proposal_id: Id, actor: Who, seen: SeenVersion, session: Writing) -> RowWithFields:
     """Withdraw a proposal, as its proposer or as an administrator."""
-    return _shown(session, proposals.withdraw(session, actor, proposal_id, seen))
+    return make_row(session, proposals.withdraw(session, actor, proposal_id, seen))

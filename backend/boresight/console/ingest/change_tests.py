@@ -171,7 +171,7 @@ def judge(
     most = int(np.argmax(np.abs(worth)))
     found = PolicyFinding("WITHIN FORECAST", (), reference, holds, test, (names[most], float(worth[most])))
     if not (of_jump or holds.rejects):
-        return replace(found, reasons=(Reason("HOLDS", _said(point, reference, found)),))
+        return replace(found, reasons=(Reason("HOLDS", _describe_outcome(point, reference, found)),))
     in_row = 1 + _outside_in_row(since, reference, rules)
     state = "ASKED" if in_row >= rules.confirmations else "UNCONFIRMED"
     found = replace(found, state=state, in_row=in_row)
@@ -233,7 +233,7 @@ def _outside_in_row(since: Sequence[Followed], reference: Reference, rules: Poli
     return found
 
 
-def _said(point: TrendPoint, reference: Reference, found: PolicyFinding) -> str:
+def _describe_outcome(point: TrendPoint, reference: Reference, found: PolicyFinding) -> str:
     """Say whether a set holds, by the test that decides."""
     forecast, holds = found.forecast, found.holds
     if forecast is None:
@@ -258,7 +258,7 @@ def _reasons(point: TrendPoint, found: PolicyFinding, rules: PolicyRules) -> lis
     reference, holds, largest = found.reference, found.holds, found.largest
     if reference is None or holds is None or largest is None:
         return []
-    said = [Reason("OUTSIDE", _said(point, reference, found))]
+    said = [Reason("OUTSIDE", _describe_outcome(point, reference, found))]
     said.append(Reason("LARGEST", f"{quantity(largest[0]).symbol} changed most, {fixed(largest[1], 1)} σ."))
     if not reference.measured:
         said.append(Reason("GROUND", f"{reference.name} is a ground calibration, declared and not measured."))

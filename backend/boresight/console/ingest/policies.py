@@ -50,7 +50,7 @@ def draft(session: Session, actor: Actor, sensor_id: int, document: Mapping[str,
         number=rows.read_next_number(session, sensor_id),
         document=rules.to_dict(),
         sha256=compute_sha256(rules.to_dict()),
-        reason=_said(reason, "why the policy is as it is"),
+        reason=_check_reason(reason, "why the policy is as it is"),
         created_utc=utc_now(),
         created_by=actor.user_id,
         state="DRAFT",
@@ -139,7 +139,7 @@ def pause_by_person(
     require_seen(session, row, seen_version)
     if row.state != "ACTIVE":
         raise ConflictError(f"Policy {row.number} is {row.state}; choose an ACTIVE one to pause.")
-    _pause(session, actor, row, "PERSON", _said(reason, "why it is paused"))
+    _pause(session, actor, row, "PERSON", _check_reason(reason, "why it is paused"))
     return row
 
 
@@ -151,7 +151,7 @@ def resume(session: Session, actor: Actor, policy_id: int, reason: str, seen_ver
     require_seen(session, row, seen_version)
     if row.state != "PAUSED":
         raise ConflictError(f"Policy {row.number} is {row.state}; choose a PAUSED one to resume.")
-    said = _said(reason, "why it can go on")
+    said = _check_reason(reason, "why it can go on")
     row.resumed_utc = utc_now()
     row.pause_code = row.pause_reason = row.paused_utc = None
     move(session, actor, row, "ACTIVE", "resumed", reason=said)
@@ -167,12 +167,12 @@ def switch_off(session: Session, actor: Actor, policy_id: int, reason: str, seen
     require_seen(session, row, seen_version)
     if row.state == "OFF":
         raise ConflictError(f"Policy {row.number} is OFF already; there is nothing to switch off.")
-    move(session, actor, row, "OFF", "switched off", reason=_said(reason, "why it is switched off"))
+    move(session, actor, row, "OFF", "switched off", reason=_check_reason(reason, "why it is switched off"))
     update_alarms(session, [row.sensor_id])
     return row
 
 
-def _said(reason: str, what: str) -> str:
+def _check_reason(reason: str, what: str) -> str:
     refuse_control_characters(reason=reason)
     if not reason.strip() or len(reason) > LONGEST_REASON:
         raise RefusedInputError(f"Give the reason {what}, in up to {LONGEST_REASON} characters.")

@@ -103,12 +103,12 @@ async def _stream(
                 yield wanted.written(event, cursor)
             if cursor.progress < newest or cursor.progress > broadcast.progress:
                 cursor = replace(cursor, progress=newest)
-                yield _said("missed", cursor)
+                yield _write_event("missed", cursor)
         async for piece in _live(request, listener, _Live(cursor, wanted, told)):
             yield piece
 
 
-def _said(word: str, cursor: EventCursor) -> bytes:
+def _write_event(word: str, cursor: EventCursor) -> bytes:
     """Write an event for this listener only."""
     return f"event: {word}\ndata: {orjson.dumps({'id': str(cursor)}).decode()}\nid: {cursor}\n\n".encode()
 
@@ -168,7 +168,7 @@ async def _live(request: Request, listener: Listener, live: _Live) -> AsyncItera
         found = await listener.next(min(PING_S, ASK_AGAIN_S))
         piece = _piece(live, found)
         if found and found[-1] is None:
-            yield piece + _said("dropped" if listener.dropped else "closing", live.cursor)
+            yield piece + _write_event("dropped" if listener.dropped else "closing", live.cursor)
             return
         if not piece and time.monotonic() - said_s >= PING_S:
             piece = PING
@@ -178,7 +178,7 @@ async def _live(request: Request, listener: Listener, live: _Live) -> AsyncItera
         if listener.doubted or time.monotonic() - asked_s > ASK_AGAIN_S:
             listener.doubted = False
             if not await run_in_threadpool(is_still_valid, request):
-                yield _said("logged-out", live.cursor)
+                yield _write_event("logged-out", live.cursor)
                 return
             asked_s = time.monotonic()
 

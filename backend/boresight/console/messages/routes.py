@@ -84,14 +84,15 @@ def _judge(new: NewAddress, actor: Who, sender: ServerMessageSender) -> tuple[st
     return sender.judge_address(actor, new.address)
 
 
-def _shown(row: tables.MessageAddress, box: SecretBox) -> RowWithFields:
+def make_row(row: tables.MessageAddress, box: SecretBox) -> RowWithFields:
+    """Return an address with its state."""
     return RowWithFields(row, state=messages.get_state(row, box))
 
 
 @router.get("", summary="List your addresses", response_model=Page[MessageAddress])
 def list_message_addresses(actor: Who, session: Reading, page: Paged, box: SecretKeeper) -> Listing[RowWithFields]:
     """List where you get messages."""
-    return page.cut_whole(messages.list_addresses(session, actor), lambda row: _shown(row, box))
+    return page.cut_whole(messages.list_addresses(session, actor), lambda row: make_row(row, box))
 
 
 @router.post("", summary="Add an address", status_code=201, response_model=MessageAddress)
@@ -104,13 +105,13 @@ def add_message_address(
 ) -> RowWithFields:
     """Get messages at an address from now on. It is stored encrypted and never shown again."""
     address, checked = judged
-    return _shown(messages.add_address(session, actor, box, new.label, address, checked, new.choice()), box)
+    return make_row(messages.add_address(session, actor, box, new.label, address, checked, new.choice()), box)
 
 
 @router.get("/{address_id}", summary="Read an address", response_model=MessageAddress)
 def get_message_address(address_id: Id, actor: Who, session: Reading, box: SecretKeeper) -> RowWithFields:
     """Read what you get at an address of yours."""
-    return _shown(messages.get_address(session, actor, address_id), box)
+    return make_row(messages.get_address(session, actor, address_id), box)
 
 
 @router.post("/{address_id}:change", summary="Choose other kinds", response_model=MessageAddress)
@@ -118,13 +119,13 @@ def change_message_address(
     address_id: Id, wanted: WantedKinds, actor: Who, box: SecretKeeper, session: Writing
 ) -> RowWithFields:
     """Choose other kinds and quiet hours."""
-    return _shown(messages.change_address(session, actor, address_id, wanted.choice()), box)
+    return make_row(messages.change_address(session, actor, address_id, wanted.choice()), box)
 
 
 @router.post("/{address_id}:remove", summary="Remove an address", response_model=MessageAddress)
 def remove_message_address(address_id: Id, actor: Who, box: SecretKeeper, session: Writing) -> RowWithFields:
     """Forget an address; what waits for it is not sent."""
-    return _shown(messages.remove_address(session, actor, address_id), box)
+    return make_row(messages.remove_address(session, actor, address_id), box)
 
 
 @router.post("/{address_id}:try", summary="Send a test message", status_code=202, response_model=Message)

@@ -99,7 +99,7 @@ class TableView:
         """Return the filter that hides what is archived, unless the view shows that too."""
         return {"archived": None, "in_use": None if self.where.get("archived") else 1}
 
-    def kept(self, **changes: Any) -> dict[str, Any]:
+    def list_parameters(self, **changes: Any) -> dict[str, Any]:
         """Return the parameters of this view's address, with changes; empty ones are left out."""
         held = dict(self.where) | {
             "sort": self.sort if self.sort != self.table.sort else "",
@@ -111,7 +111,7 @@ class TableView:
 
     def query(self, **changes: Any) -> str:
         """Return the query of the address of this view, with changes."""
-        return urlencode(self.kept(**changes), safe=",")
+        return urlencode(self.list_parameters(**changes), safe=",")
 
     def address(self, **changes: Any) -> str:
         """Return the address of this view, with changes."""

@@ -92,19 +92,20 @@ def _judge(wanted: WantedWebhook, actor: Who, sender: ServerWebhookSender) -> No
     webhooks.judge_address(actor, wanted.url, sender.targets)
 
 
-def _shown(row: tables.Webhook, box: SecretBox, **more: str) -> RowWithFields:
+def make_row(row: tables.Webhook, box: SecretBox, **more: str) -> RowWithFields:
+    """Return a webhook with its state."""
     return RowWithFields(row, state=get_state(row, box), former_secret_until_utc=row.previous_until_utc, **more)
 
 
 def _with_secret(row: tables.Webhook, secret: str, box: SecretBox) -> OperationResponse:
     headers = {"Cache-Control": "no-store", "Location": f"/api/v1/webhooks/{row.id}"}
-    return OperationResponse(_shown(row, box, secret=secret), headers=headers, shown_once=("secret",))
+    return OperationResponse(make_row(row, box, secret=secret), headers=headers, shown_once=("secret",))
 
 
 @router.get("", summary="List webhooks", response_model=Page[Webhook])
 def list_webhooks(actor: Who, session: Reading, page: Paged, box: SecretKeeper) -> Listing[RowWithFields]:
     """List webhooks, newest first."""
-    return page.cut_whole(webhooks.list_webhooks(session, actor), lambda row: _shown(row, box))
+    return page.cut_whole(webhooks.list_webhooks(session, actor), lambda row: make_row(row, box))
 
 
 @router.post(
@@ -136,19 +137,19 @@ def renew_webhook_secret(
 @router.get("/{webhook_id}", summary="Read a webhook", response_model=Webhook)
 def get_webhook(webhook_id: Id, actor: Who, session: Reading, box: SecretKeeper) -> RowWithFields:
     """Read a webhook."""
-    return _shown(webhooks.get_webhook(session, actor, webhook_id), box)
+    return make_row(webhooks.get_webhook(session, actor, webhook_id), box)
 
 
 @router.post("/{webhook_id}:disable", summary="Disable a webhook", response_model=Webhook)
 def disable_webhook(webhook_id: Id, actor: Who, box: SecretKeeper, session: Writing) -> RowWithFields:
     """Send nothing more to an address; its log stays."""
-    return _shown(webhooks.disable_webhook(session, actor, webhook_id), box)
+    return make_row(webhooks.disable_webhook(session, actor, webhook_id), box)
 
 
 @router.post("/{webhook_id}:enable", summary="Enable a webhook", response_model=Webhook)
 def enable_webhook(webhook_id: Id, actor: Who, box: SecretKeeper, session: Writing) -> RowWithFields:
     """Send events to an address again from now on."""
-    return _shown(webhooks.enable_webhook(session, actor, webhook_id), box)
+    return make_row(webhooks.enable_webhook(session, actor, webhook_id), box)
 
 
 @router.post("/{webhook_id}:try", summary="Send a test message", status_code=202, response_model=WebhookDelivery)

@@ -17,7 +17,7 @@ from boresight.figures.chart import Table
 from boresight.figures.factory import Part, make_figure
 from boresight.figures.style import theme
 from boresight.figures.style.thinning import keep_extremes
-from boresight.figures.tables import shown
+from boresight.figures.tables import find_shown_set
 from boresight.verdicts.numbers import count
 
 POINT_BUDGET = 6000  # of all runs and curves together
@@ -125,7 +125,7 @@ def table(found: tuple[str, ShadowOfSet]) -> Table:
 SHADOW = make_figure(
     draw,
     table,
-    shown,
+    find_shown_set,
     lambda _: "Not yet: baseline and candidate are compared when the run ends.",
     name="shadow",
     title="Baseline and candidate side by side",

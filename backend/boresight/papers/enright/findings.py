@@ -83,7 +83,7 @@ def _ranked(pooled: Pooled) -> tuple[list[int], list[int]]:
     """Sensors for which our No-Refit is the worst, and the best, of the three sequential variants."""
     worst, best = [], []
     for sensor in pooled.sensors:
-        errors = [validation_urad(pooled.shown(sensor, key)) for key in ("no-refit", "q", "no-q")]
+        errors = [validation_urad(pooled.get_first(sensor, key)) for key in ("no-refit", "q", "no-q")]
         worst += [sensor] if errors[0] == max(errors) else []
         best += [sensor] if errors[0] == min(errors) else []
     return worst, best

@@ -40,7 +40,7 @@ class Pooled:
                 return record
         return None
 
-    def shown(self, sensor: int, estimator: str) -> Record:
+    def get_first(self, sensor: int, estimator: str) -> Record:
         """Return the same of a sensor that was run."""
         record = self.first(sensor, estimator)
         if record is None:

@@ -55,12 +55,12 @@ def document(
         "findings": findings(pooled),
         "questions": questions(pooled),
         "settings": {key: estimator.settings.document() for key, estimator in ESTIMATORS.items()},
-        "records": [_kept(record) for record in records],
+        "records": [_drop_drawn(record) for record in records],
         "timing": _timing(pooled) | {"grid_s": grid_s},
     }
 
 
-def _kept(record: Record) -> Record:
+def _drop_drawn(record: Record) -> Record:
     """Leave out of a record what the figures hold, and times."""
     return {key: value for key, value in record.items() if key not in {*DRAWN, "timing_s"}}
 

@@ -33,7 +33,7 @@ class FolderBlobStore(BlobStore):
 
         If the same folder returns it is used again; another one in its place, such as an empty mount point, is refused.
         """
-        with self._said():
+        with self._explain_failures():
             if make:
                 self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             self._opened = Opened(self.folder)
@@ -41,7 +41,7 @@ class FolderBlobStore(BlobStore):
     @contextmanager
     def writing(self) -> Iterator[None]:
         """Check, before writing, that the folder is the one that was opened; the first use opens it."""
-        with self._said():
+        with self._explain_failures():
             if self._is_cache:
                 self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             elif self._opened is None:
@@ -51,7 +51,7 @@ class FolderBlobStore(BlobStore):
             yield
 
     @contextmanager
-    def _said(self) -> Iterator[None]:
+    def _explain_failures(self) -> Iterator[None]:
         """Turn an error into one sentence that the folder cannot be written."""
         try:
             yield

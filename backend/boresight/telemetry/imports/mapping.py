@@ -68,7 +68,7 @@ class SourceFile:
         with self.path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
 
-    def told(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, Any]:
         """Return what a record says of it."""
         return {"name": self.name, "sha256": self.sha256, "bytes": self.path.stat().st_size}
 
@@ -112,9 +112,9 @@ class Imported:
         return {
             "schema": SCHEMA,
             "profile": {"name": self.profile.name, "version": self.profile.version, "sha256": self.profile.sha256},
-            "sources": [source.told() for source in self.sources],
-            "orbit": None if self.orbit is None else self.orbit.told(),
-            "attitude": None if self.attitude is None else self.attitude.told(),
+            "sources": [source.describe() for source in self.sources],
+            "orbit": None if self.orbit is None else self.orbit.describe(),
+            "attitude": None if self.attitude is None else self.attitude.describe(),
             "frames": len(np.unique(exposures.frame)),
             "exposures": len(exposures),
             "stars": len(self.telemetry),
@@ -487,7 +487,7 @@ class _Reading:
             **optional,
         }
         ordered: dict[str, Any] = {name: None if values is None else values[order] for name, values in arrays.items()}
-        unknown = {name: cells.take(pa.array(order)) for name, cells in {**self.kept(), **beside}.items()}
+        unknown = {name: cells.take(pa.array(order)) for name, cells in {**self.take_kept_columns(), **beside}.items()}
         telemetry = Telemetry(**ordered, unknown=unknown)
         self.check(telemetry, order)
         if self.profile.time is not None and moments is not None:
@@ -843,7 +843,7 @@ class _Reading:
             self.tell(column, source, "place of a catalogue, turned by aberration")
         return *_apparent(np.asarray(ra), np.asarray(dec), moments, velocity_m_s), {}
 
-    def kept(self) -> dict[str, pa.Array]:
+    def take_kept_columns(self) -> dict[str, pa.Array]:
         """Return (n_entries,) texts of the columns that go along."""
         keep = self.profile.keep
         names = (
@@ -871,7 +871,9 @@ class _Reading:
             source = {
                 name: "" if (cell := self.table.columns[name][row].as_py()) is None else str(cell) for name in names
             }
-            yield PreviewRow(int(self.table.row[row]), source, {name: _shown(cell) for name, cell in cells.items()})
+            yield PreviewRow(
+                int(self.table.row[row]), source, {name: _format_cell(cell) for name, cell in cells.items()}
+            )
 
 
 def _first(telemetry: Telemetry, rows: int) -> Telemetry:
@@ -880,7 +882,7 @@ def _first(telemetry: Telemetry, rows: int) -> Telemetry:
     return select_rows(telemetry, slice(0, rows))
 
 
-def _shown(cell: Any) -> Any:
+def _format_cell(cell: Any) -> Any:
     return cell.isoformat().replace("+00:00", "Z") if hasattr(cell, "isoformat") else cell
 
 

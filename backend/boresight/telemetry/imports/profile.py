@@ -284,23 +284,25 @@ class Profile(_Part):
 
     def to_dict(self) -> dict[str, Any]:
         """Return its JSON, without what says nothing."""
-        document: dict[str, Any] = orjson.loads(orjson.dumps(_told(self)))
+        document: dict[str, Any] = orjson.loads(orjson.dumps(_list_stated(self)))
         return document
 
     @property
     def sha256(self) -> str:
         """Hash of all it says but its version."""
-        return hashlib.sha256(orjson.dumps(_told(replace(self, version=1)), option=orjson.OPT_SORT_KEYS)).hexdigest()
+        return hashlib.sha256(
+            orjson.dumps(_list_stated(replace(self, version=1)), option=orjson.OPT_SORT_KEYS)
+        ).hexdigest()
 
 
-def _told(part: Any) -> dict[str, Any]:
+def _list_stated(part: Any) -> dict[str, Any]:
     """Return the members that are not what they are by default, and those that have no default."""
     told = {"schema": part.schema, "name": part.name, "version": part.version} if isinstance(part, Profile) else {}
     for item in fields(part):
         value = getattr(part, item.name)
         is_default = value == item.default or (callable(item.default_factory) and value == item.default_factory())
         if not is_default:
-            told[item.name] = _told(value) if is_dataclass(value) else value
+            told[item.name] = _list_stated(value) if is_dataclass(value) else value
     return told
 
 
@@ -372,10 +374,10 @@ def _troubles(profile: Profile) -> list[tuple[bool, str]]:
     """Return what may be wrong with a profile, and what to do."""
     layout, time, wide, turned = profile.layout, profile.time, profile.wide, profile.quaternion
     columns, detector = () if turned is None else turned.columns, profile.detector
-    texts = _texts(_told(profile))
+    texts = _texts(_list_stated(profile))
     return [
         (not NAME.fullmatch(profile.name), "its name must be of small letters, digits, dots and dashes, at most 64"),
-        (any(abs(number) > MOST_WHOLE for number in _wholes(_told(profile))), f"a number is over {MOST_WHOLE:,}"),
+        (any(abs(number) > MOST_WHOLE for number in _wholes(_list_stated(profile))), f"a number is over {MOST_WHOLE:,}"),
         (not 1 <= profile.version <= MOST_VERSION, "its version must be a number from 1"),
         (any(len(text) > LONGEST_TEXT or "\0" in text for text in texts), f"a text is over {LONGEST_TEXT:,} characters"),
         (len(texts) > LONGEST_TEXT, f"it has over {LONGEST_TEXT:,} texts"),

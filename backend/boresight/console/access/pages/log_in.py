@@ -158,11 +158,11 @@ async def give_second_factor(
     if outcome.refusal.is_ours:
         raise outcome.refusal.error
 
-    def again() -> Response:
+    def render_again() -> Response:
         with open_reading(request.app.state.engine) as session:
             return _second_factor_page(request, next, outcome.refusal, session)
 
-    return await run_in_threadpool(again)
+    return await run_in_threadpool(render_again)
 
 
 @login_router.post("/logout", dependencies=[Depends(csrf)])

@@ -97,10 +97,10 @@ async def _change(
 ) -> Response:
     """Make a change of people or keys, and show them, or why it was refused beside what was typed."""
 
-    def again(refusal: RefusalContext, session: Session) -> HTMLResponse:
+    def render_again(refusal: RefusalContext, session: Session) -> HTMLResponse:
         return _page(request, actor, UsersContext(form, refusal, typed), session)
 
-    return await make_change(request, change, "/users", said, prepare=prepare, again=again)
+    return await make_change(request, change, "/users", said, prepare=prepare, again=render_again)
 
 
 @router.get("/users", response_class=HTMLResponse)

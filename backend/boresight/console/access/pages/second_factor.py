@@ -132,14 +132,14 @@ async def enrol(
             return redirect("/second-factor", flash=f"{made.label} is enrolled. Every other log-in of yours has ended.")
         return await read_again(request, partial(_page, request, actor, SecondFactorContext(codes=codes)))
 
-    def again(session: Session) -> HTMLResponse:
+    def render_again(session: Session) -> HTMLResponse:
         try:
             offer = second_factors.find_offer(session, actor, number, rules, site)
         except BoresightError:  # it is over, as the refusal says
             offer = None
         return _page(request, actor, SecondFactorContext("enrol", outcome.refusal, offer, label=label), session)
 
-    return await read_again(request, again)
+    return await read_again(request, render_again)
 
 
 @router.post("/recovery-codes", response_class=HTMLResponse)

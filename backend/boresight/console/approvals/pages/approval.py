@@ -406,7 +406,7 @@ async def _signed(request: Request, actor: Actor, approval_id: int, kind: str) -
 
     outcome = await attempt(request, change, prove)
     if outcome.value is None:
-        return await run_in_threadpool(_again, request, actor, approval_id, outcome.refusal, typed)
+        return await run_in_threadpool(_render_again, request, actor, approval_id, outcome.refusal, typed)
     return redirect(f"/approvals/{approval_id}/signatures/{outcome.value}")
 
 
@@ -460,7 +460,7 @@ def find_record(session: Session, approval: Approval, signature: Signature) -> A
     return next((one for one in records if (one.actor_id, one.action) == (signature.user_id, action)), None)
 
 
-def _again(
+def _render_again(
     request: Request, actor: Actor, approval_id: int, refusal: RefusalContext | None, typed: TypedText
 ) -> HTMLResponse:
     with open_reading(get_server(request).engine) as session:

@@ -26,9 +26,9 @@ from boresight.calibration.options import (
     OPTIONS,
     CalibrationSettings,
     Option,
+    describe_value,
     format_value,
     get_method_title,
-    said,
 )
 from boresight.cameras import CAMERA_MODELS
 from boresight.console.access.dependencies import DryRunSources, Reading, Who, csrf
@@ -215,7 +215,7 @@ class LaunchOrigin:
     find: str = ""
 
     @property
-    def kept(self) -> dict[str, str]:
+    def address_fields(self) -> dict[str, str]:
         """Its parameters in an address, without the search text."""
         named = {"sensor": self.sensor, "set": self.set_id, "clone": self.clone, "method": self.method}
         key = self.preset.key if self.preset else None
@@ -224,7 +224,7 @@ class LaunchOrigin:
     @property
     def query(self) -> str:
         """The same as a query string."""
-        return urlencode(self.kept | ({"find": self.find} if self.find else {}))
+        return urlencode(self.address_fields | ({"find": self.find} if self.find else {}))
 
     def with_preset(self, key: str) -> str:
         """The query string with a preset, whose method replaces the one in the address."""
@@ -253,7 +253,7 @@ class OfferedData:
     starts: Sequence[OfferedStart] = ()
 
     @property
-    def shown(self) -> int | None:
+    def shown_sensor(self) -> int | None:
         """The sensor whose sets and parameters the form shows."""
         return None if self.is_whole or not self.fleet else self.fleet[0].id
 
@@ -336,7 +336,7 @@ def found_alone(offered: OfferedData, address: QueryParams) -> str | None:
     """Return the query of the form for the only sensor found; None where it is shown already or several were found."""
     choices = offered.choices
     alone = list(choices.names)[-1] if choices.find and choices.found == choices.fitting == 1 else None
-    if offered.is_whole or choices.is_all or alone in {None, offered.shown}:
+    if offered.is_whole or choices.is_all or alone in {None, offered.shown_sensor}:
         return None
     kept = [(name, text) for name, text in address.multi_items() if not _applies_to_one_sensor(name)]
     return urlencode([*kept, ("sensor", alone)])
@@ -450,7 +450,7 @@ def make_dry_run_view(summary: Mapping[str, Any]) -> DryRunView:
         ("Starts from", summary["prior"] or "the sensor's parameters"),
         ("Validation set", summary["validation_set"] or "none"),
         ("Method", get_method_title(summary["settings"]["method"])),
-        ("Matches", said("match", summary["settings"]["match"])),
+        ("Matches", describe_value("match", summary["settings"]["match"])),
         ("Other settings", _other_choices(summary["settings"]) or "defaults"),
         ("Frames", count(summary["frames"])),
         ("Stars", count(summary["stars"])),
@@ -494,7 +494,9 @@ def differences(before: CalibrationSettings, now: CalibrationSettings) -> list[C
     """List the differences of two settings."""
     pairs = ((name, getattr(before, name), getattr(now, name)) for name in OPTIONS)
     return [
-        ChangedChoice(OPTIONS[name].label, said(name, old), said(name, new)) for name, old, new in pairs if old != new
+        ChangedChoice(OPTIONS[name].label, describe_value(name, old), describe_value(name, new))
+        for name, old, new in pairs
+        if old != new
     ]
 
 
@@ -543,7 +545,7 @@ def read_origin(request: Request, session: Session) -> LaunchOrigin:
 
 def _begun(session: Session, offered: OfferedData, origin: LaunchOrigin) -> TypedForm:
     """Fill a new form from its starting point: data first, then the preset's settings, then the method."""
-    typed = first_choice(session, offered.fleet, origin.clone, offered.shown or origin.sensor, origin.set_id)
+    typed = first_choice(session, offered.fleet, origin.clone, offered.shown_sensor or origin.sensor, origin.set_id)
     typed = typed if origin.preset is None else typed.under(origin.preset.chosen)
     return typed.with_settings({"method": origin.method}) if origin.method else typed
 

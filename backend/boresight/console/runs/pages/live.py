@@ -63,7 +63,7 @@ def list_notices(
         "CANCELLING": lambda: [StateNotice("caution", _stopping_sentence(run, log), "stopping")],
         "FAILED": lambda: _explain_failure(session, run, log),
         "LOST": lambda: [
-            StateNotice("serious", _lost_sentence(run), "lost", links=_again(run)),
+            StateNotice("serious", _lost_sentence(run), "lost", links=_list_repeats(run)),
             *_explain_partial(run),
         ],
         "CANCELLED": lambda: [
@@ -84,7 +84,7 @@ def _reason(run: Run) -> str:
     return (run.reason or "").strip()
 
 
-def _again(run: Run) -> tuple[tuple[str, str], ...]:
+def _list_repeats(run: Run) -> tuple[tuple[str, str], ...]:
     return ((f"/runs/new?clone={run.id}", "Run it again"), (f"/telemetry/{run.telemetry_set_id}", "Quality report"))
 
 
@@ -92,7 +92,7 @@ def _explain_failure(session: Session, run: Run, log: Sequence[RunEvent]) -> lis
     """Explain a failure: its cause, the end of the log, and what to try."""
     cause = _reason(run) or "The run failed and no cause was recorded; see the last lines of its log."
     lines = tuple(line for line in log if line.state != "FAILED")
-    told, links, code = WHAT_TO_TRY, _again(run), "to-try"
+    told, links, code = WHAT_TO_TRY, _list_repeats(run), "to-try"
     if runs.lacks_times(session, run):
         upload = (f"/telemetry?sensor={run.sensor_id}#upload-title", "Upload a set with times")
         told, links, code = UPLOAD_WITH_TIMES, (upload, links[-1]), "upload-with-times"

@@ -57,6 +57,7 @@ from boresight.figures.report import calibrate_command
 from boresight.figures.style.axes import ALIGNMENTS
 from boresight.figures.tables import (
     cause_rows,
+    find_shown_set,
     flight_rows,
     flight_tolerance,
     interval_rows,
@@ -68,7 +69,6 @@ from boresight.figures.tables import (
     reason_tables,
     removed_count,
     removed_rows,
-    shown,
     side_by_side,
     star_rows,
     to_flag,
@@ -512,7 +512,7 @@ def list_part_figures(review: RunReview, part: str) -> dict[str, tuple[Figure, .
         "matching": found is None or found.matching is None,
     }
     figures = {chapter: () if lacking.get(chapter) else CHAPTERS[chapter] for chapter in PARTS[part].chapters}
-    if found is None or not shown(found):
+    if found is None or not find_shown_set(found):
         figures = {chapter: tuple(one for one in kept if one is not SHADOW) for chapter, kept in figures.items()}
     if found is None or found.smoothed is None:
         figures = {chapter: tuple(one for one in kept if one is not SMOOTHED) for chapter, kept in figures.items()}
