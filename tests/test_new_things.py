@@ -225,10 +225,9 @@ def names_files(thing, *paths):
     return all(path in files for path in paths)
 
 
-#: Who may name a camera model: the simulated sensors, what a new sensor begins with, and the papers that each derive one.
+#: Who may name a camera model: the simulated sensors, and the papers that each derive one.
 PRESETS = {
-    "simulation/sensors.py", "telemetry/new_sensor.py",
-    "papers/enright/drawings.py", "papers/wu/drawings.py", "papers/wu/estimators.py", "papers/wu/grid.py",
+    "simulation/sensors.py", "papers/enright/drawings.py", "papers/wu/drawings.py", "papers/wu/estimators.py", "papers/wu/grid.py",
     "papers/wu/tables.py",
 }  # fmt: skip
 

@@ -116,6 +116,7 @@ if TYPE_CHECKING:
         diagnose,
         draw,
         evaluate,
+        export_camera,
         extract,
         import_telemetry,
         load,
@@ -132,6 +133,7 @@ if TYPE_CHECKING:
     from boresight.library.results import (
         Assessment,
         Calibration,
+        CameraFile,
         Evaluation,
         Extraction,
         Matches,
@@ -256,16 +258,18 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
-    """Load a name of the library when it is first asked for."""
-    if name not in _MODULES:
-        raise AttributeError(f"module 'boresight' has no attribute {name!r}")
-    module = _MODULES[name]
-    # what lies below the library, and what loads that, may load kernels, which must know their folder
-    if module == "boresight.library.choice" or not module.startswith(("boresight.library.", "boresight.errors")):
-        import_module("boresight.library.functions").use_kernels()
-    globals()[name] = value = getattr(import_module(module), name)
-    return value
+if not TYPE_CHECKING:  # a type checker shall miss what is not imported above
+
+    def __getattr__(name: str) -> Any:
+        """Load a name of the library when it is first asked for."""
+        if name not in _MODULES:
+            raise AttributeError(f"module 'boresight' has no attribute {name!r}")
+        module = _MODULES[name]
+        # what lies below the library, and what loads that, may load kernels, which must know their folder
+        if module == "boresight.library.choice" or not module.startswith(("boresight.library.", "boresight.errors")):
+            import_module("boresight.library.functions").use_kernels()
+        globals()[name] = value = getattr(import_module(module), name)
+        return value
 
 
 def __dir__() -> list[str]:

@@ -76,9 +76,10 @@ def test_the_report_says_where_one_person_works_alone_and_why_a_part_is_not_ther
 
 
 def test_nothing_that_came_from_outside_becomes_markup_and_a_failed_run_still_gets_its_report(sequential_result):
-    hostile = {"sensor": HOSTILE, "advice": [HOSTILE], "method": HOSTILE, "free": [*sequential_result.free, HOSTILE]}
-    hostile |= {"inputs": {"versions": {HOSTILE: HOSTILE}}, "symbols": {HOSTILE: HOSTILE}, "parameters": {HOSTILE: 1.0}}
-    page = without_library(render_report(changed(sequential_result, **hostile)))
+    hostile = {"sensor": HOSTILE, "advice": [HOSTILE], "method": HOSTILE, "symbols": {HOSTILE: HOSTILE}}
+    read = changed(sequential_result, **hostile, inputs={"versions": {HOSTILE: HOSTILE}})
+    values = Values({**sequential_result.parameters, HOSTILE: 1.0})  # names that no file may have
+    page = without_library(render_report(replace(read, parameters=values, free=[*sequential_result.free, HOSTILE])))
     assert "<script>alert" not in page
     assert "<img" not in page
     absent = dict.fromkeys(("history", "trace", "radial", "coverage", "observability", "chi2", "nis", "validation"))

@@ -36,6 +36,8 @@ bs.choose("esa-5-frames.csv", "esa.sensor.json", mach="given")  # type: ignore[c
 bs.Client("https://boresight.example").launch(1, metod="sqrf")  # type: ignore[call-arg]
 bs.Client("https://boresight.example").choose("esa-5-frames.csv", "esa", mach="given")  # type: ignore[call-arg]
 cal.sigma.f_m * 2  # type: ignore[operator]
+assert_type(bs.export_camera("cal.json", "esa.sensor.json", "opencv"), bs.CameraFile)
+bs.bogus  # type: ignore[attr-defined]
 """
 
 
@@ -62,6 +64,13 @@ def test_every_name_of_the_library_has_a_heading_and_an_example_and_nothing_else
     told = [(name, example) for names, example in _sections() for name in names]
     assert sorted(name for name, _ in told) == sorted(bs.__all__)
     assert [name for name, example in told if f"bs.{name}" not in example] == []
+
+
+def test_type_checkers_are_told_every_name_of_the_library_and_no_other():
+    tree = ast.parse(Path(bs.__file__).read_text())
+    blocks = [one for one in tree.body if isinstance(one, ast.If) and ast.unparse(one.test) == "TYPE_CHECKING"]
+    told = [name.name for block in blocks for line in block.body for name in line.names]
+    assert sorted(told) == sorted(bs.__all__)
 
 
 def test_every_method_of_the_client_is_in_the_reference():

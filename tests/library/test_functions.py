@@ -2,8 +2,10 @@
 
 import copy
 import dataclasses
+import inspect
 import json
 import sys
+from collections.abc import Sequence
 from typing import get_type_hints
 
 import numpy as np
@@ -13,6 +15,7 @@ import pytest
 import boresight as bs
 from boresight.calibration.options import OPTIONS, CalibrationSettings
 from boresight.figures import FIGURES
+from boresight.library.keywords import CalibrationKeywords, ChoiceKeywords, EvaluationKeywords
 from boresight.sky import catalogue
 from boresight.waiting import tell
 from tests.refusals import has_code
@@ -145,6 +148,16 @@ def test_every_setting_is_typed_by_its_kind():
     assert typed == {
         name: kinds[one.kind] | None if one.default is None else kinds[one.kind] for name, one in OPTIONS.items()
     }
+
+
+def test_type_checkers_know_every_setting_by_the_type_that_is_declared():
+    lists = {tuple[str, ...]: str | Sequence[str], tuple[int, ...]: str | Sequence[int]}
+    lists |= {kind | None: wide | None for kind, wide in lists.items()}
+    declared = {name: lists.get(kind, kind) for name, kind in get_type_hints(CalibrationSettings).items()}
+    assert get_type_hints(CalibrationKeywords) == declared
+    for function, keywords in ((bs.choose, ChoiceKeywords), (bs.evaluate, EvaluationKeywords)):
+        taken = [name for name in inspect.signature(function).parameters if name in OPTIONS]
+        assert get_type_hints(keywords) == {name: declared[name] for name in taken}
 
 
 def test_a_list_of_sets_is_one_calibration_whatever_holds_them(simulated, tmp_path):

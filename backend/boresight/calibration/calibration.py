@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -25,6 +25,9 @@ from boresight.telemetry.quality import StarOff
 
 if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, TypeAdapter
+    from pydantic_core import SchemaValidator
+
+    from boresight.cameras import CameraModel
 
 SCHEMA: Final = "boresight.calibration/1"
 EVALUATION_SCHEMA = "boresight.evaluation/1"
@@ -1416,15 +1419,51 @@ def _adapter(kind: type[Any]) -> TypeAdapter[Any]:
 
 def parse_part(kind: type[T], document: Mapping[str, Any], refuse: Callable[[str], Exception]) -> T:
     """Read what a JSON says as one of the dataclasses here; `refuse` makes an error of what is wrong with it."""
+    adapter: TypeAdapter[T] = _adapter(kind)  # type: ignore[arg-type]  # every class can be hashed
+    return _validate(adapter.validate_python, document, refuse)
+
+
+def _validate(validate: Callable[[Any], T], document: Any, refuse: Callable[[str], Exception]) -> T:
     from pydantic import ValidationError  # noqa: PLC0415 - only where JSON is read
 
-    adapter: TypeAdapter[T] = _adapter(kind)  # type: ignore[arg-type]  # every class can be hashed
     try:
-        return adapter.validate_python(document)
+        return validate(document)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = ".".join(str(part) for part in first["loc"])
         raise refuse(f"{where}: {first['msg']}" if where else str(first["msg"])) from error
+
+
+@cache
+def _strict_validator() -> SchemaValidator:
+    """What reads a calibration and takes no text or truth value for a number, and no NaN."""
+    from pydantic_core import SchemaValidator  # noqa: PLC0415 - only where JSON is read
+
+    return SchemaValidator(_make_strict(_adapter(Calibration).core_schema))
+
+
+def _make_strict(schema: Any) -> Any:
+    """Return a schema whose numbers and truth values are of these kinds; a whole number may be written 5.0."""
+    if isinstance(schema, list | tuple):
+        return type(schema)(_make_strict(one) for one in schema)
+    if not isinstance(schema, dict):
+        return schema
+    if schema.get("type") == "int":
+        exact, whole = {"type": "int", "strict": True}, {"type": "float", "strict": True, "multiple_of": 1.0}
+        rounded = {"type": "function-after", "function": {"type": "no-info", "function": int}, "schema": whole}
+        return {
+            "type": "union",
+            "choices": [exact, rounded],
+            "mode": "left_to_right",
+            "custom_error_type": "whole",
+            "custom_error_message": "Input should be a whole number",
+        }
+    if schema.get("type") == "float":
+        return schema | {"strict": True, "allow_inf_nan": False}
+    if schema.get("type") == "bool":
+        return schema | {"strict": True}
+    aside = ("metadata", "serialization", "default")
+    return {key: one if key in aside else _make_strict(one) for key, one in schema.items()}
 
 
 #: What every ended calibration says.
@@ -1453,11 +1492,79 @@ def parse_calibration(document: str | bytes | Mapping[str, Any], name: str = "Th
         said = from_json(document) if isinstance(document, str | bytes) else document
     except ValueError as error:
         raise refuse(str(error)) from error
-    found = parse_part(Calibration, said, refuse)
-    missing = next((one for one in REQUIRED if said.get(one) is None), None)
-    if missing is not None and found.status != "running":
-        raise refuse(f"{missing}: missing")
+    found: Calibration = _validate(_strict_validator().validate_python, said, refuse)
+    if found.status != "running":
+        missing = next((one for one in REQUIRED if said.get(one) is None), None)
+        if fault := f"{missing}: missing" if missing is not None else next(_find_faults(found), None):
+            raise refuse(fault)
     return found
+
+
+def _find_faults(found: Calibration) -> Iterator[str]:
+    """Yield what the numbers of an ended calibration cannot be, with the member of each."""
+    from boresight.cameras import CAMERA_MODELS  # noqa: PLC0415 - they load what compiles
+
+    if (camera := CAMERA_MODELS.get(found.camera_model)) is None:
+        yield f"camera_model: {found.camera_model!r} is none of {', '.join(CAMERA_MODELS)}"
+        return
+    yield from _find_wrong_parameters(found, camera)
+    for member in ("sigma", "sigma_with_misfit", "typical_sigma"):
+        for name, value in getattr(found, member).items():
+            if name not in camera.parameter_names:
+                yield f"{member}.{name}: no parameter of {camera.name}"
+            elif value is not None and value < 0.0:
+                yield f"{member}.{name}: {value!r} is negative"
+    for member in ("frames", "exposures", "stars", "pairs", "iterations"):
+        if (count := getattr(found, member)) < 0:
+            yield f"{member}: {count} is negative"
+    yield from _find_wrong_covariance("covariance", found.covariance, camera.parameter_names)
+    if found.misfit is not None:
+        yield from _find_wrong_covariance("misfit.covariance", found.misfit.covariance, camera.parameter_names)
+
+
+def _find_wrong_parameters(found: Calibration, camera: CameraModel) -> Iterator[str]:
+    """Yield parameters that are not the camera's, and of an estimate numbers that no camera has."""
+    for name in camera.parameter_names:
+        if name not in found.parameters:
+            yield f"parameters.{name}: missing"
+    for member in ("parameters", "free"):
+        for name in getattr(found, member):
+            if name not in camera.parameter_names:
+                yield f"{member}.{name}: no parameter of {camera.name}"
+    if found.parameter_names and tuple(found.parameter_names) != camera.parameter_names:
+        yield f"parameter_names: expected {', '.join(camera.parameter_names)}"
+    if not found.is_usable:
+        return
+    for name, (low, high) in zip(camera.parameter_names, camera.plausible, strict=True):
+        value: float | None = found.parameters[name]
+        if value is None or not low <= value <= high:
+            yield f"parameters.{name}: {value!r}, expected a number from {low:g} to {high:g}"
+
+
+#: How far the two halves of a covariance may differ by rounding, in their sigmas.
+ROUNDING = 1e-6
+
+
+def _find_wrong_covariance(member: str, covariance: Covariance, known: Sequence[str]) -> Iterator[str]:
+    """Yield why a covariance is none: it is square, symmetric, as long as its names, and no variance is negative."""
+    names, rows = covariance.names, covariance.matrix
+    if len(set(names)) < len(names) or not set(names) <= set(known):
+        yield f"{member}.names: expected some of {', '.join(known)}, each once"
+    n = len(names)
+    if len(rows) != n or any(len(row) != n for row in rows):
+        yield f"{member}.matrix: expected {n} rows of {n} numbers, as many as names"
+        return
+    variances = [rows[i][i] for i in range(n)]
+    for i, one in enumerate(variances):
+        if one is not None and one < 0.0:
+            yield f"{member}.matrix.{i}.{i}: {one!r} is negative"
+            return
+    sigmas = [math.sqrt(one or 0.0) for one in variances]
+    for i, row in enumerate(rows):
+        for k in range(i):
+            a, b = row[k], rows[k][i]
+            if a != b and (a is None or b is None or abs(a - b) > ROUNDING * sigmas[i] * sigmas[k]):
+                yield f"{member}.matrix.{i}.{k}: {a!r} and {b!r}, expected the same on both sides of the diagonal"
 
 
 def _make_refusal(name: str, fault: str) -> RefusedInputError:

@@ -615,10 +615,6 @@ class StatedSettings(CalibrationSettings):
         return cls(**as_written, stated=tuple(stated))
 
 
-#: A setting as a keyword has it; a list may be one text with commas. Its name and value are checked where it is read.
-SettingValue = str | float | Sequence[str] | Sequence[int] | None
-
-
 @dataclass(frozen=True)
 class Fieldset:
     """Choices that a form shows together, row by row."""

@@ -16,7 +16,7 @@ from contextlib import ExitStack
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self, Unpack
 
 import httpx
 
@@ -45,10 +45,10 @@ from boresight.library.remote import (
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-    from boresight.calibration.options import SettingValue
     from boresight.library.choice import Choice
     from boresight.library.diagnosis import Diagnosis
     from boresight.library.inputs import SensorSource, TelemetrySource
+    from boresight.library.keywords import CalibrationKeywords
     from boresight.library.pointings import PointingPlan
     from boresight.library.remote import ServerTelemetry
     from boresight.library.results import Calibration
@@ -202,7 +202,7 @@ class Client(_Connection):
         validate: StoredTelemetry | None = None,
         prior: StoredPrior | None = None,
         label: str = "",
-        **settings: SettingValue,
+        **settings: Unpack[CalibrationKeywords],
     ) -> Run:
         """Queue a calibration of one set, or of several as one; settings as `boresight.calibrate` has them.
 
@@ -293,7 +293,7 @@ class Client(_Connection):
         prior: StoredPrior | None = None,
         label: str = "",
         progress: Wanted = None,
-        **settings: SettingValue,
+        **settings: Unpack[CalibrationKeywords],
     ) -> Calibration:
         """Calibrate on the server: upload what is not there, launch, wait, fetch. Arguments as `boresight.calibrate`.
 
@@ -311,7 +311,7 @@ class Client(_Connection):
         validate: TelemetrySource | TelemetrySet | int | None = None,
         label: str = "",
         progress: Wanted = None,
-        **settings: SettingValue,
+        **settings: Unpack[CalibrationKeywords],
     ) -> Choice:
         """Choose the least camera model for the data of a run that has ended, or its number; the server's workers compute.
 
@@ -434,7 +434,7 @@ class AsyncClient(_Connection):
         validate: StoredTelemetry | None = None,
         prior: StoredPrior | None = None,
         label: str = "",
-        **settings: SettingValue,
+        **settings: Unpack[CalibrationKeywords],
     ) -> Run:
         """Queue a calibration of one set, or of several as one; settings as `boresight.calibrate` has them.
 
@@ -525,7 +525,7 @@ class AsyncClient(_Connection):
         prior: StoredPrior | None = None,
         label: str = "",
         progress: Wanted = None,
-        **settings: SettingValue,
+        **settings: Unpack[CalibrationKeywords],
     ) -> Calibration:
         """Calibrate on the server: upload what is not there, launch, wait, fetch. Arguments as `boresight.calibrate`.
 
@@ -543,7 +543,7 @@ class AsyncClient(_Connection):
         validate: TelemetrySource | TelemetrySet | int | None = None,
         label: str = "",
         progress: Wanted = None,
-        **settings: SettingValue,
+        **settings: Unpack[CalibrationKeywords],
     ) -> Choice:
         """Choose the least camera model for the data of a run that has ended, or its number; the server's workers compute.
 

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
     from boresight.arrays import FloatArray
     from boresight.calibration.exports import ExposureAttitude
-    from boresight.calibration.options import SettingValue
     from boresight.calibration.telemetry_pieces import TelemetryFile
     from boresight.library.alignment import Alignment
     from boresight.library.choice import Choice
@@ -38,6 +37,7 @@ if TYPE_CHECKING:
         TelemetrySource,
         TelemetrySources,
     )
+    from boresight.library.keywords import CalibrationKeywords, ChoiceKeywords, EvaluationKeywords
     from boresight.library.pointings import PointingPlan
     from boresight.library.references import ProfileSource, ReferenceSource
     from boresight.library.results import (
@@ -132,7 +132,7 @@ def calibrate(
     validate: TelemetrySource | None = None,
     prior: ParameterSource | None = None,
     progress: Wanted = None,
-    **settings: SettingValue,
+    **settings: Unpack[CalibrationKeywords],
 ) -> Calibration:
     """Estimate a sensor's camera parameters from the stars it saw.
 
@@ -203,7 +203,7 @@ def choose(
     *,
     validate: TelemetrySource | None = None,
     progress: Wanted = None,
-    **settings: SettingValue,
+    **settings: Unpack[ChoiceKeywords],
 ) -> Choice:
     """Choose the least camera model that suffices for telemetry: every model and its terms, tested on the same stars.
 
@@ -322,7 +322,7 @@ def evaluate(
     against: ParameterSource | None = None,
     shadow: bool = False,
     progress: Wanted = None,
-    **settings: SettingValue,
+    **settings: Unpack[EvaluationKeywords],
 ) -> Evaluation:
     """Compare two parameter sets on telemetry: availability, matched stars, RMS on common pairs.
 
@@ -904,7 +904,6 @@ def simulate(
     )
 
 
-@_on_kernels
 @_on_kernels
 def simulate_images(
     scenario: str | os.PathLike[str] | Mapping[str, Any], frames: int, folder: str | os.PathLike[str]
