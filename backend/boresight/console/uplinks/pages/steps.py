@@ -1,4 +1,4 @@
-"""Ground and board of every sensor, the worst first, and a set's way to the spacecraft: exported, sent, loaded, verified, active.
+"""Ground and board of all sensors, and a set's way to the spacecraft: exported, sent, loaded, verified, active.
 
 Ground and board are two facts and never one word. Shown is what was recorded since the set was last sent; everything
 before stands in the list below.
@@ -71,7 +71,7 @@ board_router = APIRouter()
 
 BOARDS = Table(
     "sensors",
-    "Sensors, worst first",
+    "Sensors, first what needs somebody",
     (
         TableColumn("sensor", "Sensor", "sensor", "nowrap", head=True),
         TableColumn("status", "Status", "board", "tight"),
