@@ -479,6 +479,8 @@ def test_the_view_holds_the_numbers_that_its_sentence_says_and_open_sigmas_where
     [
         ([0.0, -1e-3, 0.0], "206.3 ± 2.1 arcsec about −y (the columns axis)"),
         ([1e-3, 1e-3, 0.0], "291.7 ± 2.1 arcsec about (0.71, 0.71, 0.00) in x, y, z of the detector"),
+        ([-0.9965e-3, 0.0, 0.0836e-3], "206.3 ± 2.1 arcsec about −x (the rows axis)"),  # 4.8° away
+        ([-0.9515e-3, -0.3076e-3, 0.0], "206.3 ± 2.1 arcsec about (-0.95, -0.31, 0.00)"),  # 18° away
     ],
 )
 def test_the_axis_is_named(theta, words):

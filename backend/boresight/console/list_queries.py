@@ -41,7 +41,6 @@ from boresight.platform.audit.queries import RECORDS
 from boresight.platform.db.documents import among, number_in, text_in
 from boresight.platform.db.lists import Condition, List, equals, list_newest_rows
 from boresight.platform.db.sessions import Session
-from boresight.verdicts.verdict import LEVELS
 
 ROWS_A_READ = 500
 T = TypeVar("T")
@@ -110,8 +109,9 @@ def _sets_in_use() -> Any:
 
 
 def _worst_board_first() -> Any:
-    """Return the expression that sorts sensors by what is known of their boards, the worst first, and then by name."""
-    ranks = {place: str(LEVELS[::-1].index(level)) for place, level in enumerate(BOARD_WORDS.values())}
+    """Return the expression that sorts sensors by what their boards need, the worst first, and then by name."""
+    needs = ("critical", "caution", "standby", "off", "normal")  # the same on the ground and on board needs nobody
+    ranks = {place: str(needs.index(level)) for place, level in enumerate(BOARD_WORDS.values())}
     return sa.case(ranks, value=find_board_place()) + Sensor.name
 
 

@@ -36,6 +36,11 @@ def found(site):
         ("BORESIGHT_PORT", "Setting", "/help/settings#setting-port"),
         ("Cramér", "Term", "/help/glossary#term-cramer-rao-bound"),
         ("nees", "Term", "/help/glossary#term-nis"),
+        ("condition number", "Term", "/help/glossary#term-condition-number"),
+        ("typical sigma", "Term", "/help/glossary#term-typical-sigma"),
+        ("tail", "Term", "/help/glossary#term-tail"),
+        ("C_SD", "Term", "/help/glossary#term-alignment"),
+        ("back-out", "Term", "/help/glossary#term-uplink-package"),
         ("gloss", "Help", "/help/glossary"),
     ],
 )

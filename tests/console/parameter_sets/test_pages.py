@@ -13,6 +13,7 @@ from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import open_reading, open_writing
 from boresight.verdicts.gates import parse_report
 from boresight.verdicts.gates.judgement import STATUSES
+from tests.console.uplinks.pages import advance
 from tests.sites import PASSWORD, answer_points, codes, strip_tags, text_of
 
 TURNED = {
@@ -201,6 +202,25 @@ def test_a_rotation_that_changes_through_the_set_is_a_caution(site, submit_with)
 def test_a_set_without_one_says_why(site, submit_with):
     assert "run-without-alignment" in codes(site.visitor("victor").get(submit_with(None)))
     assert "set-without-run" in codes(site.visitor("victor").get("/parameter-sets/1"))
+
+
+def test_from_promotion_to_active_the_pages_say_in_full_that_the_attitude_turns_and_lead_to_the_update(
+    site, submit_with
+):
+    place = submit_with(TURNED)
+    number = int(place.rsplit("/", 1)[1])
+    assert "attitude-turn" not in codes(site.visitor("olga").get(place))
+    olga = promoted(site, place)
+    for states in ((), ("SENT",), ("LOADED", "VERIFIED", "ACTIVE")):
+        advance(site, *states, set_id=number)
+        for address in (place, f"{place}/uplink"):
+            page = olga.get(address)
+            said = re.search(r'data-code="attitude-turn".*?</div>', page, re.DOTALL)[0]
+            assert TURNED["sentence"] in said
+            assert f'href="{place}#alignment-title"' in said
+    assert f'href="{place}#alignment-title"' in page.split('class="next-act"')[1].split("</div>")[0]
+    small = TURNED | {"rotation_arcsec": [0.0, 0.1, 0.1], "frames": 12}
+    assert "attitude-turn" not in codes(olga.get(f"{submit_with(small)}/uplink"))
 
 
 def test_a_baseline_that_was_calibrated_itself_is_a_caution_for_the_next(site, submit_with):

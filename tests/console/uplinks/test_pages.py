@@ -93,13 +93,15 @@ def fleet(site):
         "C-mismatch": ("SENT", "MISMATCH"),
         "D-unknown": ("SENT", "UNKNOWN"),
         "E-loaded": LADDER[:2],
+        "Z-not-sent": (),
     }
     for name, states in progresses.items():
         assert visitor.post("/sensors", document=EXAMPLE.replace("ST16-7", name)).status_code == 303
         with open_reading(site.engine) as session:
             (row,) = session.scalars(select(ParameterSet).where(ParameterSet.name == f"PS-{name}-0"))
         advance(site, *states, set_id=row.id)
-    return ["C-mismatch", "D-unknown", "B-sent", "E-loaded", "ST16-1"]
+    advance(site, *LADDER)
+    return ["C-mismatch", "D-unknown", "B-sent", "E-loaded", "Z-not-sent", "ST16-1"]
 
 
 def list_names(page):

@@ -54,8 +54,8 @@ BLOCKS = 10
 CONFIDENCE = 0.99
 #: Exposures, evenly spread, over which the sensitivity J is averaged; it varies by some percent between them.
 EXPOSURES_FOR_SENSITIVITY = 2000
-#: A turn mostly about one axis is named by it.
-MOSTLY = 0.95
+#: A turn within 5 degrees of one axis is named by it.
+MOSTLY = float(np.cos(np.radians(5)))
 AXES = ("x (the rows axis)", "y (the columns axis)", "z (the boresight)")
 
 

@@ -285,7 +285,7 @@ def _page(
     requests = lists.list_newest(session, Approval, set=set_id)
     sensor = session.get_known(Sensor, row.sensor_id)
     incumbent, baseline = find_incumbent(session, row, requests), set_queries.find_baseline(session, row.sensor_id)
-    policy = get_server(request).policy
+    policy, warnings = get_server(request).policy, review.warn_of_set(session, row, incumbent)
     return render(
         request,
         "parameter_sets/parameter_set.html",
@@ -303,7 +303,8 @@ def _page(
         uplinks=lists.list_newest(session, Uplink, set=set_id),
         conversions=list_conversions(session, row),
         panel=make_gates_panel(session, actor, row),
-        advice=list(review.warn_of_set(session, row, incumbent).values()),
+        advice=list(warnings.values()),
+        turn=warnings.get("attitude-turn"),
         needed=get_needed(request, session, actor),
         policy=policy,
         baseline=baseline,

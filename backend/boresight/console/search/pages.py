@@ -6,7 +6,7 @@ Pages and the commands of the page at hand are in the page already, and the pale
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from itertools import islice
 from typing import Any
@@ -109,8 +109,8 @@ def _find(session: Session, text: str) -> Iterator[Found]:
     yield from map(_alarm, _alarms(session, text))
     if len(text) >= SHORTEST_WORD:
         for fitting in (
-            _settings(re.sub("[-_]+", " ", text.lower()).strip()),
-            _terms(text.lower()),
+            _settings(text),
+            _terms(text),
             _help(text.lower()),
         ):
             yield from islice(fitting, MOST_OF_A_KIND)
@@ -125,18 +125,32 @@ def _alarms(session: Session, text: str) -> list[Alarm]:
 
 
 def _settings(text: str) -> Iterator[Found]:
-    for option in OPTIONS.values():
-        if any(text in name.lower().replace("-", " ") for name in (option.title, option.name, option.flag or "")):
-            yield Found("Setting", option.title, option.sentence, f"/help/settings#option-{option.name}")
-    for setting in SETTINGS:
-        if any(text in name.lower() for name in (setting.variable.replace("_", " "), setting.name.replace("_", " "))):
-            yield Found("Setting", setting.variable, setting.sentence, f"/help/settings#setting-{setting.name}")
+    settings = [
+        (Found("Setting", one.title, one.sentence, f"/help/settings#option-{one.name}"), (one.name, one.flag or ""))
+        for one in OPTIONS.values()
+    ] + [
+        (Found("Setting", one.variable, one.sentence, f"/help/settings#setting-{one.name}"), (one.name,))
+        for one in SETTINGS
+    ]
+    yield from _by_words(text, [(one, (one.title, *names)) for one, names in settings])
 
 
 def _terms(text: str) -> Iterator[Found]:
-    for term in list_terms():
-        if any(text in name.lower() for name in term.names):
-            yield Found("Term", ", ".join(term.names), term.meaning, term.address)
+    terms = [(Found("Term", ", ".join(one.names), one.meaning, one.address), one.names) for one in list_terms()]
+    yield from _by_words(text, terms)
+
+
+def _by_words(text: str, known: Sequence[tuple[Found, Sequence[str]]]) -> Iterator[Found]:
+    """Yield what has a text in one of its names, then what has it as whole words in its sentence."""
+    wanted = _plain(text)
+    whole = re.compile(rf"(?<!\w){re.escape(wanted)}(?!\w)")
+    named = [one for one, names in known if any(wanted in _plain(name) for name in names)]
+    yield from named
+    yield from (one for one, _ in known if one not in named and whole.search(_plain(one.note)))
+
+
+def _plain(text: str) -> str:
+    return re.sub("[-_]+", " ", text.lower().replace("σ", "sigma")).strip()
 
 
 def _help(text: str) -> Iterator[Found]:

@@ -337,6 +337,7 @@ def _uplink_step(viewer: _Viewer, row: ParameterSet, known: _Records) -> NextSte
             if turns
             else ""
         )
-        return NextStep(f"It is active on board: no further step.{beside}")
+        place = f"/parameter-sets/{row.id}#alignment-title" if turns else ""
+        return NextStep(f"It is active on board: no further step.{beside}", href=place)
     said, label, place = UPLINK_STEPS.get(row.onboard_state, UPLINK_STEPS["UNKNOWN"])
     return viewer.step_for(("operator",), said, label, f"{address}#{place}")

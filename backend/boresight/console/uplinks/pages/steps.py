@@ -1,4 +1,4 @@
-"""Ground and board of every sensor, the worst first, and a set's way to the spacecraft: exported, sent, loaded, verified, active.
+"""Ground and board of all sensors, and a set's way to the spacecraft: exported, sent, loaded, verified, active.
 
 Ground and board are two facts and never one word. Shown is what was recorded since the set was last sent; everything
 before stands in the list below.
@@ -33,6 +33,7 @@ from boresight.console.access.dependencies import (
     get_server,
 )
 from boresight.console.access.passwords import PasswordProof
+from boresight.console.approvals.review import warn_of_turn
 from boresight.console.fleet import timeline
 from boresight.console.fleet.tables import Sensor
 from boresight.console.fleet.timeline import AsOf, describe_source
@@ -70,7 +71,7 @@ board_router = APIRouter()
 
 BOARDS = Table(
     "sensors",
-    "Sensors, worst first",
+    "Sensors, first what needs somebody",
     (
         TableColumn("sensor", "Sensor", "sensor", "nowrap", head=True),
         TableColumn("status", "Status", "board", "tight"),
@@ -189,6 +190,7 @@ def _page(
     known, sensor = timeline.get_state_at(session, row.sensor_id), session.get_known(Sensor, row.sensor_id)
     other = known.active[0] if known.active and known.active[0].id != row.id else None
     old = other or find_baseline_before(session, row)
+    document, before = read_set_and_incumbent(row, old)
     return render(
         request,
         "uplinks/uplink_steps.html",
@@ -198,7 +200,8 @@ def _page(
         known=known,
         old=old,
         active_other=other is not None,
-        rows=set_rows(*read_set_and_incumbent(row, old), sensor.document["typical_sigma"]),
+        rows=set_rows(document, before, sensor.document["typical_sigma"]),
+        turn=warn_of_turn(document).get("attitude-turn"),
         workflow=workflow,
         steps=workflow.stations[5:],
         records=records,
