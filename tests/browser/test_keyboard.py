@@ -227,6 +227,9 @@ def test_rows_are_walked_chosen_compared_and_sought_by_keys(people):
         expect(window.page.locator("[data-list-body] input:checked")).to_have_count(2)
         chosen = [rows.nth(place).locator("input").get_attribute("value") for place in (0, 1)]
         assert f"runs={','.join(chosen)}" in window.page.url
+        window.page.set_viewport_size({"width": 1280, "height": 240})
+        expect(window.page.locator("[data-compare]")).to_be_in_viewport()
+        assert window.page.evaluate("scrollY + innerHeight < document.documentElement.scrollHeight")
         window.page.evaluate("document.dispatchEvent(new CustomEvent('boresight:run', { detail: {} }))")
         with window.page.expect_response("**/runs?state=SUCCEEDED*"):
             window.settle()

@@ -31,17 +31,17 @@ function chooseRange(form, box) {
 /** @param {number} count */
 function advice(count) {
   if (count > MOST) return `${count} runs are chosen; at most ${MOST} can be compared. Unselect ${count - MOST}.`;
-  if (count === 1) return "Select one more run to compare.";
-  return count ? "" : "Select two or more runs to compare them; Shift selects a range.";
+  if (count === 1) return "1 run selected; select one more to compare.";
+  return count ? `${count} runs selected.` : "Select two or more runs to compare them; Shift selects a range.";
 }
 
 /** @param {HTMLFormElement} form */
 function showChoice(form) {
   const count = form.querySelectorAll("input[name=runs]:checked").length;
-  const button = need("[data-compare]", HTMLButtonElement, form);
+  const button = need("[data-compare]", HTMLButtonElement);
   button.disabled = count < 2 || count > MOST;
   button.textContent = count ? `Compare ${count} runs` : "Compare";
-  need("[data-compare-words]", HTMLElement, form).textContent = advice(count);
+  need("[data-compare-words]", HTMLElement).textContent = advice(count);
   const batch = find("[data-runs-batch]", HTMLFormElement);
   if (!batch) return;
   need("input[name=runs]", HTMLInputElement, batch).value = chosen(form);

@@ -58,6 +58,14 @@ def test_of_many_readings_of_an_alarm_the_last_is_in_sight_and_the_others_are_fo
     assert folded.index("Reading 24.") < folded.index("Reading 0.")
 
 
+def test_the_acts_stand_before_the_history_and_beside_them_how_the_alarm_stands(drifting):
+    page = drifting.visitor("ada").get("/alarms/1")
+    assert page.index('id="live-what"') < page.index('id="live-handle"') < page.index('id="live-steps"')
+    for visitor in ("ada", "victor"):
+        _, handle = drifting.visitor(visitor).get("/alarms/1").split('id="live-handle"')
+        assert "unacknowledged, active" in handle.split('id="live-steps"')[0]
+
+
 def test_the_trend_says_what_counts_and_whether_the_baseline_holds(drifting, read):
     page = read(drifting.visitor("victor").get("/sensors/1/trend"))
     assert "DRIFT" in page
