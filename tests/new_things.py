@@ -11,13 +11,16 @@ import numpy as np
 import orjson
 import pytest
 from click.testing import CliRunner, Result
+from fastapi import FastAPI
 from sqlalchemy.orm import Session
+from starlette.routing import Match
 
 from benchmarks.pages.drawings import guide_page
 from boresight.cameras import CAMERA_MODELS
 from boresight.cli import main
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.tables import Sensor
+from boresight.console.pages.frame import NAVIGATION
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.figures import FIGURES
@@ -29,14 +32,17 @@ from boresight.platform.blobs.opening import open_blobs
 from boresight.platform.blobs.store import BlobStore, register_blob
 from boresight.platform.db.engines import open_engine
 from boresight.platform.db.sessions import open_writing, utc_now
+from boresight.server import create_app
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import load_catalogue
+from boresight.telemetry.quality.findings import FINDINGS
 from boresight.telemetry.sensors import parse_sensor, sensor_document
 from boresight.telemetry.writing import write_csv
 from boresight.verdicts.gates import judge, parse_profile
 from boresight.verdicts.gates.assessed_set import ground_set
 from boresight.verdicts.gates.assessment import assess
 from boresight.verdicts.gates.judgement import gate_rows
+from boresight.verdicts.gates.measurements import GATES
 from tests.passwords import add_person, use_hasher
 from tests.served import PASSWORD, serving, settings_in
 from tests.stores import open_migrated, url_in
@@ -272,5 +278,25 @@ def run(folder: Path) -> dict[str, Any]:
                 }
 
 
+def leads_somewhere(app: FastAPI, path: str) -> bool:
+    scope = {"type": "http", "method": "GET", "path": path, "root_path": "", "headers": [], "app": app}
+    return any(one.matches(dict(scope))[0] is Match.FULL for one in app.routes)
+
+
+def ask_registries(folder: Path) -> dict[str, bool]:
+    """Ask what each new thing is registered in, without a server, a store or a compiled loop."""
+    app = create_app(settings_in(folder))
+    return {
+        "camera": "dummy_lens" in CAMERA_MODELS,
+        "chart": "dummy-chart" in FIGURES,
+        "gate": "dummy-gate" in GATES,
+        "finding": "looked_at" in {one.__name__ for one in FINDINGS},
+        "route": "post" in app.openapi()["paths"].get("/api/v1/dummies", ()),
+        "page": leads_somewhere(app, "/dummies/1") and not leads_somewhere(app, "/others/1"),
+        "navigation": "/dummies/1" in {line.path for part in NAVIGATION for line in part.lines},
+    }
+
+
 if __name__ == "__main__":
-    sys.stdout.write(json.dumps(run(Path(sys.argv[1]))))
+    found = ask_registries if "--registries" in sys.argv else run
+    sys.stdout.write(json.dumps(found(Path(sys.argv[1]))))

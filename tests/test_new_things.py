@@ -1,7 +1,7 @@
 """A new camera model, chart, gate, finding, route and page, each added as README says: in a copy of the tree made of links.
 
 What README promises of each is then asked of the copy in a process of its own: the registry, the pages, the report, the commands,
-the API's document, and who is let in.
+the API's document, and who is let in. The quick form asks the registries alone, and compiles nothing.
 """
 
 import json
@@ -18,8 +18,6 @@ from numba.core.caching import UserProvidedCacheLocator
 
 from boresight.cameras import CAMERA_MODELS
 from boresight.kernels import compilation
-
-pytestmark = pytest.mark.full
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
@@ -193,17 +191,26 @@ def compiled_for(place: Path) -> str:
 
 
 @pytest.fixture(scope="module")
-def seen(tmp_path_factory):
-    place = copied(tmp_path_factory.mktemp("new-things"))
+def place(tmp_path_factory):
+    return copied(tmp_path_factory.mktemp("new-things"))
+
+
+@pytest.fixture(scope="module")
+def seen(place, tmp_path_factory):
     with pytest.MonkeyPatch.context() as monkeypatch:
         lend_compiled_loops(place, monkeypatch, tmp_path_factory.mktemp("loops"))
         return ask(place, tmp_path_factory.mktemp("data"))
 
 
-def ask(place, data):
+@pytest.fixture(scope="module")
+def registered(place, tmp_path_factory):
+    return ask(place, tmp_path_factory.mktemp("registries"), "--registries")
+
+
+def ask(place, data, *only):
     path = os.pathsep.join((str(place / "backend"), str(place)))
     told = subprocess.run(
-        [sys.executable, "-m", "tests.new_things", str(data)],
+        [sys.executable, "-m", "tests.new_things", str(data), *only],
         cwd=place,
         env=os.environ | {"PYTHONPATH": path},
         capture_output=True,
@@ -225,6 +232,16 @@ def names_files(thing, *paths):
     return all(path in files for path in paths)
 
 
+def test_each_new_thing_is_registered_by_the_files_that_readme_names_and_no_loop_is_compiled_for_it(registered):
+    assert names_files("camera model", "`cameras/<name>.py`")
+    assert names_files("chart", "`figures/charts/<name>.py`", "`CHAPTERS`")
+    assert names_files("gate", "`verdicts/gates/measurements.py`", "`GATES`")
+    assert names_files("finding on telemetry", "`telemetry/quality/findings/`", "`FINDINGS`")
+    assert names_files("route", "`console/<noun>/routes.py`", "`NOUNS`")
+    assert names_files("page", "`console/<noun>/pages.py`", "`frontend/templates/<noun>/`", "`NAVIGATION`")
+    assert registered == dict.fromkeys(("camera", "chart", "gate", "finding", "route", "page", "navigation"), True)
+
+
 #: Who may name a camera model: the simulated sensors, and the papers that each derive one.
 PRESETS = {
     "simulation/sensors.py", "papers/enright/drawings.py", "papers/wu/drawings.py", "papers/wu/estimators.py", "papers/wu/grid.py",
@@ -232,6 +249,7 @@ PRESETS = {
 }  # fmt: skip
 
 
+@pytest.mark.full
 def test_a_camera_model_is_one_file(seen):
     assert names_files("camera model", "`cameras/<name>.py`")
     names = "|".join(CAMERA_MODELS)
@@ -248,6 +266,7 @@ def test_a_camera_model_is_one_file(seen):
     assert seen["camera"]["offered"]
 
 
+@pytest.mark.full
 def test_a_camera_of_one_file_is_simulated_fitted_converted_and_drawn_without_another_change(seen):
     lens = seen["camera"]
     assert lens["exit_codes"] == {"simulate": 0, "calibrate": 0, "convert": 0, "report": 0}, lens["printed"]
@@ -262,6 +281,7 @@ def test_a_camera_of_one_file_is_simulated_fitted_converted_and_drawn_without_an
     assert all(lens["on"].values()), lens["on"]
 
 
+@pytest.mark.full
 def test_a_chart_is_one_file_and_a_line_and_is_drawn_everywhere(seen):
     assert names_files("chart", "`figures/charts/<name>.py`", "`CHAPTERS`")
     chart = seen["chart"]
@@ -274,6 +294,7 @@ def test_a_chart_is_one_file_and_a_line_and_is_drawn_everywhere(seen):
     ]
 
 
+@pytest.mark.full
 def test_a_gate_is_a_function_and_a_row_and_is_measured_judged_and_edited(seen):
     assert names_files("gate", "`verdicts/gates/measurements.py`", "`GATES`")
     gate = seen["gate"]
@@ -282,12 +303,14 @@ def test_a_gate_is_a_function_and_a_row_and_is_measured_judged_and_edited(seen):
     assert all(gate["on"][place] for place in ("editor", "panel", "command")), gate["on"]
 
 
+@pytest.mark.full
 def test_a_finding_is_a_function_and_a_line_and_is_reported(seen):
     assert names_files("finding on telemetry", "`telemetry/quality/findings/`", "`FINDINGS`")
     assert seen["finding"]["report"] == {"code": "DUMMY", "severity": "NORMAL", "sentence": "Every row was looked at."}
     assert all(seen["finding"]["on"][place] for place in ("command", "rest", "page")), seen["finding"]["on"]
 
 
+@pytest.mark.full
 def test_a_route_is_documented_and_lets_in_whom_it_should(seen):
     assert names_files("route", "`console/<noun>/routes.py`", "`NOUNS`")
     route = seen["route"]
@@ -302,6 +325,7 @@ def test_a_route_is_documented_and_lets_in_whom_it_should(seen):
     assert route["tried"] == "true"
 
 
+@pytest.mark.full
 def test_a_page_has_its_frame_its_line_of_the_navigation_and_errors_as_pages(seen):
     assert names_files("page", "`console/<noun>/pages.py`", "`frontend/templates/<noun>/`", "`NAVIGATION`")
     page = seen["page"]

@@ -50,9 +50,9 @@ from boresight.telemetry.read.frames import Sample, read_sample
 from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.schema import find_exposures
 from boresight.telemetry.sensors import read_sensor
-from boresight.telemetry.working_table import write_working_table
 from tests.calibration.sets import case, field, simulated
 from tests.estimation.fields import GROUND, NOISE_PX, PITCH, TRUTH
+from tests.working_tables import write_working_table
 
 GIVEN, REMATCH = CalibrationSettings(match="given"), CalibrationSettings(match="rematch")
 KEYS = {

@@ -28,11 +28,12 @@ from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor
 from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.schema import select_rows
-from boresight.telemetry.working_table import WorkingTable, WorkingTableParts, write_working_table
+from boresight.telemetry.working_table import WorkingTable, WorkingTableParts
 from boresight.telemetry.writing import write_parquet
 from tests.calibration.conftest import telemetry
 from tests.calibration.sets import differences, in_memory, same_in_pieces, sky, streamed, write_in_groups, written
 from tests.refusals import has_code
+from tests.working_tables import write_working_table
 
 #: Two blocks and a bit.
 LONG = 2 * FRAMES + 100

@@ -28,7 +28,6 @@ from boresight.telemetry.working_table import (
     WorkingTableParts,
     find_image,
     is_working_table,
-    write_working_table,
 )
 from boresight.telemetry.writing import ROW_GROUP, write_csv, write_parquet
 from tests.calibration.conftest import telemetry as simulated
@@ -36,6 +35,7 @@ from tests.effort import effort
 from tests.refusals import has_code
 from tests.strategies import telemetry_tables
 from tests.telemetry.files import GOOD, MINIMAL, assert_same, parquet_bytes
+from tests.working_tables import write_working_table
 
 FRAMES, ROWS = 60, 7
 CALM = settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

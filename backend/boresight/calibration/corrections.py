@@ -122,15 +122,15 @@ class Corrections:
         if self.passes + 1 >= MOST_PASSES or not np.isfinite(x).all():
             return None
         if self._readout_moves(x, star_id):
-            return self._estimate_again(x, star_id, self.noise)
+            return self._make_next(x, star_id, self.noise)
         if estimate is None or self.noise is not None:
             return None
         noise = estimate()
         if not any(term.needed for term in noise.terms):
             return None
-        return self._estimate_again(x, star_id, marked_as_applied(noise))
+        return self._make_next(x, star_id, marked_as_applied(noise))
 
-    def _estimate_again(self, x: FloatArray, star_id: IntArray | None, noise: Noise | None) -> Corrections:
+    def _make_next(self, x: FloatArray, star_id: IntArray | None, noise: Noise | None) -> Corrections:
         return Corrections(self.sensor, self.catalogue, x, star_id, noise, self.passes + 1, left_out=self.left_out)
 
     def _readout_moves(self, x: FloatArray, star_id: IntArray | None) -> bool:

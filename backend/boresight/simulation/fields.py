@@ -43,11 +43,6 @@ class StarFields:
         """Count the fields."""
         return len(self.star_start) - 1
 
-    @property
-    def stars_per_field(self) -> float:
-        """Mean number of stars of a field."""
-        return float(self.star_start[-1] / len(self))
-
 
 def directions(catalogue: Catalogue) -> FloatArray:
     """Unit vectors (n_stars, 3) at the catalogue's epoch."""

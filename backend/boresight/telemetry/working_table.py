@@ -82,12 +82,6 @@ class WorkingTableParts:
         self._writer.write_batch(batch)
 
 
-def write_working_table(telemetry: Telemetry, path: Path) -> None:
-    """Write a set as one part."""
-    with WorkingTableParts(path) as parts:
-        parts.write(telemetry)
-
-
 @dataclass(frozen=True)
 class WorkingTable:
     """A stored table."""

@@ -2,7 +2,6 @@
 
 import pytest
 
-from boresight.console.runs import archive
 from boresight.console.runs import service as runs
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError
 from boresight.platform.audit import log as audit
@@ -12,11 +11,11 @@ from boresight.platform.db.sessions import open_reading
 def test_an_archived_run_is_left_out_until_it_is_restored_and_both_are_on_record(session, people, finished_run):
     first, second = finished_run(session), finished_run(session)
     for _ in range(2):
-        archive.archive_run(session, people["ana"], first.id)
+        runs.archive_run(session, people["ana"], first.id)
     assert [run.id for run in runs.list_runs(session, archived=False)] == [second.id]
     assert [run.id for run in runs.list_runs(session)] == [second.id, first.id]
     assert audit.find_last_change(session, f"runs/{first.id}").action == "archived"
-    archive.restore_run(session, people["ana"], first.id)
+    runs.restore_run(session, people["ana"], first.id)
     assert [run.id for run in runs.list_runs(session, archived=False)] == [second.id, first.id]
     assert audit.find_last_change(session, f"runs/{first.id}").action == "restored"
 
@@ -24,13 +23,13 @@ def test_an_archived_run_is_left_out_until_it_is_restored_and_both_are_on_record
 def test_only_an_analyst_archives_and_only_what_has_ended(session, people, finished_run):
     ended, running = finished_run(session), finished_run(session, state="RUNNING")
     for name in ("cy", "dee", "eve", "root"):
-        for act in (archive.archive_run, archive.restore_run):
+        for act in (runs.archive_run, runs.restore_run):
             with pytest.raises(ForbiddenError):
                 act(session, people[name], ended.id)
     with pytest.raises(ConflictError):
-        archive.archive_run(session, people["ana"], running.id)
+        runs.archive_run(session, people["ana"], running.id)
     with pytest.raises(NotFoundError):
-        archive.archive_run(session, people["ana"], 99)
+        runs.archive_run(session, people["ana"], 99)
 
 
 def _batch(visitor, act, numbers):

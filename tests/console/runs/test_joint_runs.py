@@ -5,7 +5,7 @@ import pytest
 from boresight.console.fleet import service as sensors
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
-from boresight.console.runs import archive, queries
+from boresight.console.runs import queries
 from boresight.console.runs import service as runs
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
@@ -165,7 +165,7 @@ def test_a_calibration_of_another_camera_model_or_without_an_end_or_archived_is_
     queued = launch(new)
     model.sensor_document = sensor_document(wu_sensor())
     session.flush()
-    archive.archive_run(session, people["ana"], gone.id)
+    runs.archive_run(session, people["ana"], gone.id)
     with pytest.raises(RefusedInputError, match="pinhole_radial", check=has_code("other-camera-model")):
         launch(new, prior_run_id=model.id)
     with pytest.raises(RefusedInputError, match="deficient", check=has_code("not-converged")):

@@ -24,10 +24,11 @@ from boresight.platform.db.data_version import LARGEST_SHARE, SizeLimitedCache
 from boresight.platform.db.sessions import Engine, open_writing
 from boresight.telemetry.read.limits import STORED
 from boresight.telemetry.readers import read_telemetry
-from boresight.telemetry.working_table import WorkingTable, write_working_table
+from boresight.telemetry.working_table import WorkingTable
 from boresight.telemetry.writing import write_parquet
 from tests.refusals import has_code
 from tests.telemetry.test_working_table import assert_same_bits, full
+from tests.working_tables import write_working_table
 
 
 @pytest.fixture

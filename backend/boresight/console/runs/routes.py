@@ -28,7 +28,7 @@ from boresight.console.access.dependencies import (
     Writing,
 )
 from boresight.console.operation import OperationResponse, RowWithFields, json_response, operations
-from boresight.console.runs import archive, choices, frames, presets, schemas
+from boresight.console.runs import choices, frames, presets, schemas
 from boresight.console.runs import service as runs
 from boresight.console.runs.frames import FrameLine
 from boresight.console.runs.presets import BUILT_IN, OfferedPreset
@@ -157,13 +157,13 @@ def cancel_run(
 @router.post("/{run_id}:archive", summary="Archive a run", response_model=schemas.Run)
 def archive_run(run_id: Id, actor: Who, session: Writing) -> Run:
     """Have lists leave out a run that has ended; nothing is deleted."""
-    return archive.archive_run(session, actor, run_id)
+    return runs.archive_run(session, actor, run_id)
 
 
 @router.post("/{run_id}:restore", summary="Show an archived run again", response_model=schemas.Run)
 def restore_run(run_id: Id, actor: Who, session: Writing) -> Run:
     """Have lists show a run again."""
-    return archive.restore_run(session, actor, run_id)
+    return runs.restore_run(session, actor, run_id)
 
 
 @router.get("/{run_id}/result", summary="Read the calibration", response_model=Calibration | schemas.NoResult)

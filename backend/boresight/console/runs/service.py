@@ -1,4 +1,4 @@
-"""Launching, stopping and reading runs. What a run needs is fixed at launch, so it can be computed again with the same result."""
+"""Launching, stopping, archiving and reading runs: what one needs is fixed at launch, so that it can be computed again alike."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from boresight.console.fleet.tables import Sensor
 from boresight.console.runs import queries
 from boresight.console.runs.dry_runs import check_run_request, dry_run
 from boresight.console.runs.results import read_result, refuse_choice
-from boresight.console.runs.tables import RUN_STATES, TERMINAL_RUN_STATES, Run, RunEvent, parse_progress
+from boresight.console.runs.tables import RUN_STATES, TERMINAL_RUN_STATES, ArchivedRun, Run, RunEvent, parse_progress
 from boresight.console.telemetry.tables import TelemetrySet, find_quality
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.store import BlobStore
-from boresight.platform.db.sessions import Session
+from boresight.platform.db.sessions import Session, utc_now
 from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.web.text_validation import refuse_control_characters
 from boresight.telemetry.sensors import parse_sensor
@@ -85,6 +85,34 @@ def cancel(session: Session, actor: Actor, run_id: int, reason: str = "") -> Run
             session, actor, "cancelled", f"runs/{run_id}", {"state": before}, {"state": after.state}, reason or None
         )
     return after
+
+
+def archive_run(session: Session, actor: Actor, run_id: int) -> Run:
+    """Have lists leave out a run that has ended; one that is archived stays so."""
+    run = _get_archivable(session, actor, run_id)
+    if run.state not in TERMINAL_RUN_STATES:
+        raise ConflictError(f"Run {run_id} is {run.state}; wait until it has ended, or cancel it.")
+    if queries.find_archived(session, run_id) is None:
+        session.put(ArchivedRun(run_id=run_id, archived_utc=utc_now()))
+        audit.append(session, actor, "archived", f"runs/{run_id}")
+    return run
+
+
+def restore_run(session: Session, actor: Actor, run_id: int) -> Run:
+    """Have lists show a run again."""
+    run = _get_archivable(session, actor, run_id)
+    if (row := queries.find_archived(session, run_id)) is not None:
+        session.delete(row)
+        audit.append(session, actor, "restored", f"runs/{run_id}")
+    return run
+
+
+def _get_archivable(session: Session, actor: Actor, run_id: int) -> Run:
+    require_role(actor, "analyst")
+    require_scope(actor, "runs")
+    run = session.get_known(Run, run_id)
+    refuse_choice(run)
+    return run
 
 
 def get_run(session: Session, run_id: int) -> Run:

@@ -14,7 +14,7 @@ from boresight.console.access.dependencies import Who, csrf, get_server
 from boresight.console.approvals.pages.gates import assess_set
 from boresight.console.pages.rendering import RefusalContext, attempt, read_again, render
 from boresight.console.parameter_sets import service as parameter_sets
-from boresight.console.runs import archive
+from boresight.console.runs import service as runs
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
@@ -65,7 +65,7 @@ async def _take(request: Request, actor: Actor, act: str, run_id: int) -> RunOut
 
 
 async def _hide(request: Request, actor: Actor, act: str, run_id: int) -> RunOutcome:
-    change = archive.archive_run if act == "archive" else archive.restore_run
+    change = runs.archive_run if act == "archive" else runs.restore_run
     outcome = await attempt(request, partial(change, actor=actor, run_id=run_id))
     if outcome.refusal is not None:
         return _refused(run_id, outcome.refusal)
