@@ -34,8 +34,10 @@ def storage_error(error: OSError, place: Path | str | None = None) -> StorageErr
 
 
 @contextmanager
-def writing(place: Path | str) -> Iterator[None]:
+def writing(place: object) -> Iterator[None]:
     """Say in a sentence why a file or folder cannot be written; raises StorageError of a disk and RefusedInputError of a path."""
+    if not isinstance(place, str | os.PathLike):
+        raise RefusedInputError(f"No file can be written to {type(place).__name__}: give a path.", code="unwritable")
     try:
         yield
     except OSError as error:

@@ -1,5 +1,6 @@
 """Choosing a camera: terms, common fits, nested tests at their level, held-out scores, changes, sentence and files."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -432,7 +433,10 @@ def test_where_no_model_suffices_it_says_so(tangential_set, catalogue):
     assert found.sufficiency is Sufficiency.SOMETHING_LEFT
     assert found.leftover.p < 1e-6
     assert 0.2 < found.leftover.largest_px < 1.0
-    assert f"{found.leftover.largest_px:.2g} ± " in found.sentence
+    said = re.search(r"([\d.]+) ± ([\d.]+) px \(3 sigma\)", found.sentence)
+    for text, number in zip(said.groups(), (found.leftover.largest_px, 3 * found.leftover.sigma_px), strict=True):
+        assert float(text) == pytest.approx(number, abs=0.5 * 10.0 ** -len(text.partition(".")[2]))
+    assert len({len(text.partition(".")[2]) for text in said.groups()}) == 1
 
 
 def test_a_validation_set_takes_the_place_of_cross_validation(tangential_set, catalogue):

@@ -186,6 +186,12 @@ def test_a_prior_that_cannot_be_used_is_refused(former, sensor, catalogue, chang
         run(a_pass(22), sensor, catalogue, PriorSource(replace(former, **change)), **settings)
 
 
+def test_a_prior_of_another_camera_is_refused_as_that_where_it_holds_the_telemetry_too(former, sensor, catalogue):
+    other = PriorSource(replace(former, camera_model="pinhole_radial"), held=frozenset({"aa"}))
+    with pytest.raises(RefusedInputError, match="camera model pinhole_radial"):
+        run(a_pass(22), sensor, catalogue, other, {"telemetry": "aa"})
+
+
 def test_an_age_that_nothing_tells_is_asked_for_and_settings_of_a_prior_need_one(former, sensor, catalogue):
     with pytest.raises(RefusedInputError, match="give --prior-age-days"):
         run(a_pass(22), sensor, catalogue, PriorSource(former), prior_drift_sigma=0.1)

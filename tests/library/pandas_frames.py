@@ -37,6 +37,12 @@ def check_that_a_wrong_cell_is_named_by_its_row_and_column(_, table):
     assert [(fault.row, fault.column) for fault in refused.value.faults] == [(7, "row_px")]
 
 
+def check_that_a_column_that_is_there_twice_is_named(_, table):
+    frame = table.to_pandas()
+    with pytest.raises(bs.RefusedInputError, match="two columns 'row_px'"):
+        bs.read_telemetry(pd.concat([frame, frame[["row_px"]]], axis=1))
+
+
 def check_that_an_index_without_a_name_is_no_column(_, table):
     frame = table.to_pandas()
     frame.index = frame.index[::-1]

@@ -23,6 +23,27 @@ def client(house, key):
         yield opened
 
 
+@pytest.mark.parametrize(("url", "key"), [(None, "k"), (3, "k"), ("https://boresight.example", 3)])
+def test_a_client_is_of_an_address_and_a_key_in_words(url, key):
+    for kind in (bs.Client, bs.AsyncClient):
+        with pytest.raises(bs.RefusedInputError):
+            kind(url, key)
+
+
+def test_a_closed_client_says_that_it_is():
+    client, later = (kind("https://boresight.example") for kind in (bs.Client, bs.AsyncClient))
+    client.close()
+    with pytest.raises(bs.RefusedInputError, match="closed"):
+        client.sensors()
+
+    async def ask():
+        await later.close()
+        await later.sensors()
+
+    with pytest.raises(bs.RefusedInputError, match="closed"):
+        asyncio.run(ask())
+
+
 @pytest.mark.usefixtures("computing")
 def test_telemetry_becomes_a_calibration_in_one_call(client, house, tmp_path):
     (tmp_path / "telemetry.csv").write_bytes(house.telemetry_csv)

@@ -139,6 +139,64 @@ def test_a_setting_that_does_not_exist_is_refused_in_one_sentence(settings, simu
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.parametrize(
+    ("function", "settings", "code"),
+    [
+        ("calibrate", {"method": "batch", "variant": "q"}, "setting-without-effect"),
+        ("calibrate", {"linearisations": 3}, "setting-without-effect"),
+        ("choose", {"free": "f_m"}, "unknown-setting"),
+        ("evaluate", {"free": "f_m"}, "unknown-setting"),
+        ("evaluate", {"method": "ekf"}, "unknown-setting"),
+    ],
+)
+def test_a_setting_that_would_have_no_effect_is_refused(function, settings, code, simulated, cal):
+    sources = (simulated.telemetry, simulated.sensor, *([cal] if function == "evaluate" else []))
+    with pytest.raises(bs.RefusedInputError, match=list(settings)[-1], check=has_code(code)):
+        getattr(bs, function)(*sources, **settings)
+
+
+WRONG_WHOLES = [("frames", 0), ("frames", -3), ("frames", 2.5), ("frames", True), ("seed", "a"), ("seed", -1)]
+
+
+@pytest.mark.parametrize(("name", "value"), WRONG_WHOLES)
+def test_what_is_no_whole_number_of_a_scenario_is_refused(name, value):
+    with pytest.raises(bs.RefusedInputError, match=f"`{name}` must be a whole number"):
+        bs.simulate("st16-1", **{name: value})
+
+
+def test_images_are_simulated_of_whole_numbers_of_frames_into_a_folder_alone(tmp_path):
+    with pytest.raises(bs.RefusedInputError, match="`frames` must be a whole number"):
+        bs.simulate_images("st16-1", 0, tmp_path)
+    with pytest.raises(bs.RefusedInputError, check=has_code("other-form")):
+        bs.simulate_images("st16-1", 1, None)
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda made, _: bs.calibrate(made.telemetry, None),
+        lambda made, _: bs.calibrate(made.telemetry, [made.scenario["sensor"]]),
+        lambda made, _: bs.evaluate(made.telemetry, made.sensor, None),
+        lambda made, _: bs.evaluate(made.telemetry, made.sensor, 3),
+        lambda made, _: bs.assess(None, made.sensor),
+        lambda made, cal: bs.assess(cal, made.sensor, profile=3),
+        lambda _, cal: bs.draw([cal, cal], "parameters"),
+        lambda *_: bs.load(None),
+        lambda *_: bs.simulate(None),
+    ],
+    ids=["no sensor", "list of sensors", "nothing", "number", "assessed", "profile", "drawn", "loaded", "simulated"],
+)
+def test_what_has_another_form_is_refused_with_the_forms_that_are_taken(ask, simulated, cal):
+    with pytest.raises(bs.RefusedInputError, match="give ", check=has_code("other-form")):
+        ask(simulated, cal)
+
+
+def test_what_is_saved_is_saved_to_a_path(simulated, cal):
+    for answer in (cal, simulated, bs.match(simulated.telemetry, simulated.sensor)):
+        with pytest.raises(bs.RefusedInputError, check=has_code("unwritable")):
+            answer.save(None)
+
+
 def test_every_setting_is_typed_by_its_kind():
     typed = get_type_hints(CalibrationSettings)
     kinds = {

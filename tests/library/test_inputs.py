@@ -104,19 +104,35 @@ def test_a_wrong_cell_is_named_by_its_row_and_column_counted_as_the_table_counts
     ("source", "word"),
     [
         (3.0, "float"),
-        (pl.LazyFrame({"frame": [1]}), "LazyFrame"),
+        (pl.LazyFrame({"frame": [1]}), r"LazyFrame.*\.collect\(\)"),
         ({}, "columns"),
         ({"frame": [1, 2], "exposure": [0]}, "exposure"),
         ({"frame": np.zeros((2, 2))}, "frame"),
         (pl.DataFrame({"frame": [1], "exposure": [0], "row_px": [1.0]}), "col_px"),
+        (pa.table([[1], [0], [2]], ["frame", "exposure", "frame"]), "two columns 'frame'"),
         ("nowhere.csv", "nowhere.csv"),
     ],
-    ids=["number", "lazy", "nothing", "lengths", "shape", "column", "file"],
+    ids=["number", "lazy", "nothing", "lengths", "shape", "column", "twice", "file"],
 )
 def test_what_is_no_telemetry_is_refused_in_one_sentence_that_names_it(source, word):
     with pytest.raises(bs.RefusedInputError, match=word) as refused:
         bs.read_telemetry(source)
     assert "\n" not in str(refused.value)
+
+
+def test_rows_in_place_of_columns_are_refused(simulated):
+    rows = pl.DataFrame(contract_table(simulated.telemetry)).to_dicts()
+    with pytest.raises(bs.RefusedInputError, match="rows; give columns"):
+        bs.calibrate(rows, simulated.sensor)
+
+
+@pytest.mark.parametrize(("column", "remedy"), [("row_px", "drop the row"), ("magnitude", "leave it empty")])
+@pytest.mark.parametrize("cell", ["abc", "inf"])
+def test_only_a_cell_that_may_be_empty_is_advised_to_be(column, remedy, cell, table):
+    cells = [cell, *table[column].to_pylist()[1:]]
+    broken = table.set_column(table.column_names.index(column), column, pa.array(list(map(str, cells))))
+    with pytest.raises(bs.RefusedInputError, match=f"correct it or {remedy}"):
+        bs.read_telemetry(broken)
 
 
 def test_a_sensor_is_a_file_what_it_says_or_itself(simulated, tmp_path):

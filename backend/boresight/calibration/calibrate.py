@@ -38,6 +38,7 @@ from boresight.calibration.joint.passes_fit import judge_passes
 from boresight.calibration.joint.prior import (
     PriorSource,
     TakenPrior,
+    check_same_camera,
     refuse_vary,
     refuse_without_prior,
     take_prior,
@@ -354,6 +355,7 @@ def _begin(
         drifting = _with_drift(telemetry, sensor, catalogue, parameters, settings, context)
         return _Begun(telemetry, sensor, drifting, telemetry)
     refuse_vary(settings)
+    check_same_camera(prior, sensor)
     new, left_out = without_held(telemetry, prior, sha256s)
     taken = take_prior(prior, sensor, parameters, settings, new.begins)
     there = replace(sensor, initial=taken.prior.x)

@@ -63,6 +63,7 @@ TIMEOUT = httpx.Timeout(60.0, connect=10.0)
 SLOW_TIMEOUT = httpx.Timeout(60.0, connect=10.0, read=900.0)
 #: What ends a request without an answer that can be read.
 NO_ANSWER = (httpx.TransportError, httpx.DecodingError)
+CLOSED = "This client is closed and asks nothing more: open another one."
 Silence = httpx.TransportError | httpx.DecodingError
 
 
@@ -125,8 +126,12 @@ class _Connection:
         )
 
 
-def _checked_address(url: str) -> str:
+def _checked_address(url: object) -> str:
     """Return the address of a server without a slash at its end."""
+    if not isinstance(url, str):
+        raise RefusedInputError(
+            f"{type(url).__name__} is not the address of a server: give a text such as https://boresight.example."
+        )
     try:
         parts = httpx.URL(url)
         parts.raw_host.decode("ascii").encode("idna")  # as the network looks it up
@@ -139,8 +144,10 @@ def _checked_address(url: str) -> str:
     return url.rstrip("/")
 
 
-def _checked_key(key: str | None) -> str | None:
+def _checked_key(key: object) -> str | None:
     """Return a key without the blanks about it; what can be none is refused, and never shown."""
+    if key is not None and not isinstance(key, str):
+        raise RefusedInputError(f"{type(key).__name__} is not an API key: give the text that the server showed once.")
     key = key.strip() if key else None
     if key and not (key.isascii() and key.isprintable()):
         raise RefusedInputError("The API key contains characters that no key has: copy it again from the server.")
@@ -376,6 +383,8 @@ class Client(_Connection):
 
     def _ask(self, request: Request) -> ServerAnswer:
         """Send a request, again where that may help."""
+        if self._http.is_closed:
+            raise RefusedInputError(CLOSED)
         attempt = 0
         while True:
             outcome: httpx.Response | Silence
@@ -610,6 +619,8 @@ class AsyncClient(_Connection):
 
     async def _ask(self, request: Request) -> ServerAnswer:
         """Send a request, again where that may help."""
+        if self._http.is_closed:
+            raise RefusedInputError(CLOSED)
         attempt = 0
         while True:
             outcome: httpx.Response | Silence

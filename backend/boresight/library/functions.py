@@ -59,6 +59,8 @@ if TYPE_CHECKING:
 
 BUILT_IN = tuple(f"st16-{number}" for number in range(1, 7))
 VALIDATION_DELAY_H = 6
+#: Settings of a calibration that choosing a camera, and an evaluation, take.
+OF_A_CHOICE, OF_AN_EVALUATION = ("match", "minimum_stars"), ("match", "flight_tolerance_urad")
 P = ParamSpec("P")
 T = TypeVar("T")
 
@@ -107,13 +109,22 @@ def _prepared(progress: Wanted, message: str) -> Iterator[_Prepared]:
 
 def parse_choices(choices: Mapping[str, Any]) -> CalibrationSettings:
     """Read the choices of a calibration; names and numbers of a list may be one text with commas."""
-    return CalibrationSettings.parse(
+    chosen = CalibrationSettings.parse(
         {
             name: _split(name, value) if isinstance(value, str) else value
             for name, value in choices.items()
             if value is not None
         }
     )
+    for name in choices:
+        option = OPTIONS[name]
+        if chosen.method not in option.methods and getattr(chosen, name) != option.default:
+            raise RefusedInputError(
+                f"Setting {name!r} has no effect with method {chosen.method!r}: leave it out, or choose from "
+                f"{', '.join(option.methods)}.",
+                code="setting-without-effect",
+            )
+    return chosen
 
 
 def _split(name: str, text: str) -> Any:
@@ -122,6 +133,16 @@ def _split(name: str, text: str) -> Any:
         return text
     parts = [part.strip() for part in text.split(",") if part.strip()]
     return [int(part) if part.isdecimal() else part for part in parts] if kind not in TEXTS else parts
+
+
+def _refuse_others(function: str, settings: Mapping[str, Any], taken: tuple[str, ...]) -> None:
+    """Refuse settings of a calibration that a function does not take."""
+    for name, value in settings.items():
+        if value is not None and name in OPTIONS and name not in taken:
+            raise RefusedInputError(
+                f"{function} takes no setting {name!r}: leave it out, or choose from {', '.join(taken)}.",
+                code="unknown-setting",
+            )
 
 
 @_on_kernels
@@ -213,6 +234,7 @@ def choose(
     from boresight.library.choice import Choice
     from boresight.library.inputs import open_telemetry, read_any_sensor
 
+    _refuse_others("choose", settings, OF_A_CHOICE)
     chosen = parse_choices(settings)
     with _prepared(progress, "reading the telemetry") as prepared:
         from boresight.calibration.choice.choose import choose as find
@@ -343,6 +365,7 @@ def evaluate(
     from boresight.library.inputs import read_any_parameters, read_any_sensor
     from boresight.library.results import Evaluation
 
+    _refuse_others("evaluate", settings, OF_AN_EVALUATION)
     chosen = parse_choices(settings)
     with _prepared(progress, "reading the telemetry") as prepared:
         import numpy as np
@@ -678,7 +701,7 @@ def assess(
     """
     from boresight.calibration.calibration import to_plain
     from boresight.calibration.parameter_file import read_document
-    from boresight.library.inputs import read_any_calibration, read_any_sensor, read_parameter_document
+    from boresight.library.inputs import as_path, read_any_calibration, read_any_sensor, read_parameter_document
     from boresight.library.results import Assessment
 
     with _prepared(progress, "reading the calibration") as prepared:
@@ -692,7 +715,7 @@ def assess(
             if profile is None
             else profile
             if isinstance(profile, Mapping)
-            else read_document(Path(profile), "a gate profile")
+            else read_document(as_path(profile, "a gate profile, as file or mapping"), "a gate profile")
         )
         candidate = read_any_calibration(calibration)
         incumbent = (
@@ -921,15 +944,17 @@ def simulate_images(
     """
     import numpy as np
 
+    from boresight.library.inputs import as_path
     from boresight.simulation import images
     from boresight.sky.catalogue import load_catalogue
 
+    place = as_path(folder, "the path of a folder")
     one, _ = make_scenarios(scenario, frames, None)
     optics = images.Optics()
     made = images.simulate_images(
         one, optics, np.random.default_rng(one.seed), load_catalogue(read_settings().catalogue_folder)
     )
-    return images.write_images(Path(folder), made, optics)
+    return images.write_images(place, made, optics)
 
 
 def make_scenarios(
@@ -938,19 +963,23 @@ def make_scenarios(
     """Return the scenario of a calibration set, and that of the validation set that goes with it."""
     import numpy as np
 
-    from boresight.simulation.scenes import calibration_scenario, parse_scenario, validation_scenario
+    from boresight.library.inputs import SCENARIO_FORMS, as_path
+    from boresight.simulation.scenes import calibration_scenario, parse_scenario, parse_whole, validation_scenario
 
-    if scenario in BUILT_IN:
-        number = BUILT_IN.index(str(scenario)) + 1
+    if isinstance(scenario, str) and scenario in BUILT_IN:
+        number = BUILT_IN.index(scenario) + 1
         first, second = calibration_scenario(number), validation_scenario(number)
     else:
-        first = parse_scenario(scenario if isinstance(scenario, Mapping) else _read_scenario(Path(scenario)))
+        first = parse_scenario(
+            scenario if isinstance(scenario, Mapping) else _read_scenario(as_path(scenario, SCENARIO_FORMS))
+        )
         start = first.orbit.start_utc + np.timedelta64(VALIDATION_DELAY_H, "h")
         second = replace(first, orbit=replace(first.orbit, start_utc=start), seed=first.seed + 1)
     if frames is not None:
-        first = replace(first, frames=frames)
+        first = replace(first, frames=parse_whole("frames", frames))
     if seed is not None:
-        first, second = replace(first, seed=seed), replace(second, seed=seed + 1)
+        begins = parse_whole("seed", seed)
+        first, second = replace(first, seed=begins), replace(second, seed=begins + 1)
     return first, second
 
 
@@ -1198,5 +1227,5 @@ def _with_settings(function: Callable[..., Any], names: tuple[str, ...]) -> None
 
 
 _with_settings(calibrate, tuple(OPTIONS))
-_with_settings(choose, ("match", "minimum_stars"))
-_with_settings(evaluate, ("match", "flight_tolerance_urad"))
+_with_settings(choose, OF_A_CHOICE)
+_with_settings(evaluate, OF_AN_EVALUATION)

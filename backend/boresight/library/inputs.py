@@ -1,4 +1,4 @@
-"""What the library takes for telemetry, sensors and parameters: files, tables, arrays and and the library's own results.
+"""What the library takes for telemetry, sensors and parameters: files, tables, arrays and the library's own results.
 
 A table in memory is read by the same checks as a file. Its rows are counted from 0, as `iloc` and array indices count them.
 Telemetry tables come through the Arrow PyCapsule interface (pandas from 2.2, Polars, PyArrow, DuckDB), or through the older data
@@ -82,6 +82,19 @@ SensorSource = str | os.PathLike[str] | Mapping[str, Any] | Sensor
 ParameterSource = str | os.PathLike[str] | Mapping[str, Any] | Calibration
 
 
+def as_path(source: Any, what: str) -> Path:
+    """Return the path that a source is; `what`: the forms that a refusal says are taken."""
+    if not isinstance(source, str | os.PathLike):
+        raise RefusedInputError(f"{type(source).__name__} is none of what is taken: give {what}.", code="other-form")
+    return Path(source)
+
+
+#: Forms that are taken, as refusals say them.
+SENSOR_FORMS = "a sensor file, what one says as a mapping, or a sensor of this library"
+PARAMETER_FORMS = "a calibration, its file or its JSON as a mapping, or an object of parameter names and values"
+SCENARIO_FORMS = "the name of a built-in scenario, a scenario file, or what one says as a mapping"
+
+
 def open_telemetry(source: TelemetrySource, limits: Limits) -> Telemetry | TelemetryFile:
     """Open telemetry; a large file is left on the disk and read in pieces."""
     if isinstance(source, str | os.PathLike):
@@ -100,9 +113,18 @@ def open_passes(sources: TelemetrySources, limits: Limits) -> Telemetry | Teleme
 def list_sources(sources: TelemetrySources) -> list[TelemetrySource]:
     """Return the telemetry sets that are meant, one or several."""
     several = list(sources) if isinstance(sources, list | tuple) else [sources]
+    if several and isinstance(sources, list | tuple) and all(map(_is_row, several)):
+        raise RefusedInputError(
+            "Telemetry was given as rows; give columns: a mapping of column names to arrays, or a DataFrame."
+        )
     if not several:
         raise RefusedInputError("No telemetry was given: name at least one set.", code="no-telemetry")
     return several
+
+
+def _is_row(source: Any) -> bool:
+    """Whether it is a star's row and no set: a mapping of names to single numbers."""
+    return isinstance(source, Mapping) and bool(source) and all(np.ndim(value) == 0 for value in source.values())
 
 
 def _open_pass(source: TelemetrySource, number: int, limits: Limits) -> NamedTelemetry:
@@ -144,6 +166,14 @@ def open_table(source: Any) -> tuple[str, pa.Table]:
         return "The structured array", _join_arrays({name: source[name] for name in source.dtype.names})
     if isinstance(source, Mapping):
         return "The telemetry", _join_arrays(source)
+    if hasattr(source, "collect") and not isinstance(source, ArrowTable | InterchangeFrame):
+        raise RefusedInputError(
+            f"The {type(source).__name__} is a query that has not run: give what its `.collect()` returns."
+        )
+    names = source.column_names if isinstance(source, pa.Table) else list(getattr(source, "columns", ()))
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise RefusedInputError(f"The {type(source).__name__} has two columns {twice!r}: rename or drop one of them.")
     if isinstance(source, ArrowTable):
         name, table = f"The {type(source).__name__}", pa.table(source)
     elif isinstance(source, InterchangeFrame):
@@ -209,7 +239,7 @@ def read_any_sensor(source: SensorSource) -> Sensor:
         return source
     if isinstance(source, Mapping):
         return parse_sensor(source)
-    return read_sensor(Path(source))
+    return read_sensor(as_path(source, SENSOR_FORMS))
 
 
 def read_any_parameters(source: ParameterSource, sensor: Sensor) -> tuple[FloatArray, FloatArray | None]:
@@ -234,7 +264,7 @@ def read_parameter_document(source: ParameterSource) -> Mapping[str, Any]:
         return source.to_dict()
     if isinstance(source, Mapping):
         return source
-    return read_document(Path(source))
+    return read_document(as_path(source, PARAMETER_FORMS))
 
 
 def read_any_calibration(source: ParameterSource) -> Calibration:
@@ -255,4 +285,4 @@ def describe_source(source: ParameterSource) -> str:
     """Return the name of a source of parameters for refusals."""
     if isinstance(source, Calibration):
         return "The calibration"
-    return "The parameters" if isinstance(source, Mapping) else Path(source).name
+    return "The object of parameters" if isinstance(source, Mapping) else Path(source).name

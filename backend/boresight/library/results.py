@@ -118,7 +118,8 @@ class NewTelemetry(Tabular, Reported):
 
     def save(self, path: str | Path) -> None:
         """Write the telemetry, with `star_id` as matched, as CSV or Parquet by the name's ending."""
-        save_telemetry(self.telemetry, Path(path))
+        with writing(path):
+            save_telemetry(self.telemetry, Path(path))
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -347,8 +348,8 @@ class Simulation(Tabular):
 
     def save(self, folder: str | Path, suffix: Literal["csv", "parquet"] = "csv") -> None:
         """Write both sets, sensor.json, truth.json and scenario.json into a folder, which is made."""
-        place = Path(folder)
-        with writing(place):
+        with writing(folder):
+            place = Path(folder)
             place.mkdir(parents=True, exist_ok=True)
         save_telemetry(self.telemetry, place / f"calibration.{suffix}")
         save_telemetry(self.validation, place / f"validation.{suffix}")

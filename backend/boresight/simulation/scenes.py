@@ -335,6 +335,13 @@ def parse_start(text: Any) -> np.datetime64:
     return instant
 
 
+def parse_whole(key: str, value: Any) -> int:
+    """Return a whole number of a scenario, or refuse what is none or outside its limits."""
+    if isinstance(value, np.integer):
+        value = int(value)
+    return int(_measure({key: value}, key, WHOLE_NUMBERS))
+
+
 def _measure(document: Mapping[str, Any], key: str, limits: Mapping[str, tuple[float, float]]) -> float:
     """Return the number under `key`, or refuse one that is no number or outside its limits."""
     value, (low, high) = document[key], limits[key]

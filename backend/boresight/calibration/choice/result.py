@@ -322,8 +322,8 @@ def _say_rest(found: Choice) -> Iterable[str]:
     if found.sufficiency is Sufficiency.SOMETHING_LEFT and found.leftover is not None:
         left = found.leftover
         yield (
-            f"but no model here suffices: {left.largest_px:.2g} ± {3 * left.sigma_px:.1g} px of smooth displacement remain "
-            f"({_say_p(math.log10(max(left.p, 1e-300)))})"
+            f"but no model here suffices: {_say_spread(left.largest_px, 3 * left.sigma_px)} px (3 sigma) of smooth displacement "
+            f"remain ({_say_p(math.log10(max(left.p, 1e-300)))})"
         )
     elif missing:
         terms = join_words(sorted({name for test in missing for name in test.terms}))
@@ -333,6 +333,13 @@ def _say_rest(found: Choice) -> Iterable[str]:
     if not found.noise_of_chosen.as_stated:
         ratio = math.sqrt(found.noise_of_chosen.variance)
         yield f"residuals are {ratio:.3g} times what the stated noise explains, and the tests are scaled by it"
+
+
+def _say_spread(value: float, spread: float) -> str:
+    """Write a number and its spread with the same decimals: two digits of the number, and one of the spread at least."""
+    sizes = [(abs(value), 1), (spread, 0)]
+    decimals = max((digits - math.floor(math.log10(size)) for size, digits in sizes if size > 0.0), default=0)
+    return f"{value:.{max(decimals, 0)}f} ± {spread:.{max(decimals, 0)}f}"
 
 
 def write_p(log10_p: float) -> str:

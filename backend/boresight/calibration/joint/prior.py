@@ -174,7 +174,6 @@ def take_prior(
 ) -> TakenPrior:
     """Make a former calibration what a run starts from; `begins`: the first known time of the run's own telemetry."""
     found = source.calibration
-    _check_same_camera(source, sensor)
     if not found.is_usable:
         raise RefusedInputError(
             f"{source.name} ended {found.status.replace('_', ' ')}, and knows nothing for sure: give a calibration that converged."
@@ -211,7 +210,8 @@ def take_prior(
     return TakenPrior(Prior(x, aged), origin, tuple(make_advice("prior", _remarks(source, begins))), of_noise=of_noise)
 
 
-def _check_same_camera(source: PriorSource, sensor: Sensor) -> None:
+def check_same_camera(source: PriorSource, sensor: Sensor) -> None:
+    """Refuse a prior of another camera model or of another sensor."""
     found = source.calibration
     if found.camera_model != sensor.camera_model:
         raise RefusedInputError(
