@@ -68,6 +68,7 @@ def add_run(
     *,
     share: float = 0.05,
     method: str = "batch",
+    state: str = "SUCCEEDED",
     **trend: Any,
 ) -> Run:
     sensor = session.get_one(Sensor, telemetry.sensor_id)
@@ -100,7 +101,7 @@ def add_run(
         method=method,
         settings={"method": method},
         sensor_document=sensor.document,
-        state="SUCCEEDED",
+        state=state,
         launched_utc=utc_now(),
         ended_utc=utc_now(),
         summary=summary | {"rms_initial_arc_rad": 2e-4, "trend": entry | trend},

@@ -34,13 +34,14 @@ LINE_TIME_S = (1e-9, 0.1)
 class Declaration:
     """One thing that is declared: its title, and what may be declared, each word with its meaning.
 
-    `role`: cameras with a parameter of this role estimate it, and nobody need declare it.
+    `role`: cameras with a parameter of this role estimate it, and nobody need declare it. `condition`: of what telemetry it tells.
     """
 
     name: str
     title: str
     words: Mapping[str, str]
     role: Role | None = None
+    condition: str = ""
 
     def is_asked(self, camera: CameraModel) -> bool:
         """Whether it is asked of a camera."""
@@ -66,6 +67,7 @@ DECLARATIONS = {
                 "apparent": "ra_deg and dec_deg include aberration",
                 "j2000": "ra_deg and dec_deg are of epoch J2000.0, without motion, parallax and aberration",
             },
+            condition="where the file gives them",
         ),
         Declaration(
             "refraction",

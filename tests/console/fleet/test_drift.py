@@ -9,7 +9,7 @@ import pytest
 from boresight.calibration.advice_kinds import ADVICE_KINDS
 from boresight.console.fleet import trend as drift
 from boresight.console.fleet.trend import Trend, _periods, read_trend
-from boresight.console.fleet.trend_document import advise, make_trend_document
+from boresight.console.fleet.trend_document import advise, find_unseen_telemetry, make_trend_document
 from boresight.platform.db.sessions import Session
 from tests.missions import add_run, add_set, make_baseline
 
@@ -170,6 +170,20 @@ def test_data_that_nobody_looked_at_yet_or_that_would_halve_the_sigmas_ask_for_a
     add_set(session, 1, 50, stars=40_000)
     sharper = advise(read_trend(session, 1))
     assert (sharper.answer, "every sigma would be" in sharper.sentence) == ("YES", True)
+
+
+def test_a_set_whose_newest_calibration_failed_does_not_wait_for_one(session):
+    rng = np.random.default_rng(1)
+    _baselined(session, rng)
+    add_set(session, 1, 40)
+    failed = add_set(session, 1, 50)
+    add_run(session, failed, rng, state="FAILED")
+    data = find_unseen_telemetry(read_trend(session, 1))
+    assert [len(rows) for rows in (data.sets, data.untried, data.failed)] == [1, 1, 1]
+    assert failed.name in " ".join(advise(read_trend(session, 1)).reasons)
+    add_run(session, failed, rng)
+    data = find_unseen_telemetry(read_trend(session, 1))
+    assert [len(rows) for rows in (data.sets, data.untried, data.failed)] == [2, 1, 0]
 
 
 def test_the_document_is_json_with_a_sigma_beside_every_number(session):

@@ -44,6 +44,7 @@ from boresight.telemetry.sensors import sensor_document
 from boresight.verdicts.verdict import summarise_run
 from tests.console.uplinks.services import advance, promote_by_hand
 from tests.missions import add_run, add_set, make_baseline
+from tests.sites import PASSWORD, answer_points
 
 NOTHING = SensorFacts(baseline=None, last_run=None, onboard=(), waiting=None, telemetry_sets=0, days=None)
 
@@ -257,6 +258,18 @@ def test_the_approver_and_nobody_else_is_asked_to_sign_and_none_but_an_analyst_o
         assert to_do(page, "/approvals/1") == []
         assert 'class="badge badge-some">1<' in page.split("<main")[0]
         assert ("New run" in page) == (other == "ada")
+
+
+def test_the_overview_leads_from_an_open_request_to_it_and_from_an_approved_set_to_its_promotion(site):
+    submitted(site)
+    viewer, alan = site.visitor("victor"), site.visitor("alan")
+    of_request, of_set = (re.compile(rf'<td><a href="/{place}"') for place in ("approvals/1", "parameter-sets/2"))
+    page = viewer.get("/?view=rows")
+    assert (len(of_request.findall(page)), len(of_set.findall(page))) == (1, 0)
+    signature = {"decision": "APPROVE", "meaning": "Good.", "comment": "", "password": PASSWORD, "version": "1"}
+    alan.post("/approvals/1/sign", **signature, **answer_points(alan.get("/approvals/1")))
+    page = viewer.get("/?view=rows")
+    assert (len(of_request.findall(page)), len(of_set.findall(page))) == (0, 1)
 
 
 def test_an_analyst_is_asked_to_judge_a_converged_run_until_a_set_is_made_of_it(site):

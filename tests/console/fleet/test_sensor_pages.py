@@ -220,7 +220,7 @@ def test_a_sensor_shows_what_is_declared_and_what_is_not(site, read):
     address = ada.post("/sensors", document=json.dumps(undeclared)).headers["location"]
     text = read(ada.get(address))
     assert "Readout not declared" in text
-    assert "Directions of the telemetry j2000" in text
+    assert re.search("Directions of the telemetry j2000: [^,]*, [^:]*, where the file gives them", text)
     registered = read(ada.get(ada.post("/sensors", document=EXAMPLE).headers["location"]))
     assert "Readout rolling shutter, corrected in the telemetry" in registered
     assert "Refraction by the air none" in registered

@@ -9,7 +9,7 @@ import pytest
 
 from boresight.calibration.calibration import ProcessNoise, parse_calibration
 from boresight.console.fleet.tables import Sensor
-from boresight.console.runs.pages.run import FORMER, PARTS
+from boresight.console.runs.pages.run import FORMER, PARTS, warn_of_old_validation
 from boresight.console.runs.queries import Line, write_event
 from boresight.console.runs.tables import RUN_STATES, RunEvent
 from boresight.console.telemetry.tables import TelemetrySet
@@ -24,6 +24,7 @@ from boresight.platform.db.sessions import open_writing, utc_after, utc_now
 from boresight.platform.jobs.worker_news import WorkerState
 from boresight.platform.web import static_files
 from boresight.verdicts.answers import make_four_views, make_headline
+from boresight.verdicts.numbers import duration
 from boresight.verdicts.verdict import (
     NEVER,
     NOT_YET,
@@ -353,6 +354,30 @@ def test_a_tab_is_no_better_than_its_validation_set_however_much_better_the_fit_
     better, worse = ({"initial": 5e-5, "final": 3e-5}, {"initial": 3e-5, "final": 5e-5})
     assert judged(None) == judged({**validation, "rms_arc_rad": better}) == PartVerdict("normal", "settled")
     assert judged({**validation, "rms_arc_rad": worse}) == PartVerdict("serious", "validation worse")
+
+
+@pytest.mark.parametrize(
+    ("ends", "final", "warned"),
+    [
+        ("2026-03-01T07:00:00Z", 5e-5, True),
+        ("2026-03-01T07:00:00Z", 2e-5, False),  # better, so no change lies between them
+        ("2026-03-01T09:00:00Z", 5e-5, False),  # no longer before the run's begin than the run lasts
+        (None, 5e-5, False),
+    ],
+)
+def test_a_run_whose_validation_set_was_taken_long_before_it_and_got_worse_warns_that_it_may_be_older(
+    results, ends, final, warned
+):
+    def taken(name, begin, end):
+        time = None if end is None else {"start_utc": begin, "end_utc": end}
+        return TelemetrySet(name=name, quality={"time": time})
+
+    validation = {**results["sqrf"]["validation"], "rms_arc_rad": {"initial": 3e-5, "final": final}}
+    result = parse_calibration({**results["batch"], "validation": validation})
+    fitted = [taken("A", f"2026-03-01T{hour}:00:00Z", f"2026-03-01T{hour + 1}:00:00Z") for hour in (10, 11)]
+    said = warn_of_old_validation(result, fitted, taken("V", "2026-03-01T06:00:00Z", ends))
+    assert [("V" in one, duration(3 * 3600) in one) for one in said] == [(True, True)] * warned
+    assert not warn_of_old_validation(result, fitted, None)
 
 
 def test_what_is_judged_of_a_run_is_a_part_of_its_page():

@@ -172,6 +172,14 @@ def list_finished_runs(session: Session, sensor_ids: Collection[int]) -> dict[in
     return _trend_by_sensor(sensor_ids, session.execute(query.order_by(Run.sensor_id, Run.id)), lambda row: row)
 
 
+def list_failed_sets(session: Session, sensor_ids: Collection[int]) -> set[tuple[int, int]]:
+    """Return sensor_id and telemetry_set_id of the sets whose newest calibration failed."""
+    newest = sa.select(sa.func.max(Run.id)).where(Run.sensor_id.in_(sensor_ids), CALIBRATIONS)
+    newest = newest.group_by(Run.sensor_id, Run.telemetry_set_id)
+    query = sa.select(Run.sensor_id, Run.telemetry_set_id).where(Run.id.in_(newest), Run.state == "FAILED")
+    return {(sensor_id, set_id) for sensor_id, set_id in session.execute(query)}
+
+
 def read_trend_stamps(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, tuple[int, str | None]]:
     """Return for each sensor how many of its runs succeeded and when the last one ended, which changes when its trend does."""
     every = sa.select(Sensor.id)  # makes SQLite use an index by sensor

@@ -15,7 +15,7 @@ SHIFT` and no drift.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from typing import Any
@@ -90,7 +90,10 @@ class TrendPoint:
 
 @dataclass(frozen=True)
 class Trend:
-    """A sensor over the mission; `points` by the time of their data, those of other camera models under `others`."""
+    """A sensor over the mission; `points` by the time of their data, those of other camera models under `others`.
+
+    `failed`: numbers of the telemetry sets whose newest calibration failed.
+    """
 
     sensor: Sensor
     baseline: ParameterSet | None
@@ -100,6 +103,7 @@ class Trend:
     periods: Sequence[documents.TrendBaseline]
     on_board: Sequence[documents.OnBoardMark]
     telemetry: Mapping[int, TelemetrySet]
+    failed: Collection[int] = ()
 
     @property
     def independent(self) -> list[TrendPoint]:
@@ -121,6 +125,7 @@ def read_trends(session: Session, sensors: Sequence[Sensor]) -> dict[int, Trend]
     ids = [sensor.id for sensor in sensors]
     finished, telemetry = rows.list_finished_runs(session, ids), rows.list_telemetry(session, ids)
     promoted, records = rows.list_baselines_over_time(session, ids), rows.list_records(session, ids)
+    failed = rows.list_failed_sets(session, ids)
     return {
         sensor.id: _trend(
             sensor,
@@ -128,6 +133,7 @@ def read_trends(session: Session, sensors: Sequence[Sensor]) -> dict[int, Trend]
             finished[sensor.id],
             telemetry[sensor.id],
             [_on_board(one, row) for one, row in records[sensor.id]],
+            {set_id for sensor_id, set_id in failed if sensor_id == sensor.id},
         )
         for sensor in sensors
     }
@@ -139,6 +145,7 @@ def _trend(
     finished: Sequence[Any],
     telemetry: Mapping[int, TelemetrySet],
     on_board: Sequence[documents.OnBoardMark],
+    failed: Collection[int],
 ) -> Trend:
     """Judge which calibrations of a sensor count, and put them in order."""
     baseline = promoted[-1][1] if promoted else None
@@ -158,6 +165,7 @@ def _trend(
         periods=list(_periods([(promotion.at_utc, row) for promotion, row in promoted])),
         on_board=on_board,
         telemetry=telemetry,
+        failed=failed,
     )
 
 
@@ -391,7 +399,11 @@ def _is_since(point: TrendPoint, own: TrendPoint | None, baseline: ParameterSet)
 def _nothing_newer(trend: Trend) -> str:
     name = trend.baseline.name if trend.baseline else "the baseline"
     left = sum(bool(point.left_out) for point in trend.points)
-    more = f" {left} of {len(trend.points)} calibrations are not used; the table says why." if left else ""
+    more = (
+        f" {left} of {len(trend.points)} calibrations are not used; Calibrations used on the page Trend says why."
+        if left
+        else ""
+    )
     return f"Drift cannot be tested: no newer telemetry since {name}. Upload newer telemetry and calibrate it.{more}"
 
 

@@ -56,6 +56,7 @@ class UnseenTelemetry:
 
     sets: Sequence[TelemetrySet]
     untried: Sequence[TelemetrySet]
+    failed: Sequence[TelemetrySet]
     ratio: float | None
 
     @property
@@ -120,9 +121,10 @@ def find_unseen_telemetry(trend: Trend) -> UnseenTelemetry:
         if row.purpose == "calibration" and row.archived_utc is None and _is_newer(row, own, trend.baseline)
     ]
     sets.sort(key=get_time_span)
+    failed, sets = [row for row in sets if row.id in trend.failed], [row for row in sets if row.id not in trend.failed]
     tried = {point.telemetry_set_id for point in trend.points if point.names}
     untried = [row for row in sets if row.id not in tried]
-    return UnseenTelemetry(sets, untried, _ratio(trend, own, sum(row.stars for row in sets)))
+    return UnseenTelemetry(sets, untried, failed, _ratio(trend, own, sum(row.stars for row in sets)))
 
 
 def _is_newer(row: TelemetrySet, own: TrendPoint | None, baseline: ParameterSet | None) -> bool:
@@ -151,6 +153,11 @@ def _reasons(drift: DriftResult, data: UnseenTelemetry, baseline: ParameterSet, 
         kinds = f"{len(data.sets)} set{'s' * (len(data.sets) > 1)} of {count(data.stars)} stars"
         untried = f", {len(data.untried)} not calibrated yet" if data.untried else ""
         said.append(f"Newer than the baseline's data: {kinds}{untried}.")
+    if data.failed:
+        name = f"{data.failed[-1].name}{f' and {len(data.failed) - 1} more' if len(data.failed) > 1 else ''}"
+        said.append(
+            f"Not counted: {name}, whose newest calibration failed; its page under Runs says why and what to do."
+        )
     if data.ratio is not None:
         said.append(f"With them every sigma is predicted to be at most {fixed(data.ratio, 2)} times the baseline's.")
     if age_d is not None:

@@ -65,6 +65,13 @@ def find_baseline_at(session: Session, sensor_id: int, time_utc: str) -> Paramet
     return session.scalar(query.order_by(Promotion.at_utc.desc(), Promotion.id.desc()).limit(1))
 
 
+def read_newest_approved(session: Session, sensor_ids: Collection[int]) -> dict[int, int]:
+    """Return the number of the newest approved set, which awaits promotion, of each of some sensors that has any, by sensor."""
+    query = sa.select(ParameterSet.sensor_id, sa.func.max(ParameterSet.id))
+    query = query.where(ParameterSet.ground_state == "APPROVED", among(ParameterSet.sensor_id, sensor_ids))
+    return {row[0]: row[1] for row in session.execute(query.group_by(ParameterSet.sensor_id))}
+
+
 def list_sets_in(session: Session, sensor_ids: Collection[int], ground_states: Collection[str]) -> list[ParameterSet]:
     """Return the sets of sensors that were made from runs and are in one of these states or active on board, newest first."""
     trusted = sa.or_(ParameterSet.ground_state.in_(ground_states), ParameterSet.onboard_state == "ACTIVE")

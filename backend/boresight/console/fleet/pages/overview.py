@@ -266,6 +266,7 @@ class FleetView:
     tiles: Sequence[SensorTile]
     histories: Mapping[int, RecentCalibrations]
     waiting: Mapping[int, int]
+    approved: Mapping[int, int]
     queue: Mapping[str, int]
     events: Sequence[RecentEvent]
     open_requests: int = 0
@@ -354,6 +355,7 @@ def _fleet(session: Session, memory: FleetStatusCache) -> FleetView:
         tiles,
         _list_recent_calibrations(session, tiles),
         approval_queries.read_newest_open(session, [tile.sensor.id for tile in tiles]),
+        set_queries.read_newest_approved(session, [tile.sensor.id for tile in tiles]),
         runs.count_by_state(session),
         _events(session, standings),
         lists.count(session, "approvals", {"state": "OPEN"}),

@@ -260,7 +260,9 @@ def describe_declarations(document: Mapping[str, Any]) -> dict[str, str]:
         words["Site"] = "; ".join(f"{SITE_FIELDS[name].label} {value:g}" for name, value in site.items())
     declared = sensor.declared.document()
     return words | {
-        one.title: f"{declared[name]}: {one.words[declared[name]]}" if name in declared else UNDECLARED
+        one.title: ", ".join(filter(None, (f"{declared[name]}: {one.words[declared[name]]}", one.condition)))
+        if name in declared
+        else UNDECLARED
         for name, one in DECLARATIONS.items()
         if name in declared or one.is_asked(CAMERA_MODELS[sensor.camera_model])
     }
