@@ -53,11 +53,38 @@ def test_an_administrator_cannot_sign_either(people, request_id):
         expect(window.page.get_by_role("button", name="Approve")).to_be_disabled()
 
 
+def answer_points(window):
+    for reason in window.page.locator("#sign .reason").all():
+        reason.fill("Known.")
+
+
+def test_an_approval_with_open_points_is_held_in_its_dialog_which_leads_to_the_first(people, request_id):
+    with people.seat("approver") as window:
+        window.open(f"/approvals/{request_id}")
+        window.page.locator("#password").fill(get_password("approver"))
+        window.page.locator("#sign").get_by_role("button", name="Approve").first.click()
+        asked = window.page.get_by_role("dialog")
+        expect(asked.get_by_role("button", name="Approve")).to_be_disabled()
+        asked.get_by_role("link", name="To the first open point").click()
+        expect(window.page.locator("#sign .point input[type=checkbox]").first).to_be_focused()
+        answer_points(window)
+        window.page.locator("#sign").get_by_role("button", name="Approve").first.click()
+        expect(asked.get_by_role("button", name="Approve")).to_be_enabled()
+
+
+def test_who_asks_for_all_figures_is_led_through_them_as_each_counts(people, request_id):
+    with people.seat("approver") as window:
+        window.open(f"/approvals/{request_id}")
+        window.page.get_by_role("link", name="Open all figures").click()
+        expect(window.page.locator("[data-view] [data-opened]", has_text="not opened")).to_have_count(0)
+
+
 @pytest.mark.full
 def test_a_wrong_password_is_refused_in_place_and_what_was_typed_stays(people, request_id):
     with people.seat("approver") as window:
         window.open(f"/approvals/{request_id}")
         window.page.locator("#meaning").fill(MEANING)
+        answer_points(window)
         sign(window, "Approve", "not my password", "Looks right to me.")
         expect(window.page.locator("#sign").get_by_role("alert")).to_contain_text("password")
         expect(window.page.locator("#comment")).to_have_value("Looks right to me.")

@@ -1,9 +1,9 @@
 /**
  * The review of a request: a figure is fetched when its view is first opened and counts as opened when it stood in sight for a
- * second, which the server is told; a reason that is typed ticks its point, and the panel
- * counts the points that are open. The server decides all the same what is missing.
+ * second, which the server is told; who asks for all figures is led from one to the next as each counts; a reason that is typed ticks its
+ * point, and the panel counts the points that are open, with which nothing is approved. The server decides all the same what is missing.
  */
-import { around, find, findAll, need } from "../shared/dom.js";
+import { around, find, findAll, make, need } from "../shared/dom.js";
 import { Problem, send } from "../shared/requests.js";
 
 const IN_SIGHT_MS = 1100; // the server asks for a second since it gave the figure
@@ -11,24 +11,36 @@ const IN_SIGHT = 0.5; // of the figure, or of the window where that is smaller
 
 const panel = find("#sign", HTMLElement);
 
-/** The points of the panel that nothing closed yet. */
-function countOpen() {
+/** The ticks of the points that nothing closed yet. */
+function listOpen() {
   const boxes = findAll('.point input[type="checkbox"]', HTMLInputElement);
   return boxes.filter((box) => {
     const reason = find(".reason", HTMLInputElement, box.parentElement ?? document);
     return !box.closest("[data-closed]") && !(box.checked && reason?.value.trim());
-  }).length;
+  });
 }
 
 function showCount() {
   const left = find("[data-left]", HTMLElement);
-  const count = countOpen();
+  const count = listOpen().length;
   const said = `${count} point${count === 1 ? "" : "s"} open`;
   if (left) left.textContent = said;
   for (const place of findAll("[data-points-left]", HTMLElement)) {
     place.hidden = count === 0;
-    place.textContent = `${said}: a signature needs a tick and a reason for each, or the figure opened.`;
+    place.replaceChildren(`${said}: a signature needs a tick and a reason for each, or the figure opened. `, make("a", { href: "#sign", textContent: "To the first open point" }));
+    // refused, it would cost the password; the server decides all the same
+    const button = find("button[value=APPROVE]", HTMLButtonElement, place.closest("dialog") ?? document);
+    if (button) button.disabled = count > 0;
   }
+}
+
+let isLed = false;
+
+/** Show the next figure that does not count as opened yet, while the person is led through them. */
+function leadOn() {
+  const next = findAll("[data-view]", HTMLDetailsElement).find((view) => find("[data-opened]", HTMLElement, view)?.textContent !== "opened");
+  if (isLed) (next?.querySelector("plot-figure") ?? next)?.scrollIntoView({ block: "center" });
+  isLed &&= next !== undefined;
 }
 
 /** @param {string} name */
@@ -51,6 +63,7 @@ function markOpened(name) {
   const heading = find("#views-title + p", HTMLElement);
   if (heading) heading.textContent = `${views.filter((one) => one.textContent === "opened").length} of ${views.length} opened by you`;
   showCount();
+  leadOn();
 }
 
 /** Tell the server that a figure stood in sight. @param {string} name */
@@ -102,6 +115,7 @@ for (const view of findAll("[data-view]", HTMLDetailsElement)) {
       if (figure.getAttribute("data-state") !== "ready" && figure.getAttribute("data-state") !== "empty") return;
       watch.disconnect();
       watchInSight(figure, view.dataset.view ?? "");
+      leadOn(); // what was drawn above it moved it
     }).observe(figure, { attributeFilter: ["data-state"] });
   });
 }
@@ -110,8 +124,17 @@ document.addEventListener("click", (event) => {
   const link = around(event, "[data-open-view]");
   const view = link instanceof HTMLElement ? find(`[data-view="${link.dataset.openView}"]`, HTMLDetailsElement) : null;
   if (view) view.open = true;
-  if (around(event, "[data-open-views]")) for (const one of findAll("[data-view]", HTMLDetailsElement)) one.open = true;
+  isLed = around(event, "[data-lead-views]") !== null;
+  if (isLed) event.preventDefault();
+  if (isLed || around(event, "[data-open-views]")) for (const one of findAll("[data-view]", HTMLDetailsElement)) one.open = true;
+  if (isLed) setTimeout(leadOn); // once they are unfolded
+  const toPoint = around(event, "[data-points-left] a");
+  if (!toPoint) return;
+  event.preventDefault();
+  toPoint.closest("dialog")?.close();
+  listOpen()[0]?.focus();
 });
+for (const own of ["wheel", "touchmove", "keydown"]) addEventListener(own, () => { isLed = false; }, { passive: true }); // who moves by themselves is not led
 
 panel?.addEventListener("input", ({ target }) => {
   if (target instanceof HTMLInputElement && target.matches(".reason")) {

@@ -34,7 +34,8 @@ function show() {
 /** @param {string} selector */
 function follow(selector) {
   const link = document.querySelector(selector);
-  if (link instanceof HTMLAnchorElement || link instanceof HTMLLinkElement) location.assign(link.href);
+  if (link instanceof HTMLAnchorElement) link.click(); // a press, which is held while disconnected
+  else if (link instanceof HTMLLinkElement) location.assign(link.href);
 }
 
 /** Press a link or a box; what belongs to a form that changes something is left alone. @param {HTMLElement | null | undefined} control */

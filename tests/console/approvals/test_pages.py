@@ -60,6 +60,18 @@ def test_the_request_is_read_from_what_stands_against_it_to_the_views_beside_the
     assert "Refuse PS-ST16-1-1" in read(page)
 
 
+def test_who_cannot_sign_reads_the_points_and_who_can_and_ticks_only_for_a_second_person(site, request_page):
+    page = site.visitor("ada").get(request_page)
+    own, _, of_another = page.split('id="sign"')[1].partition("A second person signs here")
+    assert 'name="tick:' not in own
+    assert own.count('class="point"') == of_another.count('name="tick:')
+    assert "Alan Approver" in page.split('id="who-may-sign"')[1].split("</details>")[0]
+    assert (
+        'name="tick:'
+        in site.visitor("alan").get(request_page).split('id="sign"')[1].partition("A second person signs here")[0]
+    )
+
+
 def test_an_approval_that_leaves_a_point_open_is_refused_by_its_name_and_its_words_are_kept(site, request_page):
     alan = site.visitor("alan")
     given = answer_points(alan.get(request_page))
