@@ -90,5 +90,5 @@ def _convert(kind: Any) -> Any:
     if get_origin(kind) is list:
         return list[_convert(get_args(kind)[0])]  # type: ignore[misc]
     if get_origin(kind) is UnionType:
-        return Union[tuple(map(_convert, get_args(kind)))]  # noqa: UP007
+        return Union[tuple(map(_convert, get_args(kind)))]  # noqa: UP007 - made at run time, of as many kinds as there are
     return kind
