@@ -65,6 +65,7 @@ def test_who_cannot_sign_reads_the_points_and_who_can_and_ticks_only_for_a_secon
     own, _, of_another = page.split('id="sign"')[1].partition("A second person signs here")
     assert 'name="tick:' not in own
     assert own.count('class="point"') == of_another.count('name="tick:')
+    assert "sign</li>" in page.split('aria-current="step"')[1][:400], "the next station is a thing to do"
     assert "Alan Approver" in page.split('id="who-may-sign"')[1].split("</details>")[0]
     assert (
         'name="tick:'

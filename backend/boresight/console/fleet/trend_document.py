@@ -161,7 +161,9 @@ def _reasons(drift: DriftResult, data: UnseenTelemetry, baseline: ParameterSet, 
     if data.ratio is not None:
         said.append(f"With them every sigma is predicted to be at most {fixed(data.ratio, 2)} times the baseline's.")
     if age_d is not None:
-        said.append(f"{baseline.name} became baseline {age_d:.0f} days ago; the limit is {OLD_DAYS:.0f}.")
+        days = round(age_d)
+        when = f"{days} day{'s' * (days > 1)} ago" if days else "today"
+        said.append(f"{baseline.name} became baseline {when}; the limit is {OLD_DAYS:.0f}.")
     return said
 
 
