@@ -141,7 +141,7 @@ def test_a_drift_alarm_is_seen_handled_understood_and_over(people, store, drifti
         window.page.get_by_role("button", name="Assign").click()
         window.page.get_by_label("Comment").fill("Seen on the night shift; the day shift recalibrates.")
         window.page.get_by_role("button", name="Acknowledge").click()
-        expect(window.page.locator(".subtitle")).to_have_text("acknowledged, active")
+        expect(window.page.locator("#alarm-head .subtitle")).to_have_text("acknowledged, active")
         window.shoot("81-alarm-acknowledged")
     with people.seat("analyst") as window:
         window.open(f"/sensors/{drifting}/trend")
@@ -152,7 +152,7 @@ def test_a_drift_alarm_is_seen_handled_understood_and_over(people, store, drifti
         expect(window.page.get_by_role("table")).to_contain_text(PRINTED_NAMES["analyst"])
         recalibrated(store, drifting)
         window.open(address)
-        expect(window.page.locator(".subtitle")).to_have_text("closed")
+        expect(window.page.locator("#alarm-head .subtitle")).to_have_text("closed")
         window.shoot("83-alarm-closed")
 
 
