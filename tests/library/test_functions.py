@@ -155,6 +155,11 @@ def test_a_setting_that_the_function_or_the_method_does_not_take_is_refused(func
         getattr(bs, function)(*sources, **settings)
 
 
+def test_the_spread_of_the_start_counts_under_every_method_for_matching_begins_with_it(simulated):
+    found = bs.calibrate(simulated.telemetry, simulated.sensor, progress=False, initial_sigma_scale=3.0)
+    assert (found.method, found.inputs.settings.initial_sigma_scale) == ("batch", 3.0)
+
+
 WRONG_WHOLES = [("frames", 0), ("frames", -3), ("frames", 2.5), ("frames", True), ("seed", "a"), ("seed", -1)]
 
 
