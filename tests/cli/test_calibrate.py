@@ -215,7 +215,7 @@ def test_a_choice_reaches_the_estimator(boresight, simulated, words, kept):
 
 def test_matching_choices_are_read(boresight, simulated):
     words = ("--match", "given", "--match-rule", "flight", "--flight-tolerance-urad", "90", "--leave-out-doubles")
-    done = calibrate(boresight, simulated, "--json", "-", "--match-parameters", "baseline", *words)
+    done = calibrate(boresight, simulated, "--json", "-", "--method", "sqrf", "--match-parameters", "baseline", *words)
     settings = json.loads(done.stdout)["inputs"]["settings"]
     assert (settings["match_rule"], settings["flight_tolerance_urad"]) == ("flight", 90.0)
     assert (settings["match_parameters"], settings["leave_out_doubles"]) == ("baseline", True)
@@ -225,6 +225,12 @@ def test_choices_that_exclude_one_another_are_wrong_usage(boresight, simulated):
     done = calibrate(boresight, simulated, "--json", "-", "--method", "sqrf", "--robust", "huber")
     assert done.exit_code == click.UsageError.exit_code
     assert "Robust loss" in done.stderr
+
+
+def test_a_choice_of_another_method_is_wrong_usage(boresight, simulated):
+    done = calibrate(boresight, simulated, "--json", "-", "--method", "batch", "--variant", "q")
+    assert done.exit_code == click.UsageError.exit_code
+    assert "'variant'" in done.stderr
 
 
 def _calibrated(boresight, folder, method):

@@ -142,17 +142,22 @@ def test_a_setting_that_does_not_exist_is_refused_in_one_sentence(settings, simu
 @pytest.mark.parametrize(
     ("function", "settings", "code"),
     [
-        ("calibrate", {"method": "batch", "variant": "q"}, "setting-without-effect"),
-        ("calibrate", {"linearisations": 3}, "setting-without-effect"),
+        ("calibrate", {"method": "batch", "variant": "q"}, "setting-of-another-method"),
+        ("calibrate", {"linearisations": 3}, "setting-of-another-method"),
         ("choose", {"free": "f_m"}, "unknown-setting"),
         ("evaluate", {"free": "f_m"}, "unknown-setting"),
         ("evaluate", {"method": "ekf"}, "unknown-setting"),
     ],
 )
-def test_a_setting_that_would_have_no_effect_is_refused(function, settings, code, simulated, cal):
+def test_a_setting_that_the_function_or_the_method_does_not_take_is_refused(function, settings, code, simulated, cal):
     sources = (simulated.telemetry, simulated.sensor, *([cal] if function == "evaluate" else []))
     with pytest.raises(bs.RefusedInputError, match=list(settings)[-1], check=has_code(code)):
         getattr(bs, function)(*sources, **settings)
+
+
+def test_the_spread_of_the_start_counts_under_every_method_for_matching_begins_with_it(simulated):
+    found = bs.calibrate(simulated.telemetry, simulated.sensor, progress=False, initial_sigma_scale=3.0)
+    assert (found.method, found.inputs.settings.initial_sigma_scale) == ("batch", 3.0)
 
 
 WRONG_WHOLES = [("frames", 0), ("frames", -3), ("frames", 2.5), ("frames", True), ("seed", "a"), ("seed", -1)]

@@ -150,6 +150,10 @@ class Option:
             }[self.kind]
         )
 
+    def counts_under(self, method: str) -> bool:
+        """Whether it changes what a method does: matching begins with the spread of the start under every one."""
+        return method in self.methods or self.name == "initial_sigma_scale"
+
     def check(self, value: Any) -> None:
         """Refuse a value of another kind or outside the bounds, NaN included."""
         if (value is None and self.default is None) or self._allows(value):

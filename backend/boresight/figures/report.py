@@ -183,7 +183,12 @@ def calibrate_command(
     words = [f"boresight calibrate {' '.join(map(quote, telemetry))}", f"--sensor {quote(sensor)}"]
     for name, one in OPTIONS.items():
         value = getattr(settings, name)
-        if one.flag and value is not None and (value != one.default or name in ALWAYS):
+        if (
+            one.flag
+            and one.counts_under(settings.method)
+            and value is not None
+            and (value != one.default or name in ALWAYS)
+        ):
             words.append(one.flag if value is True else f"{one.flag} {quote(format_value(value))}")
     if validation:
         words.append(f"--validate {quote(validation)}")

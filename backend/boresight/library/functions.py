@@ -118,11 +118,11 @@ def parse_choices(choices: Mapping[str, Any]) -> CalibrationSettings:
     )
     for name in choices:
         option = OPTIONS[name]
-        if chosen.method not in option.methods and getattr(chosen, name) != option.default:
+        if not option.counts_under(chosen.method) and getattr(chosen, name) != option.default:
             raise RefusedInputError(
-                f"Setting {name!r} has no effect with method {chosen.method!r}: leave it out, or choose from "
+                f"Setting {name!r} is not of method {chosen.method!r}: leave it out, or choose the method from "
                 f"{', '.join(option.methods)}.",
-                code="setting-without-effect",
+                code="setting-of-another-method",
             )
     return chosen
 

@@ -340,7 +340,7 @@ def floats(column: pa.ChunkedArray, name: str, faults: Faults) -> tuple[FloatArr
     faults.add_entries(
         ~np.isfinite(values) & ~_absent(cells),
         name,
-        lambda entry: f"{values[entry]} is not a measurement: {_remedy(name)}",
+        lambda entry: f"{values[entry]} is not a measurement: correct it or {_otherwise(name)}",
     )
     return values, absent
 
@@ -495,14 +495,14 @@ def _numbers_of_text(cells: pa.Array, name: str, faults: Faults) -> tuple[pa.Arr
     faults.add_entries(
         ~number.to_numpy(zero_copy_only=False) & ~absent,
         name,
-        lambda entry: f"{_quoted(cells, entry)} is not a number: {_remedy(name)}",
+        lambda entry: f"{_quoted(cells, entry)} is not a number: correct it or {_otherwise(name)}",
     )
     return pc.cast(pc.if_else(number, bare, None), pa.float64()), absent
 
 
-def _remedy(column: str) -> str:
-    """Say what to do with a wrong cell; one of a column that every row needs cannot be left empty."""
-    return f"correct it or {'drop the row' if column in REQUIRED_COLUMNS else 'leave it empty'}"
+def _otherwise(column: str) -> str:
+    """Say what to do with a cell that cannot be corrected; of a column that every row needs it cannot be left empty."""
+    return "drop the row" if column in REQUIRED_COLUMNS else "leave it empty"
 
 
 def _times_of_text(cells: pa.Array, name: str, faults: Faults) -> NDArray[np.datetime64]:
