@@ -9,7 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
-from boresight.calibration.calibration import compute_json_schema, parse_calibration, read_calibration
+from boresight.calibration.calibration import (
+    compute_json_schema,
+    parse_calibration,
+    parse_foreign_calibration,
+    read_calibration,
+)
 from boresight.calibration.options import METHODS
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
@@ -133,7 +138,7 @@ def test_what_the_schema_allows_is_read_and_what_is_refused_names_its_place(path
 def find_fault(document):
     """Return what a refusal says; None where there is none."""
     try:
-        parse_calibration(document)
+        parse_foreign_calibration(document)
     except RefusedInputError as refused:
         return str(refused)
     return None
@@ -202,7 +207,7 @@ TWO = {"names": ["f_m", "g_y"]}
 )
 def test_what_is_no_calibration_is_refused_by_the_path_of_its_fault(change, place):
     with pytest.raises(RefusedInputError, check=has_code("incomplete-calibration")) as refused:
-        parse_calibration(BATCH | change, "cal.json")
+        parse_foreign_calibration(BATCH | change, "cal.json")
     assert f"({place}:" in str(refused.value)
 
 

@@ -1493,10 +1493,21 @@ def parse_calibration(document: str | bytes | Mapping[str, Any], name: str = "Th
     except ValueError as error:
         raise refuse(str(error)) from error
     found: Calibration = _validate(_strict_validator().validate_python, said, refuse)
-    if found.status != "running":
-        missing = next((one for one in REQUIRED if said.get(one) is None), None)
-        if fault := f"{missing}: missing" if missing is not None else next(_find_faults(found), None):
-            raise refuse(fault)
+    missing = next((one for one in REQUIRED if said.get(one) is None), None)
+    if missing is not None and found.status != "running":
+        raise refuse(f"{missing}: missing")
+    return found
+
+
+def parse_foreign_calibration(document: str | bytes | Mapping[str, Any], name: str = "This document") -> Calibration:
+    """Read a calibration that people hand in: as `parse_calibration`, and its numbers are those of a camera.
+
+    What we stored ourselves is read as it is, so that a page can show a result that no camera has, and its gates refuse it.
+    """
+    found = parse_calibration(document, name)
+    fault = None if found.status == "running" else next(_find_faults(found), None)
+    if fault is not None:
+        raise _make_refusal(name, fault)
     return found
 
 
@@ -1587,7 +1598,7 @@ def read_calibration(path: str | Path) -> Calibration:
         text = Path(path).read_bytes()
     except OSError as error:
         raise RefusedInputError(f"{path} cannot be read ({error.strerror or error}): check the path.") from error
-    return parse_calibration(text, str(path))
+    return parse_foreign_calibration(text, str(path))
 
 
 def make_schema(kind: type[Any], name: str) -> dict[str, Any]:

@@ -71,7 +71,7 @@ def _check_out(out_file: str) -> None:
 
 
 def _read(source: str) -> Calibration:
-    from boresight.calibration.calibration import parse_calibration
+    from boresight.calibration.calibration import parse_foreign_calibration
 
     try:
         document: dict[str, Any] = orjson.loads(Path(source).read_bytes())
@@ -85,7 +85,7 @@ def _read(source: str) -> Calibration:
         raise RefusedInputError(
             f"{source} cannot be read ({error.strerror}): check the name and its permissions."
         ) from error
-    return parse_calibration(document, Path(source).name)
+    return parse_foreign_calibration(document, Path(source).name)
 
 
 def _stored(run_id: int) -> Calibration:

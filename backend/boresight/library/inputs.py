@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow as pa
 
 from boresight.arrays import FloatArray
-from boresight.calibration.calibration import Calibration, parse_calibration
+from boresight.calibration.calibration import Calibration, parse_foreign_calibration
 from boresight.calibration.joint.passes import JointTelemetry, NamedTelemetry, join_sets
 from boresight.calibration.joint.prior import PriorSource
 from boresight.calibration.parameter_file import parse_parameters, read_document, read_reliable_parameters
@@ -271,7 +271,7 @@ def read_any_calibration(source: ParameterSource) -> Calibration:
     """Read a whole calibration."""
     if isinstance(source, Calibration):
         return source
-    return parse_calibration(read_parameter_document(source), describe_source(source))
+    return parse_foreign_calibration(read_parameter_document(source), describe_source(source))
 
 
 def read_prior(source: ParameterSource) -> PriorSource:

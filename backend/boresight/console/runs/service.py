@@ -224,7 +224,7 @@ def export_run(
 
 def _in_model_order(document: dict[str, Any]) -> dict[str, Any]:
     """Put every object keyed by parameters into the order of the camera model; stored rows sort their keys."""
-    names = list(document.get("parameters") or ())
+    names = document.get("parameter_names") or list(document.get("parameters") or ())
     ordered = {
         key: {name: value[name] for name in names}
         for key, value in document.items()
