@@ -63,6 +63,8 @@ def test_the_form_starts_one_and_keeps_what_was_typed_when_it_is_refused(house, 
     page = _read(house, "ada", f"/alignments/new?a={row['run_a_id']}")
     assert re.search(rf'<option value="{row["run_a_id"]}" selected', page)
     assert _post(house, "victor", **form).status_code == 403
+    for typed in ({"temperature": "inf"}, {"temperature": "nan"}, {"temperature": "1.5"}, {"tolerance_s": "nan"}):
+        assert _post(house, "ada", **form | typed).status_code == 422, typed
     refused = _post(house, "ada", **{**form, "tolerance_s": "soon"})
     assert (refused.status_code, 'value="soon"' in refused.text) == (422, True)
     assert _post(house, "ada", run_a_id="", run_b_id="").status_code == 422

@@ -35,7 +35,9 @@ from boresight.console.pages.rendering import (
     attempt,
     proof_of_own,
     read_again,
+    read_number,
     read_texts,
+    read_whole_number,
     redirect,
     render,
     seen_version,
@@ -218,19 +220,12 @@ def _read_options(typed: Mapping[str, str]) -> dict[str, Any]:
     given: dict[str, Any] = {}
     for name in ("tolerance_s", "longest_gap_s"):
         if text := typed.get(name, "").strip():
-            given[name] = _read_number(name, text)
+            given[name] = read_number(name, text)
     if text := typed.get("temperature", "").strip():
-        given["temperature"] = int(_read_number("temperature", text))
+        given["temperature"] = read_whole_number("temperature", text)
     if text := typed.get("drift", "").strip():
         given["drift"] = text == "yes"
     return given
-
-
-def _read_number(name: str, text: str) -> float:
-    try:
-        return float(text)
-    except ValueError as error:
-        raise RefusedInputError(f"{name} is {text[:20]!r}: give a number, such as 0.5.") from error
 
 
 @router.get("/alignments/{alignment_id:int}", response_class=HTMLResponse)

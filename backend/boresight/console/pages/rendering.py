@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
@@ -243,6 +244,25 @@ def get_texts(form: FormData) -> dict[str, str]:
 async def read_texts(request: Request) -> dict[str, str]:
     """Read the texts of the form that a request carries."""
     return get_texts(await request.form())
+
+
+def read_number(label: str, text: str) -> float:
+    """Read a number of a form; refuses what is none, and what no quantity is."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise RefusedInputError(f"{label} is {text[:20]!r}: give a number, such as 10 or 0.5.")
+    return value
+
+
+def read_whole_number(label: str, text: str) -> int:
+    """Read a number of a form that counts something."""
+    value = read_number(label, text)
+    if value != int(value):
+        raise RefusedInputError(f"{label} is {text[:20]}: give a whole number.")
+    return int(value)
 
 
 def seen_version(form: Mapping[str, str]) -> int:

@@ -17,7 +17,14 @@ from fastapi.responses import HTMLResponse, Response
 from boresight.console.access.dependencies import KNOWN, Reading, Stars, csrf, get_server
 from boresight.console.fleet import pointings
 from boresight.console.fleet.tables import Sensor
-from boresight.console.pages.rendering import RefusalContext, read_again, read_texts, render
+from boresight.console.pages.rendering import (
+    RefusalContext,
+    read_again,
+    read_number,
+    read_texts,
+    read_whole_number,
+    render,
+)
 from boresight.console.parameter_sets import queries as set_rows
 from boresight.errors import BoresightError, NotFoundError, RefusedInputError
 from boresight.estimation.statistics.observability import WEAK
@@ -68,7 +75,6 @@ CRITERIA = {"A": "A: least sum of variances", "D": "D: least volume of the confi
 @router.get("/sensors/{sensor_id:int}/plan", response_class=HTMLResponse, dependencies=[KNOWN])
 def plan_page(request: Request, session: Reading, sensor_id: int) -> HTMLResponse:
     """Show the form; what is known is the baseline, where stars measured it."""
-    session.get_known(Sensor, sensor_id)
     baseline = set_rows.find_baseline(session, sensor_id)
     known = f"{SET} {baseline.id}" if baseline is not None and baseline.run_id is not None else ""
     begins = utc_after(3600.0)[:14] + "00:00Z"
@@ -146,10 +152,7 @@ def _read_kept(typed: Mapping[str, str]) -> dict[str, Any]:
     whole = {one.name for one in fields(Constraints) if isinstance(one.default, int)}
     for asked in (*TIMES, *ANGLES):
         if text := typed.get(asked.name, "").strip():
-            value = _read_number(asked.label, text)
-            if asked.name in whole and value != int(value):
-                raise RefusedInputError(f"{asked.label} is {text[:20]}: give a whole number.")
-            given[asked.name] = int(value) if asked.name in whole else value
+            given[asked.name] = (read_whole_number if asked.name in whole else read_number)(asked.label, text)
     return given
 
 
@@ -160,14 +163,4 @@ def _read_orbit(typed: Mapping[str, str]) -> dict[str, float] | None:
         return None
     if missing := [ORBIT[name] for name, text in given.items() if not text]:
         raise RefusedInputError(f"The orbit lacks {', '.join(missing)}: give all three of its numbers, or none.")
-    return {name: _read_number(ORBIT[name], text) for name, text in given.items()}
-
-
-def _read_number(label: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not abs(value) < float("inf"):
-        raise RefusedInputError(f"{label} is {text[:20]!r}: give a number, such as 10.")
-    return value
+    return {name: read_number(ORBIT[name], text) for name, text in given.items()}
