@@ -1546,10 +1546,7 @@ def _find_wrong_parameters(found: Calibration, camera: CameraModel) -> Iterator[
         yield f"parameter_names: expected {', '.join(camera.parameter_names)}"
     if not found.is_usable:
         return
-    for name, (low, high) in zip(camera.parameter_names, camera.plausible, strict=True):
-        value: float | None = found.parameters[name]
-        if value is None or not low <= value <= high:
-            yield f"parameters.{name}: {value!r}, expected a number from {low:g} to {high:g}"
+    yield from (f"parameters.{name}: {fault}" for name, fault in camera.find_implausible(found.parameters))
 
 
 #: How far the two halves of a covariance may differ by rounding, in their sigmas.

@@ -12,7 +12,6 @@ calibration JSON, `boresight.calibration/1`     its own; a ground calibration's 
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -121,13 +120,8 @@ def _check_names(values: Mapping[str, Any], sensor: Sensor, name: str) -> None:
         raise RefusedInputError(
             f"{name} gives {unknown[0]!r}, which is not a parameter of {camera.name}: leave it out."
         )
-    for parameter, (low, high) in zip(camera.parameter_names, camera.plausible, strict=True):
-        value = values[parameter]
-        number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-        if not number or not low <= value <= high:
-            raise RefusedInputError(
-                f"{name} gives {parameter} as {value!r}, expected a number from {low:g} to {high:g}: check its unit."
-            )
+    for parameter, fault in camera.find_implausible(values):
+        raise RefusedInputError(f"{name} gives {parameter} as {fault}: check its unit.")
 
 
 def _no_covariance(name: str) -> RefusedInputError:

@@ -22,7 +22,7 @@ depends on the radius alone: it is t_x along a row from the principal point.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
@@ -183,6 +183,14 @@ class CameraModel:
     def plausible(self) -> tuple[tuple[float, float], ...]:
         """Lowest and highest value of each parameter that is not absurd, SI."""
         return tuple((one.lowest, one.highest) for one in self.parameters)
+
+    def find_implausible(self, values: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+        """Yield each parameter whose value is no number in its plausible range, with what is expected; all of them have one."""
+        for name, (low, high) in zip(self.parameter_names, self.plausible, strict=True):
+            value = values[name]
+            is_number = isinstance(value, int | float) and not isinstance(value, bool)
+            if not is_number or not low <= value <= high:  # NaN neither
+                yield name, f"{value!r}, expected a number from {low:g} to {high:g}"
 
     @cached_property
     def kind(self) -> Any:
