@@ -10,11 +10,13 @@ import socket
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
+from socketserver import TCPServer
 from typing import Any, Self, TypeVar
 from urllib.parse import urlsplit
 
@@ -78,6 +80,19 @@ def allow_open_files() -> None:
     if soft < FILES:
         with suppress(ValueError):
             resource.setrlimit(resource.RLIMIT_NOFILE, (FILES if hard < 0 else min(FILES, hard), hard))
+
+
+@contextmanager
+def listening(server: TCPServer) -> Iterator[int]:
+    """Serve in a thread until the block ends; yields the port."""
+    thread = threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True)
+    thread.start()
+    try:
+        yield int(server.server_address[1])
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()
 
 
 class Service:

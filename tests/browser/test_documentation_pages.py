@@ -2,10 +2,10 @@
 
 import functools
 import http.server
-import threading
 
 import pytest
 
+from benchmarks.servers import listening
 from tests.browser.window import Window
 from tests.effort import few_of
 
@@ -26,11 +26,8 @@ class Quiet(http.server.SimpleHTTPRequestHandler):
 @pytest.fixture(scope="module")
 def address(built_site):
     quiet = functools.partial(Quiet, directory=str(built_site))
-    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), quiet)
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    yield f"http://127.0.0.1:{server.server_port}"
-    server.shutdown()
-    server.server_close()
+    with listening(http.server.ThreadingHTTPServer(("127.0.0.1", 0), quiet)) as port:
+        yield f"http://127.0.0.1:{port}"
 
 
 @pytest.mark.full

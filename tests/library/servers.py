@@ -4,7 +4,8 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from threading import Thread
+
+from benchmarks.servers import listening
 
 
 @contextmanager
@@ -40,11 +41,5 @@ def answering(answers, context=None) -> Iterator[tuple[str, list]]:
     server.handle_error = lambda *_: None  # what a client breaks off is no fault of the server's
     if context is not None:
         server.socket = context.wrap_socket(server.socket, server_side=True)
-    thread = Thread(target=server.serve_forever, args=(0.01,), daemon=True)
-    thread.start()
-    try:
-        yield f"http{'s' if context else ''}://127.0.0.1:{server.server_port}", seen
-    finally:
-        server.shutdown()
-        server.server_close()
-        thread.join()
+    with listening(server) as port:
+        yield f"http{'s' if context else ''}://127.0.0.1:{port}", seen

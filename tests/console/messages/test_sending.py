@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
-from benchmarks.receivers import listening, receiving_mail
+from benchmarks.receivers import receiving_mail
+from benchmarks.servers import listening
 from boresight.console.jobs.message_sender import MessageSender
 from boresight.console.messages import service as messages
 from boresight.console.messages.service import AddressChoice, Outlets
