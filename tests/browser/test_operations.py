@@ -12,6 +12,7 @@ from boresight.console.fleet import service as sensors
 from boresight.console.fleet.pages.sensors import EXAMPLE
 from boresight.console.runs.tables import Run
 from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.blobs.opening import open_blobs
 from boresight.platform.db.sessions import open_engine, open_writing
 from boresight.settings import read_settings
 from boresight.simulation.sensors import st16_sensor
@@ -106,13 +107,14 @@ def store(installation):
 
 
 @pytest.fixture(scope="module")
-def drifting(store):
+def drifting(store, installation):
+    blobs = open_blobs(read_settings(installation.environment).blob_location)
     rng = np.random.default_rng(4)
     with open_writing(store) as session:
         document = sensor_document(st16_sensor(NUMBER))
         sensor = sensors.register_sensor(session, COMMAND_LINE, document, simulated=True)
         for month in range(10):
-            data = add_set(session, sensor.id, 30.0 * month, temperature_c=20 + 6 * np.sin(month))
+            data = add_set(session, sensor.id, 30.0 * month, temperature_c=20 + 6 * np.sin(month), blobs=blobs)
             run = add_run(session, data, rng, 0.05 * month * np.eye(8)[0])
             if month == 2:
                 make_baseline(session, run)
