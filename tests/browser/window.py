@@ -74,12 +74,16 @@ FORGET_THEME = """() => {
 FITS = "() => document.documentElement.scrollWidth <= document.documentElement.clientWidth"
 OVERLAPS = """() => [...document.querySelectorAll("plot-figure .js-plotly-plot")].flatMap(figure => {
     const boxes = [...figure.querySelectorAll("svg text")].filter(one => one.checkVisibility() && one.textContent.trim())
-        .map(one => [one.textContent, one.getBoundingClientRect()]).filter(([, box]) => box.width);
+        .map(one => [one.textContent, one.getBoundingClientRect(), one]).filter(([, box]) => box.width);
     const place = figure.getBoundingClientRect(), name = figure.closest("[id]").id;
     const over = ([, a], [, b]) => Math.min(a.right, b.right) - Math.max(a.left, b.left) > 2
         && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 2;
+    const panels = [...figure.querySelectorAll(".nsewdrag")].map(one => one.getBoundingClientRect());
+    const axes = boxes.filter(([, , one]) => one.closest("[class$=tick], [class^=g-x], [class^=g-y]"));
     const isCut = ([, a]) => a.left < place.left - 2 || a.right > place.right + 2 || a.bottom > place.bottom + 2;
-    return [...boxes.filter(isCut).map(([text]) => [name, text, "is cut"]), ...boxes.flatMap((one, k) =>
+    return [...boxes.filter(isCut).map(([text]) => [name, text, "is cut"]),
+        ...axes.filter(one => panels.some(panel => over(one, [, panel]))).map(([text]) => [name, text, "lies in a panel"]),
+        ...boxes.flatMap((one, k) =>
         boxes.slice(k + 1).filter(other => over(one, other)).map(other => [name, one[0], other[0]]))];
 })"""
 CUT = """() => [...document.querySelectorAll("table.data")].map(table => table.parentElement)

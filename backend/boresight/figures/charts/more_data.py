@@ -18,7 +18,7 @@ from boresight.calibration.calibration import Calibration, MoreData
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
-from boresight.figures.style.axes import frame_grid, grid_place
+from boresight.figures.style.axes import frame_grid, grid_place, name_panel, space_panels
 from boresight.verdicts.numbers import grouped, quantity
 
 COLUMNS = 4
@@ -31,7 +31,7 @@ def draw(drawn: Sequence[Part[MoreData]]) -> go.Figure:
     """Draw one panel a parameter: the predicted sigma over the frames there would be in all."""
     names = list(dict.fromkeys(name for _, _, part in drawn for name in part.sigma))
     n_rows = -(-len(names) // COLUMNS)
-    figure = make_subplots(n_rows, COLUMNS, horizontal_spacing=0.085, vertical_spacing=0.24 / n_rows)
+    figure = make_subplots(n_rows, COLUMNS, **space_panels(COLUMNS, n_rows))
     for i, name in enumerate(names):
         _panel(figure, drawn, name, grid_place(i, COLUMNS), named=i == 0)
     _dress(figure, drawn, n_rows, len(names))
@@ -58,7 +58,7 @@ def _panel(
         ticks = round_ticks(values)
         update(tickvals=ticks, ticktext=[grouped(f"{tick:g}") for tick in ticks], **where)
     unit = f" ({item.unit})" if item.unit else ""
-    figure.update_yaxes(title={"text": f"σ of {item.markup}{unit}", "standoff": 4}, **where)
+    name_panel(figure, f"σ of {item.markup}{unit}", **where)
 
 
 def _curve(result: Calibration, part: MoreData, name: str) -> tuple[FloatArray, FloatArray]:

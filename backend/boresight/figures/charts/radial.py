@@ -363,7 +363,7 @@ def _outermost(curves: Distortion) -> str:
     last = int(np.flatnonzero(radius <= reached)[-1])
     return (
         f"At the outermost star, {count(reached)} px: {signed(old[last])} px old, {signed(new[last])} "
-        f"± {number(3 * lay_over(radial, radial.sigma_px)[last], 2)} px new (3σ)"
+        f"± {number(lay_over(radial, radial.sigma_px)[last], 2)} px new (1σ)"
     )
 
 

@@ -74,6 +74,21 @@ def grid_place(number: int, columns: int) -> dict[str, int]:
     return {"row": number // columns + 1, "col": number % columns + 1}
 
 
+def name_panel(figure: go.Figure, text: str, **place: int) -> None:
+    """Name the y axis of one of many panels above it: beside it the name would move with the ticks, and meet the next panel."""
+    above = {"xref": "x domain", "yref": "y domain", "xanchor": "left", "yanchor": "bottom", "yshift": 2}
+    figure.add_annotation(text=text, x=0, y=1, showarrow=False, **above, **place)
+
+
+#: Room for a legend of two lines, and for the names of the panels below it.
+ABOVE_NAMED_PX = 84
+
+
+def space_panels(columns: int, n_rows: int) -> dict[str, float]:
+    """Leave room between panels for the ticks of the next column, and for ticks and names between rows."""
+    return {"horizontal_spacing": 0.24 / columns, "vertical_spacing": 0.24 / n_rows}
+
+
 def frame_grid(figure: go.Figure, n_panels: int, columns: int, title: str) -> None:
     """Name the x axis on the lowest panel of each column of a grid, and hide its empty places."""
     for number in range(-(-n_panels // columns) * columns):
