@@ -9,9 +9,9 @@ from playwright.sync_api import expect
 
 from boresight.console.runs.pages.run import PARTS
 from boresight.figures import CHAPTERS
-from tests.browser.window import GLANCE, OVERLAPS, PHONE
+from tests.browser.window import GLANCE, PHONE
 from tests.browser.work import choose_filter, ends_as, queue
-from tests.effort import effort, few_of
+from tests.effort import effort
 
 pytestmark = pytest.mark.browser
 
@@ -318,18 +318,6 @@ def test_trust_appears_by_itself_when_the_run_that_is_watched_ends(people, batch
         window.figures_drawn()
         assert len(window.drawn("efficiency")[0]["y"]) == len(window.result(run_id)["free"])
         expect(window.page.locator("#parts")).to_contain_text("doubt")
-
-
-@pytest.mark.parametrize("part", few_of(["result", "evidence", "convergence", "distortion", "observability"], 1))
-def test_no_text_of_a_figure_lies_over_another_or_is_cut_on_a_phone_or_a_desk(people, sequential_run, part):
-    with people.seat("analyst") as window:
-        for size in (PHONE, GLANCE):
-            window.page.set_viewport_size(size)
-            window.open(f"/runs/{sequential_run}?part={part}")
-            window.unfold()
-            assert window.overlaps() == [], f"at {size['width']} px"
-        window.page.set_viewport_size(PHONE)  # where a window becomes narrow its figures are laid out again
-        window.page.wait_for_function(f"() => !({OVERLAPS})().length")
 
 
 def test_the_parts_stay_in_sight_and_a_view_opens_its_large_figure(window, sequential_run):

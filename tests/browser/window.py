@@ -76,6 +76,7 @@ OVERLAPS = """() => [...document.querySelectorAll("plot-figure .js-plotly-plot")
     const boxes = [...figure.querySelectorAll("svg text")].filter(one => one.checkVisibility() && one.textContent.trim())
         .map(one => [one.textContent, one.getBoundingClientRect(), one]).filter(([, box]) => box.width);
     const place = figure.getBoundingClientRect(), name = figure.closest("[id]").id;
+    const isSlanted = ([, , one]) => /rotate\\((?!0[,)]|-?90[,)])/.test(one.getAttribute("transform") ?? "");
     const over = ([, a], [, b]) => Math.min(a.right, b.right) - Math.max(a.left, b.left) > 2
         && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 2;
     const panels = [...figure.querySelectorAll(".nsewdrag")].map(one => one.getBoundingClientRect());
@@ -84,7 +85,8 @@ OVERLAPS = """() => [...document.querySelectorAll("plot-figure .js-plotly-plot")
     return [...boxes.filter(isCut).map(([text]) => [name, text, "is cut"]),
         ...axes.filter(one => panels.some(panel => over(one, [, panel]))).map(([text]) => [name, text, "lies in a panel"]),
         ...boxes.flatMap((one, k) =>
-        boxes.slice(k + 1).filter(other => over(one, other)).map(other => [name, one[0], other[0]]))];
+        boxes.slice(k + 1).filter(other => over(one, other) && !(isSlanted(one) && isSlanted(other)))
+            .map(other => [name, one[0], other[0]]))];
 })"""
 CUT = """() => [...document.querySelectorAll("table.data")].map(table => table.parentElement)
     .filter(place => place.scrollWidth > place.clientWidth && !place.closest("details:not([open])")

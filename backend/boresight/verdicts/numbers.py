@@ -182,7 +182,8 @@ def parameter(value: Any, name: str, sigma: Any = None, power: int | None = None
     if is_number(sigma) and sigma > 0:
         return grouped(to_second_digit(value * factor, sigma * factor, power=power))
     if power:
-        return grouped(f"{float(f'{value * factor:.6g}') / 10**power:.6g}e{power}")
+        mantissa = f"{float(f'{value * factor:.6g}') / 10**power:.{power + 5}f}".rstrip("0").rstrip(".")
+        return grouped(f"{mantissa}e{power}")
     return grouped(f"{value * factor:.6g}")
 
 

@@ -100,7 +100,7 @@ def test_what_cannot_be_had_falls_back_to_the_usual_view(text, results):
     assert (usual.align, usual.scale, usual.tail_from, usual.query) == ("frame", "log", None, "")
 
 
-def test_a_batch_has_no_axis_to_choose_and_no_tail_and_without_a_held_out_set_it_is_said_how_to_have_one(results):
+def test_a_batch_has_no_axis_to_choose_and_no_tail_and_without_a_unseen_set_it_is_said_how_to_have_one(results):
     asked = view("align=update&tail_from=3", results["batch"])
     assert (dict(asked.aligns), asked.align, asked.tail_from) == ({}, "frame", None)
     tail, rows = tail_facts(parse_calibration({**results["batch"], "validation": None}), asked)
@@ -118,7 +118,7 @@ def in_urad(scores, which):
     return [1e6 * one for one in (scores["rms_arc_rad"][which], *scores["intervals"]["rms_arc_rad"][which])]
 
 
-def test_errors_stand_with_their_95_percent_interval_and_held_out_ones_by_themselves(results):
+def test_errors_stand_with_their_95_percent_interval_and_unseen_ones_by_themselves(results):
     result = results["sqrf"]
     tail, rows = tail_facts(parse_calibration(result), view("tail_from=30", result))
     numbers = {term: read_interval(number) for term, number, _ in rows}
@@ -139,16 +139,16 @@ def test_errors_stand_with_their_95_percent_interval_and_held_out_ones_by_themse
 def test_one_number_has_one_interval_wherever_it_stands(results, method):
     result = parse_calibration(results[method])
     fitted = describe_rms(result.evaluation, result.rms_arc_rad, result.pairs)
-    held_out = describe_rms(result.validation, result.validation.rms_arc_rad, result.validation.common_pairs)
-    assert len(read_interval(fitted)) == len(read_interval(held_out)) == 6  # two values, with two ends each
+    unseen = describe_rms(result.validation, result.validation.rms_arc_rad, result.validation.common_pairs)
+    assert len(read_interval(fitted)) == len(read_interval(unseen)) == 6  # two values, with two ends each
     headline = make_headline(result)
-    assert f"RMS {fitted} µrad; validation {held_out} µrad" in headline.numbers
+    assert f"RMS {fitted} µrad; validation {unseen} µrad" in headline.numbers
     assert "95 %" in headline.bracketed
     mark = next(mark for mark in make_verdict_marks(result) if mark.name == "validation_rms")
-    assert (mark.value, "95 %" in mark.detail) == (f"{held_out} µrad", True)
+    assert (mark.value, "95 %" in mark.detail) == (f"{unseen} µrad", True)
     _, rows = tail_facts(result, view("", results[method]))
     listed = {term: number for term, number, _ in rows}
-    for words, told in (("Fitted", fitted), ("Validation", held_out)):
+    for words, told in (("Fitted", fitted), ("Validation", unseen)):
         assert " → ".join(listed[f"{words} data, {one} parameters"] for one in ("old", "new")) == told
     title = FIGURES["rms"].draw([Trace("Run 1", result)]).layout.title.text
     assert (fitted in title, "95 %" in title) == (True, True)
@@ -160,7 +160,7 @@ def test_an_rms_without_resampled_frames_has_the_interval_of_as_many_independent
     assert high - low == pytest.approx(2 * 1.96 * value / (2 * result.pairs) ** 0.5, rel=0.1)
 
 
-def test_a_result_that_kept_no_number_of_held_out_arcs_shows_the_value_and_says_so(results):
+def test_a_result_that_kept_no_number_of_unseen_arcs_shows_the_value_and_says_so(results):
     result = results["batch"]
     kept = {key: value for key, value in result["validation"].items() if key not in {"common_pairs", "intervals"}}
     judged = parse_calibration({**result, "validation": kept})

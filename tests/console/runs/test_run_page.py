@@ -21,7 +21,7 @@ from boresight.figures.report import render_report
 from boresight.figures.tables import parameter_rows, unseen_rows
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
-from boresight.platform.db.sessions import open_writing, utc_after, utc_now
+from boresight.platform.db.sessions import open_reading, open_writing, utc_after, utc_now
 from boresight.platform.jobs.worker_news import WorkerState
 from boresight.platform.web import static_files
 from boresight.verdicts.answers import make_four_views, make_headline
@@ -718,22 +718,22 @@ def test_a_page_that_follows_gets_only_the_lines_after_its_last(site, run_id):
     assert victor.get(f"/runs/{run_id}/log/lines?after={numbers[-1]}").strip() == ""
 
 
-def test_a_label_that_is_only_the_method_is_not_said_twice_and_compare_names_the_sensor(site):
+def test_a_label_that_is_only_the_method_is_not_said_twice_and_compare_names_the_sensor(site, results):
     title = METHODS["sqrf"].title
     repeated, own = (
-        site.add_run("sqrf", state="SUCCEEDED", result=EXAMPLES["sqrf"].to_dict(), label=label)
-        for label in (title, "After the focus step")
+        site.add_run("sqrf", state="SUCCEEDED", result=results["sqrf"], label=label)
+        for label in (title, "After refocusing")
     )
     victor = site.visitor("victor")
     head = victor.get(f"/runs/{repeated}").partition('class="page-head"')[2].partition('class="actions"')[0]
     assert head.count(title) == 1
-    assert "After the focus step" in victor.get(f"/runs/{own}").partition("</h1>")[0]
+    assert "After refocusing" in victor.get(f"/runs/{own}").partition("</h1>")[0]
     assert f'title="{title}">{title}' not in victor.get("/runs")
-    with site.read() as session:
+    with open_reading(site.engine) as session:
         sensor = session.get_one(Sensor, session.get_one(Run, own).sensor_id).name
     page = victor.get(f"/compare?runs={repeated},{own}")
     heads = re.findall(r'<th scope="row"><a href="/runs/\d+">#\d+</a> ([^<]*)</th>', page)
-    assert heads == [sensor, f"{sensor}: After the focus step"]
+    assert heads == [sensor, f"{sensor}: After refocusing"]
     legend = victor.send("GET", f"/api/v1/runs/{repeated}/figures/rms").text
     assert sensor in legend
     assert title not in legend

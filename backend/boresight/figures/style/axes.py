@@ -81,12 +81,12 @@ def name_panel(figure: go.Figure, text: str, **place: int) -> None:
 
 
 #: Room for a legend of two lines, and for the names of the panels below it.
-ABOVE_NAMED_PX = 84
+ABOVE_NAMED_PX = 90
 
 
 def space_panels(columns: int, n_rows: int) -> dict[str, float]:
     """Leave room between panels for the ticks of the next column, and for ticks and names between rows."""
-    return {"horizontal_spacing": 0.24 / columns, "vertical_spacing": 0.24 / n_rows}
+    return {"horizontal_spacing": 0.36 / columns, "vertical_spacing": 0.24 / n_rows}
 
 
 def frame_grid(figure: go.Figure, n_panels: int, columns: int, title: str) -> None:
@@ -117,7 +117,7 @@ def lay_maps(drawn: Sequence[Part[P]], beside: int, spacing: float | None = None
     """Make room for the maps of several runs, so many beside each other, each under its run's name."""
     titles = [style.short for _, style, _ in drawn] if len(drawn) > 1 else None
     columns, rows = min(beside, len(drawn)), -(-len(drawn) // beside)
-    space = 0.4 / max(4, columns) if spacing is None else spacing
+    space = 0.5 / max(3, columns) if spacing is None else spacing
     return make_subplots(
         rows, columns, subplot_titles=titles, horizontal_spacing=space, vertical_spacing=BETWEEN_PANELS / rows
     )
