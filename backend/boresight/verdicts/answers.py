@@ -14,11 +14,12 @@ import numpy as np
 from boresight.calibration.calibration import Calibration, Observability, RadialDifference
 from boresight.estimation.statistics.observability import NAMED
 from boresight.verdicts.history import History, interval_of_fit, read_history, settled_step, summarise_tail
-from boresight.verdicts.numbers import count, number, quantity, signed, urad_between
+from boresight.verdicts.numbers import count, number, quantity, signed, urad, urad_between
 from boresight.verdicts.verdict import (
     LEVELS,
     count_weak,
     describe_rms,
+    list_rms,
     make_advice,
     make_verdict,
     make_verdict_marks,
@@ -46,12 +47,12 @@ class RunView:
 
 @dataclass(frozen=True)
 class Headline:
-    """The verdict in a line: its level and word, the numbers, what is in their brackets, and its warnings, the worst first."""
+    """The verdict in a line: its level and word, the numbers, each RMS with its interval, and its warnings, worst first."""
 
     level: str
     word: str
     numbers: str
-    bracketed: str
+    at_length: str
     warnings: tuple[str, ...]
 
 
@@ -62,17 +63,24 @@ def make_headline(result: Calibration) -> Headline:
     ordered = sorted(doubts, key=lambda mark: -LEVELS.index(mark.level))
     reasons = [make_advice(mark, result) for mark in ordered] if judged.level != "normal" else []
     rms, unseen = result.rms_arc_rad, result.validation.rms_arc_rad if result.validation else None
-    told = []
+    told, at_length = [], []
     if rms.initial is not None and rms.final is not None:
-        told.append(f"RMS {describe_rms(result.evaluation, rms, result.pairs)} µrad")
+        both = list_rms(result.evaluation, rms, result.pairs)
+        told.append(f"RMS {urad(rms.initial, 3)} → {both[1]} µrad")
+        at_length.append(f"RMS {' → '.join(both)} µrad")
     if result.validation and unseen and unseen.initial is not None and unseen.final is not None:
-        told.append(f"validation {describe_rms(result.validation, unseen, result.validation.common_pairs)} µrad")
-    bracketed = "95 % in brackets" if told and result.pairs else ""
+        both = list_rms(result.validation, unseen, result.validation.common_pairs)
+        told.append(f"validation {urad(unseen.initial, 3)} → {both[1]} µrad")
+        at_length.append(f"validation {' → '.join(both)} µrad")
     seen = result.observability
     if seen and seen.singular_values:
         told.append("no weak direction" if not count_weak(seen) else describe_weak(seen))
     return Headline(
-        judged.level, judged.word, "; ".join(told), bracketed, tuple(dict.fromkeys([*reasons, *result.advice]))
+        judged.level,
+        judged.word,
+        "; ".join(told),
+        "; ".join(at_length),
+        tuple(dict.fromkeys([*reasons, *result.advice])),
     )
 
 

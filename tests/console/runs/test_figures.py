@@ -142,8 +142,8 @@ def test_one_number_has_one_interval_wherever_it_stands(results, method):
     unseen = describe_rms(result.validation, result.validation.rms_arc_rad, result.validation.common_pairs)
     assert len(read_interval(fitted)) == len(read_interval(unseen)) == 6  # two values, with two ends each
     headline = make_headline(result)
-    assert f"RMS {fitted} µrad; validation {unseen} µrad" in headline.numbers
-    assert "95 %" in headline.bracketed
+    assert headline.at_length == f"RMS {fitted} µrad; validation {unseen} µrad"
+    assert all(told.partition(" → ")[2] in headline.numbers for told in (fitted, unseen))
     mark = next(mark for mark in make_verdict_marks(result) if mark.name == "validation_rms")
     assert (mark.value, "95 %" in mark.detail) == (f"{unseen} µrad", True)
     _, rows = tail_facts(result, view("", results[method]))

@@ -147,7 +147,8 @@ def frame_maps(figure: go.Figure, n_maps: int, columns: int) -> None:
         where = grid_place(number, columns)
         anchor = "x" if number == 0 else f"x{number + 1}"
         figure.update_xaxes(nticks=max(2, 8 // max(2, columns)), tickangle=0, **QUIET, **where)
-        figure.update_yaxes(autorange="reversed", scaleanchor=anchor, scaleratio=1, **QUIET, **where)
+        square = {"scaleanchor": anchor, "scaleratio": 1, "constraintoward": "top"}
+        figure.update_yaxes(autorange="reversed", **square, **QUIET, **where)
         if number % columns == 0:
             figure.update_yaxes(title_text="row (px)", **where)
         if number + columns >= n_maps:
