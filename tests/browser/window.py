@@ -83,7 +83,8 @@ OVERLAPS = """() => [...document.querySelectorAll("plot-figure .js-plotly-plot")
         && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 2;
     const panels = [...figure.querySelectorAll(".nsewdrag")].map(one => one.getBoundingClientRect());
     const axes = boxes.filter(([, , one]) => one.closest("[class$=tick], [class^=g-x], [class^=g-y]"));
-    const isCut = ([, a]) => a.left < place.left - 2 || a.right > place.right + 2 || a.bottom > place.bottom + 2;
+    const isCut = ([, a]) => a.left < place.left - 2 || a.top < place.top - 2
+        || a.right > place.right + 2 || a.bottom > place.bottom + 2;
     return [...boxes.filter(isCut).map(([text]) => [name, text, "is cut"]),
         ...axes.filter(one => panels.some(panel => over(one, [, panel]))).map(([text]) => [name, text, "lies in a panel"]),
         ...boxes.flatMap((one, k) =>

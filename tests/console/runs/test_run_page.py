@@ -732,7 +732,7 @@ def test_a_label_that_is_only_the_method_is_not_said_twice_and_compare_names_the
     with open_reading(site.engine) as session:
         sensor = session.get_one(Sensor, session.get_one(Run, own).sensor_id).name
     page = victor.get(f"/compare?runs={repeated},{own}")
-    heads = re.findall(r'<th scope="row"><a href="/runs/\d+">#\d+</a> ([^<]*)</th>', page)
+    heads = re.findall(r'<th scope="row"[^>]*><a href="/runs/\d+">#\d+</a> ([^<]*)</th>', page)
     assert heads == [sensor, f"{sensor}: After refocusing"]
     legend = victor.send("GET", f"/api/v1/runs/{repeated}/figures/rms").text
     assert sensor in legend

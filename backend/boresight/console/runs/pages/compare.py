@@ -33,8 +33,8 @@ from boresight.figures.charts.methods import MethodScores, method_scores
 from boresight.figures.style.axes import ALIGNMENTS
 from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.history import SETTLED_SIGMAS
-from boresight.verdicts.numbers import MISSING, count, fixed, number, plus_minus, power, quantity, sigmas, urad
-from boresight.verdicts.verdict import describe_iterations
+from boresight.verdicts.numbers import MISSING, count, fixed, number, plus_minus, power, quantity, sigmas
+from boresight.verdicts.verdict import describe_iterations, list_rms
 
 #: Differences from here on are marked; chance makes one of 370 as large.
 FAR_SIGMAS = 3.0
@@ -417,6 +417,8 @@ def differences(compared: Sequence[ComparedRun], names: RunNames) -> list[Differ
 def _description(one: ComparedRun, names: RunNames) -> dict[str, str]:
     run, result = one.run, one.calibration
     nis, validation, seen = result.nis, result.validation, result.observability
+    before, after = list_rms(result.evaluation, result.rms_arc_rad, result.pairs)
+    unseen = list_rms(validation, validation.rms_arc_rad, validation.common_pairs)[1] if validation else MISSING
     return {
         "State": run.state,
         "Sensor": names.sensors.get(run.sensor_id, str(run.sensor_id)),
@@ -427,9 +429,9 @@ def _description(one: ComparedRun, names: RunNames) -> dict[str, str]:
         "Fit": "–" if one.result is None else result.status.replace("_", " "),
         "Iterations": "–" if one.result is None else describe_iterations(result),
         "Frames used": _text(one.result and result.frames),
-        "RMS before (µrad)": urad(result.rms_arc_rad.initial),
-        "RMS after (µrad)": urad(result.rms_arc_rad.final),
-        "Validation RMS after (µrad)": urad(validation.rms_arc_rad.final if validation else None),
+        "RMS before (µrad, 95 %)": before,
+        "RMS after (µrad, 95 %)": after,
+        "Validation RMS after (µrad, 95 %)": unseen,
         "χ² / dof": number(result.chi2_per_dof),
         "NIS mean": number(nis.mean if nis else None) if run.method in FILTERS else "not applicable",
         "Condition number": number(seen.condition_number if seen else None, 3),
