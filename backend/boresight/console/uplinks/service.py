@@ -161,11 +161,7 @@ def activate(
     happened: str | None = None,
 ) -> Uplink:
     """Record that a verified set is what the sensor runs with: an entry signed by a person who gives the password again."""
-    require_person(actor, "sign that a set is active")
-    if "administrator" in actor.roles:
-        raise ForbiddenError("An administrator cannot sign; ask an operator who is not an administrator.")
-    if users.must_change_password(session, actor):
-        raise ForbiddenError("Somebody else set your password; set your own first, then sign.", code="password-due")
+    _refuse_activator(session, actor)
     row = get_set_for_entry(session, actor, parameter_set_id, source, seen_version)
     require_seen(session, row, seen_version)
     _refuse_step(row, "ACTIVE")
@@ -180,6 +176,27 @@ def activate(
     return add_entry(session, actor, row, "ACTIVE", source, signed)
 
 
+def _refuse_activator(session: Session, actor: Actor) -> None:
+    """Refuse who may not sign that any set is active."""
+    require_person(actor, "sign that a set is active")
+    if "administrator" in actor.roles:
+        raise ForbiddenError("An administrator cannot sign; ask an operator who is not an administrator.")
+    if users.must_change_password(session, actor):
+        raise ForbiddenError("Somebody else set your password; set your own first, then sign.", code="password-due")
+
+
+def explain_why_not_activate(session: Session, actor: Actor, row: ParameterSet) -> str | None:
+    """Say why this actor may not sign that a verified set is active; None when only the password is missing."""
+    try:
+        _refuse_activator(session, actor)
+        require_entrant(actor)
+        _refuse_step(row, "ACTIVE")
+        _refuse_unread(session, row)
+    except (ForbiddenError, ConflictError) as refusal:
+        return str(refusal)
+    return None
+
+
 def compute_shown_sha256(session: Session, row: ParameterSet) -> str:
     """Return the hash that an activation's signature covers: the set and the record that verified it."""
     newest = lists.list_newest(session, Uplink, set=row.id, limit=1)
@@ -189,8 +206,9 @@ def compute_shown_sha256(session: Session, row: ParameterSet) -> str:
 
 def list_next_statements(session: Session, row: ParameterSet) -> list[str]:
     """Return the states of a set that can be recorded next by statement."""
-    told = [state for state in NEXT[row.onboard_state] if state in STATED]
-    return [state for state in told if state != "LOADED"] if has_shown_mismatch(session, row) else told
+    held = {"SENT"} if row.ground_state != "BASELINE" else set()
+    held |= {"LOADED"} if has_shown_mismatch(session, row) else set()
+    return [state for state in NEXT[row.onboard_state] if state in STATED and state not in held]
 
 
 def _refuse_statement(actor: Actor, row: ParameterSet, onboard_state: str) -> None:

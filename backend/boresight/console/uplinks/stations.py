@@ -10,7 +10,7 @@ only decides who is shown a button and who is told whom to ask.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from boresight.calibration.parameter_set import parse_parameter_set
 from boresight.console import list_queries as lists
@@ -26,6 +26,7 @@ from boresight.console.parameter_sets.service import USABLE_STATUSES
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs import service as runs
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
+from boresight.console.uplinks import service as uplinks
 from boresight.console.uplinks.tables import Package, Uplink
 from boresight.platform.actors import Actor, Policy
 from boresight.platform.db.sessions import Session
@@ -68,7 +69,7 @@ class NextStep:
     """What is next, with the button of whoever may do it.
 
     `label`, `href`: of the button; `posts` says that pressing it acts at once, else it leads to a form or a dialog. `who`: the
-    printed names of those who may.
+    printed names of those who may. `held`: why somebody who has the role cannot take it now.
     """
 
     sentence: str
@@ -78,6 +79,7 @@ class NextStep:
     is_mine: bool = False
     who: tuple[str, ...] = ()
     role: str = ""
+    held: str = ""
 
 
 @dataclass(frozen=True)
@@ -119,6 +121,10 @@ class _Viewer:
         able = [user for user in self.people if user.disabled_utc is None and set(asked).intersection(user.roles)]
         mine = not self.actor.is_key and bool(self.actor.roles.intersection(asked))
         return NextStep(sentence, label, href, posts, mine, tuple(user.printed_name for user in able), asked[0])
+
+    def hold(self, step: NextStep, why: str | None) -> NextStep:
+        """Hold a step of the viewer's own that would be refused."""
+        return replace(step, is_mine=False, held=why) if step.is_mine and why is not None else step
 
 
 def make_workflow(
@@ -271,7 +277,9 @@ def _step_of_set(viewer: _Viewer, row: ParameterSet, known: _Records) -> NextSte
         return _signing_step(viewer, known.request, known.report)
     if state == "APPROVED":
         said = f"Promote {row.name}: it becomes the baseline, and nothing on board changes."
-        return viewer.step_for(("operator",), said, "Promote", f"{address}#promote")
+        step = viewer.step_for(("operator",), said, "Promote", f"{address}#promote")
+        why = approvals.explain_why_not_promote(viewer.session, viewer.actor, row.id, policy=viewer.policy)
+        return viewer.hold(step, why)
     if state in {"REJECTED", "SUPERSEDED"}:
         return _step_of_former(viewer, row)
     if state == "BASELINE":
@@ -340,4 +348,7 @@ def _uplink_step(viewer: _Viewer, row: ParameterSet, known: _Records) -> NextSte
         place = f"/parameter-sets/{row.id}#alignment-title" if turns else ""
         return NextStep(f"It is active on board: no further step.{beside}", href=place)
     said, label, place = UPLINK_STEPS.get(row.onboard_state, UPLINK_STEPS["UNKNOWN"])
-    return viewer.step_for(("operator",), said, label, f"{address}#{place}")
+    step = viewer.step_for(("operator",), said, label, f"{address}#{place}")
+    if row.onboard_state != "VERIFIED":
+        return step
+    return viewer.hold(step, uplinks.explain_why_not_activate(viewer.session, viewer.actor, row))
