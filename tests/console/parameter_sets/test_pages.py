@@ -50,9 +50,9 @@ def requested(site, place):
 
 def tighten(site):
     """Set a limit that blocks whatever moved at all."""
-    body = {"gates": [TIGHT], "reason": "To be tried."}
-    headers = {"If-Match": '"v0"', "X-CSRF-Token": site.visitor("adele").csrf_token}
-    answer = site.visitor("adele").send("POST", "/api/v1/sensors/1/gate-profiles", json=body, headers=headers)
+    adele, body = site.visitor("adele"), {"gates": [TIGHT], "reason": "To be tried."}
+    headers = {"If-Match": '"v0"', "X-CSRF-Token": adele.csrf_token}
+    answer = adele.send("POST", "/api/v1/sensors/1/gate-profiles", json=body, headers=headers)
     assert answer.status_code == 201, answer.text
 
 
@@ -282,7 +282,7 @@ def test_from_promotion_to_active_the_pages_say_in_full_that_the_attitude_turns_
             said = re.search(r'data-code="attitude-turn".*?</div>', page, re.DOTALL)[0]
             assert TURNED["sentence"] in said
             assert f'href="{place}#alignment-title"' in said
-    assert f'href="{place}#alignment-title"' in page.split('class="next-act"')[1].split("</div>")[0]
+    assert 'popovertarget="c-sd"' in page.split('class="next-act"')[1].split("</div>")[0]
     small = TURNED | {"rotation_arcsec": [0.0, 0.1, 0.1], "frames": 12}
     assert "attitude-turn" not in codes(olga.get(f"{submit_with(small)}/uplink"))
 

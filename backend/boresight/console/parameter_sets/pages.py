@@ -57,6 +57,7 @@ from boresight.console.parameter_sets.tables import GROUND_STATES, ONBOARD_STATE
 from boresight.console.runs import service as runs
 from boresight.console.runs.pages.list import RunNames, read_names
 from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.uplinks.queries import find_c_sd_record
 from boresight.console.uplinks.stations import make_workflow
 from boresight.console.uplinks.tables import Uplink
 from boresight.errors import RefusedInputError
@@ -307,9 +308,12 @@ def _page(
         uplinks=lists.list_newest(session, Uplink, set=set_id),
         conversions=list_conversions(session, row),
         panel=panel,
-        advice=[said for name, said in warnings.items() if name != "attitude-turn" or row.ground_state not in TURNING],
+        advice=[
+            said for name, said in warnings.items() if name != "attitude-turn"
+        ],  # the line of the alignment says it
         warnings=[*panel.warnings, *warnings.values()],
         turning=TURNING,
+        c_sd=find_c_sd_record(session, set_id),
         turn=warnings.get("attitude-turn"),
         needed=get_needed(request, session, actor),
         policy=policy,

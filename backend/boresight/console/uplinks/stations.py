@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from boresight.calibration.parameter_set import parse_parameter_set
 from boresight.console import list_queries as lists
 from boresight.console.access import users
 from boresight.console.access.tables import User
@@ -225,7 +224,7 @@ def list_uplink_stations(
 
 def _recorded(progress: Sequence[Uplink], title: str, state: str, name: Callable[[int | None], str]) -> Station | None:
     wanted = {"VERIFIED", "MISMATCH"} if state == "VERIFIED" else {state}
-    row = next((row for row in progress if row.onboard_state in wanted), None)
+    row = next((row for row in progress if row.onboard_state in wanted and row.is_step), None)
     if row is None:
         return None
     level, word = ("critical", "MISMATCH") if row.onboard_state == "MISMATCH" else ("normal", "done")
@@ -339,14 +338,10 @@ def _uplink_step(viewer: _Viewer, row: ParameterSet, known: _Records) -> NextSte
         said = "Export the uplink package; it contains the back-out."
         return viewer.step_for(("operator", "analyst"), said, "Export", f"{address}/package", posts=True)
     if row.onboard_state == "ACTIVE":
-        turns = bool(parse_parameter_set(row.document).alignment)
-        beside = (
-            " Unless its update of C_SD was loaded too, the reported attitude has turned: see Alignment."
-            if turns
-            else ""
-        )
-        place = f"/parameter-sets/{row.id}#alignment-title" if turns else ""
-        return NextStep(f"It is active on board: no further step.{beside}", href=place)
+        if not uplinks.is_c_sd_open(viewer.session, row):
+            return NextStep("It is active on board: no further step.")
+        said = "It is active, and its update of C_SD is not recorded as loaded: the reported attitude may have turned."
+        return viewer.step_for(("operator",), said, "Record C_SD", f"{address}#c-sd")
     said, label, place = UPLINK_STEPS.get(row.onboard_state, UPLINK_STEPS["UNKNOWN"])
     step = viewer.step_for(("operator",), said, label, f"{address}#{place}")
     if row.onboard_state != "VERIFIED":
