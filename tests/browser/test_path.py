@@ -99,6 +99,9 @@ def take_it_on_board(people, made):
         window.page.locator("dialog[open] select").select_option(index=1)
         at.confirm("Record SENT", Source="Pass 4711")
         at.next("Record LOADED")
+        if (answer := window.page.locator("dialog[open] input[name=c_sd][value='LOADED']")).count():
+            answer.check()
+            window.page.locator("dialog[open] input[name=c_sd_said]").fill("Pass 4712, TC 9")
         at.confirm("Record LOADED", Source="Pass 4712")
         expect(window.page.locator("#stations [aria-current=step]")).to_contain_text("Read back")
         table = sent_table(window, made.rpartition("/")[2])

@@ -69,7 +69,8 @@ def offered(visitor, set_id, request_id):
             if act in {"sign", "sign-over-the-shoulder"}:
                 act = f"{act} {fields.get('decision')}"
             elif act == "record":
-                act = f"record {fields['onboard_state']}"
+                beside = fields["onboard_state"] == visitor.send("GET", f"/api/v1{place}").json()["onboard_state"]
+                act = "record C_SD" if beside else f"record {fields['onboard_state']}"
             elif act == "read-back":
                 found += ["read-back by dump", *(["read-back by CRC"] if "crc" in fields else [])]
             found.append(act)
@@ -94,6 +95,7 @@ ACTS = {
     "record LOADED": ("record", "LOADED", {}),
     "record MISMATCH": ("record", "MISMATCH", {}),
     "record UNKNOWN": ("record", "UNKNOWN", {}),
+    "record C_SD": ("record", "", {"c_sd": "NOT YET"}),
     "read-back by dump": ("read", "dump", {}),
     "read-back by CRC": ("read", "crc", {}),
     "activate": ("set", "activate", {"source": "TM", "meaning": "Seen.", "password": PASSWORD}),
@@ -104,7 +106,7 @@ def accepted(site, visitor, set_id, request_id):
     """The acts that the server would accept from somebody now, by dry runs over REST."""
     with open_reading(site.engine) as session:
         row = session.get_known(ParameterSet, set_id)
-        seen, was_baseline = row.version, row.baseline_from_utc is not None
+        seen, was_baseline, on_board = row.version, row.baseline_from_utc is not None, row.onboard_state
     request_version = visitor.send("GET", f"/api/v1/approvals/{request_id}").json()["version"] if request_id else None
 
     def tried(act):
@@ -116,7 +118,12 @@ def accepted(site, visitor, set_id, request_id):
         options = {"headers": {"If-Match": f'"v{version}"', "X-CSRF-Token": visitor.csrf_token}}
         if kind == "record":
             place = "/api/v1/uplinks"
-            options["json"] = {"parameter_set_id": set_id, "onboard_state": verb, "source": "Pass 1"}
+            options["json"] = {
+                "parameter_set_id": set_id,
+                "onboard_state": verb or on_board,
+                "source": "Pass 1",
+                **body,
+            }
         elif kind == "read":
             place = f"{place}:read-back"
             options["data"] = {"source": "Pass 1", **({"crc": "0"} if verb == "crc" else {})}

@@ -111,7 +111,7 @@ def test_the_verdict_of_a_set_stands_in_its_head_with_the_worst_warning(site, ca
 
 def test_a_set_leads_with_what_is_wrong_and_what_changes_and_ends_with_the_other_camera_models(site, candidate):
     page = site.visitor("ada").get(candidate)
-    order = ("stations", "verdict", "submit-form", "gates", "warnings-title", "values-title", "alignment-title")
+    order = ("stations", "verdict", "submit-form", "gates", "values-title", "alignment-title")
     order += ("lineage-title", "identity-title", "do-title", "conversions-title")
     places = [page.index(f'id="{name}"') for name in order]
     assert places == sorted(places)

@@ -112,7 +112,8 @@ def test_over_rest_the_answer_may_be_left_out_and_is_then_not_told(site, turning
 
     def post(state, **said):
         body = {"parameter_set_id": turning, "onboard_state": state, "source": "Pass 1", **said}
-        return olga.send("POST", "/api/v1/uplinks", json=body, headers={"X-CSRF-Token": olga.csrf_token})
+        headers = {"X-CSRF-Token": olga.csrf_token, "If-Match": f'"v{version(site, turning)}"'}
+        return olga.send("POST", "/api/v1/uplinks", json=body, headers=headers)
 
     loaded = post("LOADED")
     assert loaded.status_code == 201
