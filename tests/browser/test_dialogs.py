@@ -110,7 +110,7 @@ def baseline(people, approved):
         dialog.get_by_label("Reason").fill("Now.")
         dialog.get_by_label("Your password").fill(get_password("operator"))
         dialog.get_by_role("button", name="Promote").click()
-        window.page.wait_for_url(f"**/parameter-sets/{approved}")
+        expect(window.page.locator(".two-states")).to_contain_text("BASELINE")
     return approved
 
 

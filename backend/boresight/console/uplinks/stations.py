@@ -150,6 +150,8 @@ def _list_stations(row: ParameterSet, known: _Records, viewer: _Viewer) -> list[
     created = Station("Created", "normal", "done", row.created_utc, viewer.name(row.created_by))
     uplinked = list_uplink_stations(known.exported, known.records, viewer.name)
     stopped = row.ground_state in {"REJECTED", "SUPERSEDED"} or row.onboard_state in {"MISMATCH", "UNKNOWN"}
+    if row.ground_state in approvals.SUBMITTABLE and known.report is not None:
+        stopped = stopped or bool(gates.lay_waivers(viewer.session, known.report).blocking)
     return lay_out([created, *_on_the_ground(row, known, viewer), *uplinked], TITLES, stopped=stopped)
 
 
