@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlalchemy as sa
 from alembic import op
 
 revision = "0033"
@@ -9,17 +10,16 @@ down_revision = "0032"
 branch_labels = None
 depends_on = None
 
-TABLE = "uplinks"
-ANSWER = "c_sd TEXT CONSTRAINT ck_uplinks_c_sd CHECK (c_sd IN ('LOADED', 'NOT YET', 'NOT NEEDED'))"
+TABLE, COLUMNS = "uplinks", ("c_sd", "c_sd_said")
 
 
 def upgrade() -> None:
-    """Add the answer, with the words that it may have, and what was said with it."""
-    for column in (ANSWER, "c_sd_said TEXT"):
-        op.execute(f"ALTER TABLE {TABLE} ADD COLUMN {column}")
+    """Add the answer and what was said with it; without a list of its words, for which SQLite would copy the table."""
+    for name in COLUMNS:
+        op.add_column(TABLE, sa.Column(name, sa.Text(), nullable=True))
 
 
 def downgrade() -> None:
     """Take both away; the audit log keeps what was recorded."""
-    for column in ("c_sd_said", "c_sd"):
-        op.drop_column(TABLE, column)
+    for name in COLUMNS:
+        op.drop_column(TABLE, name)

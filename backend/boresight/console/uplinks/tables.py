@@ -53,7 +53,7 @@ class Uplink(Base):
 
     __tablename__ = "uplinks"
     noun = "uplink record"
-    __table_args__ = (allow_only("onboard_state", ONBOARD_STATES), allow_only("c_sd", C_SD_ANSWERS), STRICT)
+    __table_args__ = (allow_only("onboard_state", ONBOARD_STATES), STRICT)
     id: Mapped[int] = mapped_column(primary_key=True)
     parameter_set_id: Mapped[int] = mapped_column(sa.ForeignKey("parameter_sets.id"), index=True)
     onboard_state: Mapped[str] = mapped_column(sa.Text)
