@@ -16,7 +16,9 @@ NAME = "DIALOG-1"
 OLD, NEW = f"PS-{NAME}-0", f"PS-{NAME}-1"
 WRONG = """dialog => {
     const said = [], box = dialog.getBoundingClientRect();
-    const foot = [...dialog.querySelectorAll(".actions")].at(-1).getBoundingClientRect();
+    const last = [...dialog.querySelectorAll(".actions")].at(-1);
+    dialog.scrollTop = 0;
+    const foot = last.getBoundingClientRect();
     if (box.left < 0 || box.top < 0 || box.right > innerWidth + 1 || box.bottom > innerHeight + 1) said.push("outside the window");
     if (dialog.scrollWidth > dialog.clientWidth + 1) said.push("leads sideways");
     if (foot.top < box.top || foot.bottom > box.bottom + 1) said.push("its act is out of sight");
