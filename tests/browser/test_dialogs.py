@@ -25,6 +25,7 @@ WRONG = """dialog => {
     if (!dialog.contains(document.activeElement)) said.push("the focus is outside");
     for (const field of dialog.querySelectorAll("input:not([type=hidden]), textarea, select")) {
         if (!field.checkVisibility() || field.disabled) continue;
+        field.blur(); // what has the focus already is not scrolled to
         field.focus();
         const own = field.getBoundingClientRect();
         const seen = document.elementFromPoint(own.left + own.width / 2, own.top + own.height / 2);
