@@ -109,3 +109,12 @@ def test_the_checker_of_types_is_pinned_and_nothing_of_it_is_shipped():
     for name, version in wanted["devDependencies"].items():
         assert locked[f"node_modules/{name}"]["version"] == version
     assert all(package["integrity"].startswith("sha512-") for path, package in locked.items() if path)
+
+
+def test_the_line_over_a_page_leads_to_what_is_above_it_and_ends_with_the_page_itself():
+    told = {name: re.findall(r"{% block context %}(.+?){% endblock %}", page) for name, page in PAGES.items()}
+    lines = {name: line for name, found in told.items() for line in found}
+    assert len(lines) > 15
+    step = r'(?:<a href="[^"]*">[^<]*</a>|{% if .*?{% endif %})'
+    wrong = [name for name, line in lines.items() if not re.fullmatch(rf"{step}(?: · {step})* · [^<]+", line)]
+    assert wrong == []

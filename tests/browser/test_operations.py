@@ -35,7 +35,7 @@ def record(window, state, source, *, is_early=False):
     if is_early:
         window.page.locator(f"#record-{state.lower()}").evaluate("dialog => dialog.showPopover()")
     else:
-        window.page.get_by_role("region", name="Record a step by statement").get_by_role("button", name=state).click()
+        window.page.locator("#stations").get_by_role("button", name=f"Record {state}").click()
     asked = window.page.get_by_role("dialog")
     if state == "SENT":
         asked.get_by_label("Package that was sent").select_option(index=1)
@@ -77,7 +77,7 @@ def test_a_set_goes_from_export_to_active_through_a_dump_that_was_damaged(people
         window.open(steps)
         upload(window, table, "Pass 4712, dump 2")
         expect(window.page.get_by_role("status").filter(has_text="byte for byte")).to_be_visible()
-        window.page.get_by_role("button", name="Sign that it is ACTIVE").click()
+        window.page.locator("#stations").get_by_role("button", name="Sign ACTIVE").click()
         form = window.page.get_by_role("dialog")
         form.get_by_label("Source").fill("TM page STR-2")
         form.get_by_label("What your signature means").fill("I saw this table active in telemetry.")

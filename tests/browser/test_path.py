@@ -55,7 +55,7 @@ def submit_a_set(people, sensor, files):
         expect(window.page.locator("[data-dry-run] dl.facts")).to_be_visible()
         at.press("button", "^Queue run")
         window.page.wait_for_url(re.compile(r"/runs/\d+$"))
-        expect(window.page.locator("#stations [aria-current=step]")).to_contain_text("Created", timeout=60_000)
+        expect(window.page.locator("#stations [aria-current=step]")).to_contain_text("create", timeout=60_000)
         window.shoot("path-1-run")
         at.next("Create parameter set")
         window.page.wait_for_url(re.compile(r"/parameter-sets/\d+$"))
@@ -99,8 +99,11 @@ def take_it_on_board(people, made):
         window.page.locator("dialog[open] select").select_option(index=1)
         at.confirm("Record SENT", Source="Pass 4711")
         at.next("Record LOADED")
+        if (answer := window.page.locator("dialog[open] input[name=c_sd][value='LOADED']")).count():
+            answer.check()
+            window.page.locator("dialog[open] input[name=c_sd_said]").fill("Pass 4712, TC 9")
         at.confirm("Record LOADED", Source="Pass 4712")
-        expect(window.page.locator("#stations [aria-current=step]")).to_contain_text("Read back")
+        expect(window.page.locator("#stations [aria-current=step]")).to_contain_text("read back")
         table = sent_table(window, made.rpartition("/")[2])
         dump = {"name": "dump.bin", "mimeType": "application/octet-stream", "buffer": table}
         window.page.get_by_label("Dump of the table").set_input_files(dump)

@@ -68,6 +68,15 @@ class Conversion:
     turn: FloatArray
 
 
+@dataclass(frozen=True)
+class TriedConversion:
+    """A conversion of a document: how far the models differ, how far they may, and the document or why there is none."""
+
+    misfit_px: float
+    allowed_px: float
+    outcome: dict[str, Any] | RefusedInputError
+
+
 def convert(
     x: FloatArray,
     source: str,
@@ -205,6 +214,22 @@ def converted(
     RefusedInputError when there is no such model, the parameters are none of this sensor, the other model cannot follow them
     closely enough, or what comes out is no plausible camera; says by how much, and why.
     """
+    tried = try_conversion(document, sensor, name, target, allowed_px, with_residual=with_residual)
+    if isinstance(tried.outcome, RefusedInputError):
+        raise tried.outcome
+    return tried.outcome
+
+
+def try_conversion(
+    document: Mapping[str, Any],
+    sensor: Sensor,
+    name: str,
+    target: str,
+    allowed_px: float | None = None,
+    *,
+    with_residual: bool = False,
+) -> TriedConversion:
+    """Write parameters in another camera model as `converted` does; that the model cannot follow them is an answer too."""
     x, P = _given(document, sensor, name, target)
     allowed = ALLOWED_SHARE * sensor.centroid_sigma_px if allowed_px is None else allowed_px
     spline = require_in(document, name) if with_residual else None
@@ -212,10 +237,8 @@ def converted(
     detector = (sensor.rows, sensor.columns, sensor.pixel_pitch_m)
     found = convert(x, sensor.camera_model, target, detector, P=P, residual=residual)
     if not found.misfit_px <= allowed:
-        raise RefusedInputError(
-            _refusal(name, sensor.camera_model, target, found, allowed, by_rule=allowed_px is None),
-            code="not-expressible",
-        )
+        why = _refusal(name, sensor.camera_model, target, found, allowed, by_rule=allowed_px is None)
+        return TriedConversion(found.misfit_px, allowed, RefusedInputError(why, code="not-expressible"))
     camera = CAMERA_MODELS[target]
     names = list(camera.parameter_names)
     sigma = [None] * len(names) if found.P is None else np.sqrt(np.maximum(np.diag(found.P), 0.0)).tolist()
@@ -231,7 +254,7 @@ def converted(
         | _describe_residual(spline, found),
     }
     parse_parameters(written, sensor_under(sensor, written), f"{name} in {target}")
-    return written
+    return TriedConversion(found.misfit_px, allowed, written)
 
 
 def _describe_residual(spline: ResidualSplineFit | None, found: Conversion) -> dict[str, Any]:

@@ -156,8 +156,8 @@ def test_a_request_of_before_a_promotion_is_stale_and_cannot_be_signed(site, req
     other = submitted(site, "ada", 2)
     alan, olga = site.visitor("alan"), site.visitor("olga")
     signed(alan, request_page)
-    page = olga.get(request_page)
-    version = page.split('name="version" value="')[1].split('"')[0]
+    assert 'href="/parameter-sets/2#promote"' in olga.get(request_page)
+    version = olga.get("/parameter-sets/2").split('name="version" value="')[1].split('"')[0]
     olga.post("/parameter-sets/2/promote", version=version, reason="The pass of tonight.", password=PASSWORD)
     text = read(alan.get(other))
     assert "STALE" in text

@@ -5,7 +5,11 @@ import re
 import pytest
 
 from boresight.console.ingest.service import supersede_overtaken
+from boresight.console.ingest.tables import IngestDecision
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import open_writing
+from tests.console.approvals.gates import TIGHT, tight_profile
 from tests.console.ingest.decisions import asked, draft, in_force, received, send, step
 
 
@@ -67,6 +71,26 @@ def test_a_question_waits_on_the_overview_of_an_analyst_and_is_answered_on_its_p
     answer = _post(house, "ada", f"/ingest/{row['id']}/answer", **form, days="3")
     assert (answer.status_code, answer.headers["location"]) == (303, f"/ingest/{row['id']}")
     assert "Seen." in _read(house, "ada", f"/ingest/{row['id']}")
+
+
+def test_a_submission_of_a_set_that_a_gate_stops_says_so_on_its_button_and_leads_to_the_gate(house):
+    row = asked(house)
+    offered = [{"answer": "SUBMIT", "sentence": "Ask.", "recommended": True}]
+    with open_writing(house.app.state.engine) as session:
+        decision = session.get_one(IngestDecision, row["id"])
+        decision.evidence = {**decision.evidence, "alternatives": offered}
+        set_id = decision.parameter_set_id
+        audit.append(session, COMMAND_LINE, "decided", f"ingest-decisions/{decision.id}")
+    page = _read(house, "ada", f"/ingest/{row['id']}")
+    assert "although" not in page
+    assert "button-primary" in page.split('id="answer-1"')[0].rpartition("<button")[2]
+    tight_profile(house, row["sensor_id"])
+    assert house.person("ada").post(f"/api/v1/parameter-sets/{set_id}:assess").json()["blocking"] == [TIGHT["name"]]
+    page = _read(house, "ada", f"/ingest/{row['id']}")
+    dialog = page.split('<dialog id="answer-1"')[1].split("</dialog>")[0]
+    assert "although 1 gate stops it" in dialog
+    assert "button-primary" not in dialog
+    assert f'href="/parameter-sets/{set_id}/gates">Open its gates' in page
 
 
 def test_a_policy_is_drafted_rehearsed_enabled_paused_and_resumed_by_its_page(house):

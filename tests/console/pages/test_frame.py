@@ -81,9 +81,10 @@ def test_every_table_has_a_caption_and_every_control_a_label(site, path):
 
 
 def test_the_navigation_marks_where_one_is(site):
-    page = site.visitor("ada").get("/sensors/1")
-    assert re.search(r'href="/sensors"[^>]*aria-current="page"', page)
-    assert page.count("aria-current") == 1
+    menu, _, content = site.visitor("ada").get("/sensors/1").partition("<main")
+    assert re.search(r'href="/sensors"[^>]*aria-current="page"', menu)
+    assert menu.count("aria-current") == 1
+    assert re.findall(r'href="([^"]*)" aria-current="page"', content) == ["/sensors/1"]
     lines = [line for group in NAVIGATION for line in group.lines]
     assert len({line.key for line in lines}) == len(lines)
 

@@ -1,9 +1,11 @@
 """The list of parameter sets and the page of one."""
 
 import re
+from dataclasses import replace
 
 import pytest
 
+from boresight.cameras import CAMERA_MODELS
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets import service as parameter_sets
@@ -12,6 +14,7 @@ from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import open_reading, open_writing
 from boresight.verdicts.gates import parse_report
 from boresight.verdicts.gates.judgement import STATUSES
+from tests.console.approvals.gates import TIGHT
 from tests.console.uplinks.pages import advance
 from tests.sites import PASSWORD, answer_points, as_shown, codes, strip_tags, text_of
 
@@ -42,6 +45,14 @@ def version(page):
 def requested(site, place):
     ada = site.visitor("ada")
     return ada.post(f"{place}/submit", version=version(ada.get(place)), reason="Better.").headers["location"]
+
+
+def tighten(site):
+    """Set a limit that blocks whatever moved at all."""
+    adele, body = site.visitor("adele"), {"gates": [TIGHT], "reason": "To be tried."}
+    headers = {"If-Match": '"v0"', "X-CSRF-Token": adele.csrf_token}
+    answer = adele.send("POST", "/api/v1/sensors/1/gate-profiles", json=body, headers=headers)
+    assert answer.status_code == 201, answer.text
 
 
 def promoted(site, place):
@@ -75,7 +86,7 @@ def test_a_set_shows_its_values_against_the_baseline_and_where_it_comes_from(sit
 
 def test_the_verdict_of_a_set_stands_in_its_head_with_the_worst_warning(site, candidate):
     ada = site.visitor("ada")
-    verdict = re.compile('<details class="verdict-fold".*?</details>', re.DOTALL)
+    verdict = re.compile('<details class="verdict-fold[^>]*id="verdict".*?</details>', re.DOTALL)
     warning = re.compile('<span class="worst">(.*?)</span>\\s*<span class="more">', re.DOTALL)
     ground = verdict.search(ada.get("/parameter-sets/1"))[0]
     assert "declared" in ground
@@ -93,6 +104,59 @@ def test_the_verdict_of_a_set_stands_in_its_head_with_the_worst_warning(site, ca
     )
     assert as_shown(f"{worst.title}: {worst.sentence}") == strip_tags(warning.search(head)[1]).strip()
     assert head.count("<li") >= len(against)
+
+
+def test_a_set_leads_with_what_is_wrong_and_what_changes_and_ends_with_the_other_camera_models(site, candidate):
+    page = site.visitor("ada").get(candidate)
+    order = ("stations", "verdict", "submit-form", "gates", "values-title", "alignment-title")
+    order += ("lineage-title", "identity-title", "do-title", "conversions-title")
+    places = [page.index(f'id="{name}"') for name in order]
+    assert places == sorted(places)
+    against, _, passing = page.split('id="gates-title"')[1].split("</section>")[0].partition("<details")
+    with open_reading(site.engine) as session:
+        report = parse_report(approval_queries.find_newest_report(session, 2).document)
+    wrong = {gate.name for gate in report.gates if gate.status != "PASS"}
+    assert set(re.findall(r'<tr id="gate-([\w-]+)"', against)) == wrong
+    assert len(re.findall(r'<tr id="gate-([\w-]+)"', passing)) == len(report.gates) - len(wrong)
+    table = page.split('id="conversions-title"')[1].split("</table>")[0]
+    assert table.count('<th scope="row">') == len(CAMERA_MODELS) - 1
+    assert re.search(r"brown_conrady.*?no</span>.*?[1-9]\d* *</td>.*?0\.\d+", table, re.DOTALL)
+
+
+def test_the_page_has_each_act_once_and_a_submission_says_which_gates_stop_it(site, candidate):
+    ada = site.visitor("ada")
+    acts = re.findall(r"<button[^>]*>([^<]*)", ada.get(candidate).split("<main")[1])
+    assert [one for one in acts if "Submit" in one] == ["Submit PS-ST16-1-1 for approval"]
+    tighten(site)
+    ada.post(f"{candidate}/assess")
+    page = ada.get(candidate)
+    assert "although 1 gate stops it" in text_of(page, "submit-form")
+    assert 'href="/parameter-sets/2/gates"' in page.split('class="next-act"')[1].split("</div>")[0]
+
+
+def test_an_approved_set_has_one_promotion_on_its_page_and_its_request_leads_there(site, candidate):
+    request, alan, olga = requested(site, candidate), site.visitor("alan"), site.visitor("olga")
+    assert alan.post(f"{request}/sign", version="1", **SIGNED, **answer_points(alan.get(request))).status_code == 303
+    pages = [olga.get(candidate).split("<main")[1], olga.get(request).split("<main")[1]]
+    openers = [re.findall(r'popovertarget="promote"(?! popovertargetaction)', page) for page in pages]
+    assert [len(one) for one in openers] == [1, 0]
+    assert f'href="{candidate}#promote"' in pages[1].split('class="next-act"')[1].split("</div>")[0]
+
+
+def test_a_promotion_that_the_server_would_refuse_is_held_with_its_reason(site):
+    server, both, olga = site.app.state, site.visitor("both"), site.visitor("olga")
+    server.policy = replace(server.policy, four_eyes=False)
+    place = both.post("/runs/1/parameter-set").headers["location"]
+    request = both.post(f"{place}/submit", version=version(both.get(place)), reason="Alone.").headers["location"]
+    assert both.post(f"{request}/sign", version="1", **SIGNED, **answer_points(both.get(request))).status_code == 303
+    assert 'popovertarget="promote"' in olga.get(place)
+    server.policy = replace(server.policy, four_eyes=True)
+    for page in (olga.get(place), olga.get(request)):
+        assert "disabled" in page.split('class="next-act"')[1].split("</div>")[0]
+        assert "0 of 1 approvals" in text_of(page, "step-held")
+        assert 'popovertarget="promote"' not in page
+    said = {"version": "3", "reason": "Now.", "password": PASSWORD}
+    assert olga.post(f"{place}/promote", **said).status_code == 409
 
 
 def test_a_set_is_submitted_with_a_reason_and_the_request_opens(site, candidate, read):
@@ -215,7 +279,7 @@ def test_from_promotion_to_active_the_pages_say_in_full_that_the_attitude_turns_
             said = re.search(r'data-code="attitude-turn".*?</div>', page, re.DOTALL)[0]
             assert TURNED["sentence"] in said
             assert f'href="{place}#alignment-title"' in said
-    assert f'href="{place}#alignment-title"' in page.split('class="next-act"')[1].split("</div>")[0]
+    assert 'popovertarget="c-sd"' in page.split('class="next-act"')[1].split("</div>")[0]
     small = TURNED | {"rotation_arcsec": [0.0, 0.1, 0.1], "frames": 12}
     assert "attitude-turn" not in codes(olga.get(f"{submit_with(small)}/uplink"))
 

@@ -165,7 +165,7 @@ def test_a_signed_entry_makes_it_active_with_name_and_meaning(site, read):
     advance(site, "SENT", "LOADED", "VERIFIED")
     visitor = site.visitor("olga")
     page = visitor.get(STEPS)
-    assert 'id="verified-by-statement"' not in page
+    assert 'id="activate-blocked"' not in page
     assert [state for state in uplinks.NEXT if f'name="onboard_state" value="{state}"' in page] == [
         "SENT",
         "MISMATCH",
@@ -185,7 +185,7 @@ def test_what_was_verified_by_word_alone_is_to_be_read_back_before_it_is_signed(
     with open_writing(site.engine) as session:
         add_entry(session, site.actor("olga"), session.get_one(ParameterSet, 1), "VERIFIED", "pass 1")
     visitor = site.visitor("olga")
-    assert 'id="verified-by-statement"' in visitor.get(STEPS)
+    assert "only by statement" in text_of(visitor.get(STEPS), "activate-blocked")
 
 
 def test_loaded_is_not_offered_while_a_dump_stands_against_it(site):

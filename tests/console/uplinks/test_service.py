@@ -105,10 +105,13 @@ def test_nobodys_word_makes_a_set_verified_or_active_and_the_door_is_named(engin
 
 
 @pytest.mark.parametrize("state", uplinks.NEXT)
-def test_what_is_offered_to_be_stated_can_be_and_is_never_verified_or_active(state, engine):
-    with open_reading(engine) as session:
-        offered = uplinks.list_next_statements(session, ParameterSet(id=1, onboard_state=state))
-    assert set(offered) == set(uplinks.NEXT[state]) - {"VERIFIED", "ACTIVE"}
+def test_what_is_offered_to_be_stated_can_be_and_is_never_verified_or_active_nor_sent_but_of_the_baseline(
+    state, engine
+):
+    for ground, never in (("BASELINE", {"VERIFIED", "ACTIVE"}), ("SUPERSEDED", {"VERIFIED", "ACTIVE", "SENT"})):
+        with open_reading(engine) as session:
+            row = ParameterSet(id=1, onboard_state=state, ground_state=ground)
+            assert set(uplinks.list_next_statements(session, row)) == set(uplinks.NEXT[state]) - never
 
 
 def test_only_the_baseline_is_sent_one_set_is_active_and_the_one_before_becomes_unknown(engine, people, candidate):

@@ -40,6 +40,7 @@ from boresight.console.approvals.signers import (
 from boresight.console.approvals.staleness import (
     compute_binding,
     compute_binding_sha256,
+    explain_outdated,
     is_expired,
     make_others_stale,
     refuse_blocked,
@@ -402,6 +403,26 @@ def promote(
     make_others_stale(session, actor, row)
     update_alarms(session, [row.sensor_id])
     return row
+
+
+def explain_why_not_promote(
+    session: Session, actor: Actor, parameter_set_id: int, *, policy: Policy = POLICY
+) -> str | None:
+    """Say why this actor may not promote a set; None when nothing but the reason and the password is missing."""
+    row = session.get_known(ParameterSet, parameter_set_id)
+    if row.ground_state == "SUBMITTED":
+        return "An approver must sign first; then an operator promotes."
+    approval = rows.find_latest_approval(session, row.id, "APPROVED")
+    if row.ground_state != "APPROVED" or approval is None:
+        return f"{row.name} is {row.ground_state}, not APPROVED."
+    if "operator" not in actor.roles:
+        return "Only an operator may promote an approved set; ask an administrator for the role."
+    try:
+        refuse_blocked(session, row)
+        _refuse_lone(session, approval, policy)
+    except ConflictError as refusal:
+        return str(refusal)
+    return explain_outdated(session, approval, row)
 
 
 def _refuse_lone(session: Session, approval: Approval, policy: Policy) -> None:

@@ -146,6 +146,14 @@ def refuse_changed_binding(session: Session, actor: Actor, approval: Approval, r
     )
 
 
+def explain_outdated(session: Session, approval: Approval, row: ParameterSet) -> str | None:
+    """Say why a request is past deciding or promoting, as the next attempt will find; None where it is not."""
+    if is_expired(approval) and not alarm_rules.is_held(session):
+        return f"Request {approval.id} expired at {approval.expires_utc}; the set must be submitted again."
+    names = find_changed_bindings(session, approval, row)
+    return f"The {' and the '.join(names)} changed since {row.name} was submitted: submit it again." if names else None
+
+
 def is_expired(approval: Approval) -> bool:
     """Whether the time of a request is over, even if its state does not say so yet."""
     return approval.expires_utc is not None and approval.expires_utc <= utc_now()

@@ -157,6 +157,9 @@ def _uplink(reader: TimelineReader, row: Uplink) -> EventText:
     name, evidence = reader.name(row.parameter_set_id), row.typed_evidence
     said = evidence.sentence if row.method else None
     sentence = f"{name} was recorded as {row.onboard_state} on board, {describe_source(row)}. {said or ''}".rstrip()
+    if row.c_sd is not None:
+        c_sd = f"Its update of C_SD was recorded as {row.c_sd}{f': {row.c_sd_said}' if row.c_sd_said else ''}."
+        sentence = f"{sentence} {c_sd}" if row.is_step else f"{name}, {row.onboard_state} on board: {c_sd}"
     told = EventText("read-back" if row.method else "uplink", sentence, row.parameter_set_id, row.recorded_by)
     return replace(told, state=row.onboard_state, said=row.source, sha256=evidence.shown_sha256)
 

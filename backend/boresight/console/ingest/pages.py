@@ -20,6 +20,7 @@ from boresight.console.access.dependencies import (
     depend_on_server,
     get_server,
 )
+from boresight.console.approvals.staleness import find_blocking_gates
 from boresight.console.approvals.tables import Approval
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.tables import Sensor
@@ -205,6 +206,7 @@ def _decision(
         data=session.get(TelemetrySet, row.telemetry_set_id) if row.telemetry_set_id else None,
         run=session.get(Run, row.run_id) if row.run_id else None,
         prepared=prepared,
+        stopped=[] if prepared is None else find_blocking_gates(session, prepared),
         approval=session.get(Approval, row.approval_id) if row.approval_id else None,
         titles=TITLES,
         may_answer=row.state == "ASKED" and "analyst" in actor.roles,

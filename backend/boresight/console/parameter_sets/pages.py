@@ -15,6 +15,7 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
+from boresight.calibration.conversion import try_conversion
 from boresight.calibration.parameter_set import ParameterSetDocument, parse_parameter_set
 from boresight.cameras import CAMERA_MODELS
 from boresight.console import list_queries as lists
@@ -52,20 +53,23 @@ from boresight.console.pages.tables import (
     write_csv,
 )
 from boresight.console.parameter_sets import queries as set_queries
-from boresight.console.parameter_sets.service import convert_parameter_set
 from boresight.console.parameter_sets.tables import GROUND_STATES, ONBOARD_STATES, ParameterSet
 from boresight.console.runs import service as runs
 from boresight.console.runs.pages.list import RunNames, read_names
 from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.uplinks.queries import find_c_sd_record
 from boresight.console.uplinks.stations import make_workflow
 from boresight.console.uplinks.tables import Uplink
 from boresight.errors import RefusedInputError
 from boresight.figures.tables import set_rows
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
+from boresight.telemetry.sensors import Sensor as SensorDescription
+from boresight.telemetry.sensors import parse_sensor
 from boresight.verdicts.gates.judgement import GateReport
 
 READ_AT_ONCE = 500
+TURNING = ("APPROVED", "BASELINE")  # about to be loaded, or loaded: the turn of the attitude stands above everything
 SETS = Table(
     "parameter-sets",
     "Parameter sets",
@@ -136,23 +140,29 @@ def _csv_row(row: ParameterSet, names: RunNames, judged: GateReport | None) -> R
 
 @dataclass(frozen=True)
 class ConvertedSet:
-    """A set in another model: its document, or why there is none."""
+    """A set in another model: how far that differs and may, and its document or why there is none."""
 
     model: str
+    misfit_px: float | None
+    allowed_px: float | None
     document: dict[str, Any] | None
     refusal: str | None
 
 
 def list_conversions(session: Session, row: ParameterSet) -> list[ConvertedSet]:
     """Try every other camera model on a set."""
-    return [_tried(session, row.id, model) for model in sorted(CAMERA_MODELS) if model != row.document["camera_model"]]
+    sensor = parse_sensor(session.get_known(Sensor, row.sensor_id).document)
+    return [_try(row, sensor, model) for model in sorted(CAMERA_MODELS) if model != row.document["camera_model"]]
 
 
-def _tried(session: Session, set_id: int, model: str) -> ConvertedSet:
+def _try(row: ParameterSet, sensor: SensorDescription, model: str) -> ConvertedSet:
     try:
-        return ConvertedSet(model, convert_parameter_set(session, set_id, model), None)
+        tried = try_conversion(row.document, sensor, row.name, model)
     except RefusedInputError as error:
-        return ConvertedSet(model, None, str(error))
+        return ConvertedSet(model, None, None, None, str(error))
+    if isinstance(tried.outcome, RefusedInputError):
+        return ConvertedSet(model, tried.misfit_px, tried.allowed_px, None, str(tried.outcome))
+    return ConvertedSet(model, tried.misfit_px, tried.allowed_px, tried.outcome, None)
 
 
 parameter_set_router = APIRouter(dependencies=[Depends(csrf)])
@@ -166,7 +176,9 @@ class SetAction:
     blocked: str | None
 
 
-def list_set_actions(row: ParameterSet, actor: Actor, request: Approval | None) -> dict[str, SetAction]:
+def list_set_actions(
+    row: ParameterSet, actor: Actor, request: Approval | None, why_not_promote: str | None
+) -> dict[str, SetAction]:
     """List the transitions of a set's state, each with why the actor may not make it."""
     submitter = request is not None and request.submitted_by == actor.user_id
     submitted = row.ground_state in {"SUBMITTED", "APPROVED"}
@@ -192,17 +204,9 @@ def list_set_actions(row: ParameterSet, actor: Actor, request: Approval | None) 
         ),
         "promote": SetAction(
             submitted,
-            _why_not_promote(row, actor),
+            why_not_promote,
         ),
     }
-
-
-def _why_not_promote(row: ParameterSet, actor: Actor) -> str | None:
-    if row.ground_state == "SUBMITTED":
-        return "An approver must sign first; then an operator promotes."
-    if "operator" not in actor.roles:
-        return "Only an operator may promote an approved set; ask an administrator for the role."
-    return None
 
 
 @dataclass(frozen=True)
@@ -286,6 +290,7 @@ def _page(
     sensor = session.get_known(Sensor, row.sensor_id)
     incumbent, baseline = find_incumbent(session, row, requests), set_queries.find_baseline(session, row.sensor_id)
     policy, warnings = get_server(request).policy, review.warn_of_set(session, row, incumbent)
+    panel = make_gates_panel(session, actor, row)
     return render(
         request,
         "parameter_sets/parameter_set.html",
@@ -302,15 +307,25 @@ def _page(
         ],
         uplinks=lists.list_newest(session, Uplink, set=set_id),
         conversions=list_conversions(session, row),
-        panel=make_gates_panel(session, actor, row),
-        advice=list(warnings.values()),
+        panel=panel,
+        advice=[
+            said for name, said in warnings.items() if name != "attitude-turn"
+        ],  # the line of the alignment says it
+        warnings=[*panel.warnings, *warnings.values()],
+        turning=TURNING,
+        c_sd=find_c_sd_record(session, set_id),
         turn=warnings.get("attitude-turn"),
         needed=get_needed(request, session, actor),
         policy=policy,
         baseline=baseline,
         act_rows=set_rows(*read_set_and_incumbent(row, baseline), sensor.document["typical_sigma"]),
         lineage=list_lineage(session, row, requests),
-        actions=list_set_actions(row, actor, requests[0] if requests else None),
+        actions=list_set_actions(
+            row,
+            actor,
+            requests[0] if requests else None,
+            approvals.explain_why_not_promote(session, actor, set_id, policy=policy),
+        ),
         refusal=refusal,
         reason=reason,
         act=act,
@@ -354,13 +369,15 @@ async def _asked(
 async def withdraw(request: Request, session: Reading, actor: Who, set_id: int) -> Response:
     """Take a request back."""
     form = await read_texts(request)
+    reason = form.get("reason", "")
 
     def change(session: Session) -> ParameterSet:
-        return approvals.withdraw(session, actor, set_id, seen_version(form), form.get("reason", ""))
+        return approvals.withdraw(session, actor, set_id, seen_version(form), reason)
 
     outcome = await attempt(request, change)
     if outcome.value is None:
-        return await run_in_threadpool(partial(_page, request, session, actor, set_id, refusal=outcome.refusal))
+        page = partial(_page, request, session, actor, set_id, refusal=outcome.refusal, reason=reason, act="withdraw")
+        return await run_in_threadpool(page)
     return redirect(f"/parameter-sets/{set_id}", flash=f"{outcome.value.name} is withdrawn.")
 
 

@@ -25,12 +25,16 @@ BOARD_WORDS = {
 }
 
 
+#: As `Uplink.is_step`.
+IS_STEP = sa.or_(Uplink.c_sd.is_(None), Uplink.onboard_state == "LOADED")
+
+
 def list_records_until(session: Session, sensor_id: int, time_utc: str) -> Sequence[tuple[ParameterSet, Uplink]]:
-    """Return each of a sensor's sets with its newest record at a time."""
+    """Return each of a sensor's sets with its newest record of a state at a time."""
     newest = (
         sa.select(sa.func.max(Uplink.id))
         .join(ParameterSet)
-        .where(ParameterSet.sensor_id == sensor_id, Uplink.recorded_utc <= time_utc)
+        .where(ParameterSet.sensor_id == sensor_id, Uplink.recorded_utc <= time_utc, IS_STEP)
         .group_by(Uplink.parameter_set_id)
     )
     query = sa.select(ParameterSet, Uplink).join(Uplink, Uplink.parameter_set_id == ParameterSet.id)
@@ -50,8 +54,9 @@ def find_board_place() -> sa.ScalarSelect[int]:
 
 
 def find_newest_record(session: Session, parameter_set_id: int, onboard_state: str | None = None) -> Uplink | None:
-    """Return the newest record of a set, of all or of one state."""
-    query = sa.select(Uplink).where(Uplink.parameter_set_id == parameter_set_id).order_by(Uplink.id.desc()).limit(1)
+    """Return the newest record of a state of a set, of all or of one."""
+    query = sa.select(Uplink).where(Uplink.parameter_set_id == parameter_set_id, IS_STEP)
+    query = query.order_by(Uplink.id.desc()).limit(1)
     return session.scalar(query if onboard_state is None else query.where(Uplink.onboard_state == onboard_state))
 
 
@@ -59,6 +64,14 @@ def find_newest_compared(session: Session, parameter_set_id: int, method: str, a
     """Return the newest of a set's records after one that rests on a comparison by a method."""
     query = sa.select(Uplink).where(Uplink.parameter_set_id == parameter_set_id, Uplink.method == method)
     return session.scalar(query.where(Uplink.id > after_id).order_by(Uplink.id.desc()).limit(1))
+
+
+def find_c_sd_record(session: Session, parameter_set_id: int) -> Uplink | None:
+    """Return the newest of a set's records, since it was last sent, that tells of its update of C_SD."""
+    sent = find_newest_record(session, parameter_set_id, "SENT")
+    query = sa.select(Uplink).where(Uplink.parameter_set_id == parameter_set_id, Uplink.c_sd.is_not(None))
+    query = query.where(Uplink.id > (0 if sent is None else sent.id))
+    return session.scalar(query.order_by(Uplink.id.desc()).limit(1))
 
 
 def list_other_sets(session: Session, row: ParameterSet) -> Sequence[ParameterSet]:

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 from fastapi import Depends
 from fastapi.concurrency import contextmanager_in_threadpool, run_in_threadpool
@@ -65,6 +65,12 @@ class Record(Shape):
     )
     package_id: Id | None = Field(None, description="The uplink package that was sent, where one was built.")
     happened_utc: str | None = Field(None, description="When it happened, if earlier than now.")
+    c_sd: Literal["LOADED", "NOT YET", "NOT NEEDED"] | None = Field(
+        None,
+        description="Of a set whose loading turns the attitude: whether its update of C_SD was loaded. Given with LOADED, or "
+        "later with the state that the set is in, which then stays; left out, it is not told.",
+    )
+    c_sd_said: str = Field("", description="When and how the update was loaded, or why it is not needed.")
     meaning: str | None = Field(None, description="For ACTIVE: what the signature means.")
     password: SecretStr | None = Field(None, description="For ACTIVE: your password again, because a person signs.")
     factor: SecretStr = factor_field()
@@ -88,10 +94,11 @@ def _entry(session: Session, actor: Actor, record: Record, proof: PasswordProof,
             seen,
             package_id=record.package_id,
             happened=happened,
+            c_sd=None if record.c_sd is None else uplinks.CsdAnswer(record.c_sd, record.c_sd_said),
         )
-    if record.onboard_state != "ACTIVE" or record.package_id is not None:
+    if record.onboard_state != "ACTIVE" or record.package_id is not None or record.c_sd is not None:
         raise RefusedInputError(
-            "Only ACTIVE is signed, and its package was named before; leave out password and meaning, or the package."
+            "Only ACTIVE is signed, and its package and C_SD are recorded by themselves; leave out password and meaning, or those."
         )
     return uplinks.activate(session, actor, set_id, record.source, record.meaning or "", proof, seen, happened=happened)
 
@@ -112,7 +119,7 @@ def record_uplink(
     proof: Annotated[PasswordProof, own_password(Record)],
     session: Writing,
 ) -> Uplink:
-    """Record the next on-board state of a set by statement: SENT, LOADED, MISMATCH or UNKNOWN.
+    """Record the next on-board state of a set by statement, SENT, LOADED, MISMATCH or UNKNOWN; or its update of C_SD.
 
     `If-Match` is the ETag of the parameter set. VERIFIED comes only from `:read-back` of the set, which compares; ACTIVE only
     from a signed entry: `:activate`, or this with a person's password and meaning.

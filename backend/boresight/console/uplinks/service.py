@@ -15,17 +15,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from boresight.console import list_queries as lists
+from boresight.calibration.parameter_set import parse_parameter_set
 from boresight.console.access import confirmations, users
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.alarms.rules import update_alarms
+from boresight.console.approvals.review import warn_of_turn
 from boresight.console.fleet.timeline import happened_on
 from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.parameter_sets.tables import ONBOARD_ACTIONS, ParameterSet
 from boresight.console.transitions import name_subject, require_seen
 from boresight.console.uplinks import queries as rows
 from boresight.console.uplinks.table_definitions import find_definition_in_force
-from boresight.console.uplinks.tables import Package, Uplink
+from boresight.console.uplinks.tables import C_SD_ANSWERS, Package, Uplink
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_person, require_role, require_scope, require_user
 from boresight.platform.audit import log as audit
@@ -36,6 +37,14 @@ from boresight.platform.web.text_validation import refuse_control_characters
 
 
 @dataclass(frozen=True)
+class CsdAnswer:
+    """Whether the update of C_SD was loaded, and when and how, or why not."""
+
+    answer: str
+    said: str = ""
+
+
+@dataclass(frozen=True)
 class EntryBasis:
     """The basis of an entry; with a source alone it is a statement."""
 
@@ -43,6 +52,7 @@ class EntryBasis:
     method: str | None = None
     printed_name: str | None = None
     meaning: str | None = None
+    c_sd: CsdAnswer | None = None
 
 
 STATEMENT = EntryBasis()
@@ -103,15 +113,19 @@ def add_entry(
         evidence=dict(basis.details) or None,
         printed_name=basis.printed_name,
         meaning=basis.meaning,
+        c_sd=basis.c_sd and basis.c_sd.answer,
+        c_sd_said=(basis.c_sd and basis.c_sd.said.strip()) or None,
     )
     before = {"onboard_state": row.onboard_state, "version": row.version}
     row.onboard_state = onboard_state
     row.version += 1
     session.put(uplink)
     told = {"method": basis.method, "meaning": basis.meaning, "found": basis.details.get("sentence")}
+    told |= {"c_sd": uplink.c_sd, "c_sd_said": uplink.c_sd_said}
     after = {"onboard_state": onboard_state, "version": row.version, "record": f"uplinks/{uplink.id}"}
     after |= {name: value for name, value in told.items() if value is not None}
-    audit.append(session, actor, ONBOARD_ACTIONS[onboard_state], name_subject(row), before, after, source.strip())
+    action = ONBOARD_ACTIONS[onboard_state] if uplink.is_step else "recorded C_SD for"
+    audit.append(session, actor, action, name_subject(row), before, after, source.strip())
     update_alarms(session, [row.sensor_id])
     return uplink
 
@@ -125,10 +139,11 @@ NEXT: dict[str, tuple[str, ...]] = {
     "MISMATCH": ("SENT", "UNKNOWN"),
     "UNKNOWN": ("SENT", "LOADED", "VERIFIED", "MISMATCH"),
 }
+WITH_C_SD = ("LOADED", "VERIFIED", "ACTIVE", "MISMATCH", "UNKNOWN")
 STATED = ("SENT", "LOADED", "MISMATCH", "UNKNOWN")
 
 
-def record(
+def record(  # noqa: PLR0913 - a record has all of these, and a form gives them one by one
     session: Session,
     actor: Actor,
     parameter_set_id: int,
@@ -138,15 +153,47 @@ def record(
     *,
     package_id: int | None = None,
     happened: str | None = None,
+    c_sd: CsdAnswer | None = None,
 ) -> Uplink:
-    """Record the next on-board state of a set by statement, with where it is known from."""
+    """Record the next on-board state of a set by statement, with where it is known from; or, beside its state, its C_SD."""
     row = get_set_for_entry(session, actor, parameter_set_id, source, seen_version)
+    if c_sd is not None:
+        _check_c_sd(row, onboard_state, c_sd)
+        if onboard_state == row.onboard_state:
+            return add_entry(session, actor, row, onboard_state, source, EntryBasis(happened_on(happened), c_sd=c_sd))
     _refuse_statement(actor, row, onboard_state)
     _refuse_step(row, onboard_state)
     if onboard_state == "LOADED":
         refuse_shown_mismatch(session, row)
     details = _describe_package(session, row, package_id, onboard_state) | happened_on(happened)
-    return add_entry(session, actor, row, onboard_state, source, EntryBasis(details))
+    return add_entry(session, actor, row, onboard_state, source, EntryBasis(details, c_sd=c_sd))
+
+
+def turns_attitude(row: ParameterSet) -> bool:
+    """Whether loading a set turns the reported attitude by more than chance, so that an update of C_SD belongs to it."""
+    return bool(warn_of_turn(parse_parameter_set(row.document)))
+
+
+def is_c_sd_open(session: Session, row: ParameterSet) -> bool:
+    """Whether a set's update of C_SD is needed, as far as is known, and not recorded as loaded."""
+    record = rows.find_c_sd_record(session, row.id)
+    return turns_attitude(row) and (record is None or record.c_sd == "NOT YET")
+
+
+def _check_c_sd(row: ParameterSet, onboard_state: str, told: CsdAnswer) -> None:
+    """Refuse what cannot be said of a set's update of C_SD."""
+    refuse_control_characters(c_sd_said=told.said)
+    if told.answer not in C_SD_ANSWERS:
+        raise RefusedInputError(f"There is no answer {told.answer!r} of C_SD; choose from {', '.join(C_SD_ANSWERS)}.")
+    if parse_parameter_set(row.document).alignment is None:
+        raise RefusedInputError(f"{row.name} has no update of C_SD: leave c_sd out.")
+    if told.answer != "NOT YET" and not told.said.strip():
+        needed = "when and how the update of C_SD was loaded" if told.answer == "LOADED" else "why no update is needed"
+        raise RefusedInputError(f"Say {needed}.")
+    if onboard_state != "LOADED" and (onboard_state, row.onboard_state) not in {(one, one) for one in WITH_C_SD}:
+        raise ConflictError(
+            f"{row.name} is {row.onboard_state} on board: give c_sd when it is recorded as LOADED, or later with its own state."
+        )
 
 
 def activate(
@@ -161,11 +208,7 @@ def activate(
     happened: str | None = None,
 ) -> Uplink:
     """Record that a verified set is what the sensor runs with: an entry signed by a person who gives the password again."""
-    require_person(actor, "sign that a set is active")
-    if "administrator" in actor.roles:
-        raise ForbiddenError("An administrator cannot sign; ask an operator who is not an administrator.")
-    if users.must_change_password(session, actor):
-        raise ForbiddenError("Somebody else set your password; set your own first, then sign.", code="password-due")
+    _refuse_activator(session, actor)
     row = get_set_for_entry(session, actor, parameter_set_id, source, seen_version)
     require_seen(session, row, seen_version)
     _refuse_step(row, "ACTIVE")
@@ -180,17 +223,39 @@ def activate(
     return add_entry(session, actor, row, "ACTIVE", source, signed)
 
 
+def _refuse_activator(session: Session, actor: Actor) -> None:
+    """Refuse who may not sign that any set is active."""
+    require_person(actor, "sign that a set is active")
+    if "administrator" in actor.roles:
+        raise ForbiddenError("An administrator cannot sign; ask an operator who is not an administrator.")
+    if users.must_change_password(session, actor):
+        raise ForbiddenError("Somebody else set your password; set your own first, then sign.", code="password-due")
+
+
+def explain_why_not_activate(session: Session, actor: Actor, row: ParameterSet) -> str | None:
+    """Say why this actor may not sign that a verified set is active; None when only the password is missing."""
+    try:
+        _refuse_activator(session, actor)
+        require_entrant(actor)
+        _refuse_step(row, "ACTIVE")
+        _refuse_unread(session, row)
+    except (ForbiddenError, ConflictError) as refusal:
+        return str(refusal)
+    return None
+
+
 def compute_shown_sha256(session: Session, row: ParameterSet) -> str:
     """Return the hash that an activation's signature covers: the set and the record that verified it."""
-    newest = lists.list_newest(session, Uplink, set=row.id, limit=1)
-    verified = [{"record": it.id, "state": it.onboard_state, "method": it.method} for it in newest]
+    newest = rows.find_newest_record(session, row.id)
+    verified = [{"record": it.id, "state": it.onboard_state, "method": it.method} for it in [newest] if it is not None]
     return compute_sha256({"parameter_set": row.name, "set_sha256": row.sha256, "verified": verified})
 
 
 def list_next_statements(session: Session, row: ParameterSet) -> list[str]:
     """Return the states of a set that can be recorded next by statement."""
-    told = [state for state in NEXT[row.onboard_state] if state in STATED]
-    return [state for state in told if state != "LOADED"] if has_shown_mismatch(session, row) else told
+    held = {"SENT"} if row.ground_state != "BASELINE" else set()
+    held |= {"LOADED"} if has_shown_mismatch(session, row) else set()
+    return [state for state in NEXT[row.onboard_state] if state in STATED and state not in held]
 
 
 def _refuse_statement(actor: Actor, row: ParameterSet, onboard_state: str) -> None:
@@ -254,6 +319,12 @@ def _describe_package(
             code="other-table-definition",
         )
     return {"package": {"id": package.id, "sha256": package.sha256}}
+
+
+def list_sendable_packages(session: Session, row: ParameterSet, built: Sequence[Package]) -> list[Package]:
+    """Return those of a set's packages that can be recorded as sent: built for the table definition in force."""
+    definition = find_definition_in_force(session, row.sensor_id)
+    return [one for one in built if one.table_definition_id == (definition.id if definition else None)]
 
 
 def _retire_active(session: Session, actor: Actor, row: ParameterSet, source: str) -> None:

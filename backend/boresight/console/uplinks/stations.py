@@ -10,9 +10,8 @@ only decides who is shown a button and who is told whom to ask.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from boresight.calibration.parameter_set import parse_parameter_set
 from boresight.console import list_queries as lists
 from boresight.console.access import users
 from boresight.console.access.tables import User
@@ -26,6 +25,7 @@ from boresight.console.parameter_sets.service import USABLE_STATUSES
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs import service as runs
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
+from boresight.console.uplinks import service as uplinks
 from boresight.console.uplinks.tables import Package, Uplink
 from boresight.platform.actors import Actor, Policy
 from boresight.platform.db.sessions import Session
@@ -68,7 +68,7 @@ class NextStep:
     """What is next, with the button of whoever may do it.
 
     `label`, `href`: of the button; `posts` says that pressing it acts at once, else it leads to a form or a dialog. `who`: the
-    printed names of those who may.
+    printed names of those who may. `held`: why somebody who has the role cannot take it now.
     """
 
     sentence: str
@@ -78,6 +78,7 @@ class NextStep:
     is_mine: bool = False
     who: tuple[str, ...] = ()
     role: str = ""
+    held: str = ""
 
 
 @dataclass(frozen=True)
@@ -120,6 +121,10 @@ class _Viewer:
         mine = not self.actor.is_key and bool(self.actor.roles.intersection(asked))
         return NextStep(sentence, label, href, posts, mine, tuple(user.printed_name for user in able), asked[0])
 
+    def hold(self, step: NextStep, why: str | None) -> NextStep:
+        """Hold a step of the viewer's own that would be refused."""
+        return replace(step, is_mine=False, held=why) if step.is_mine and why is not None else step
+
 
 def make_workflow(
     session: Session, actor: Actor, policy: Policy, row: ParameterSet | None, run: Run | None = None
@@ -145,6 +150,8 @@ def _list_stations(row: ParameterSet, known: _Records, viewer: _Viewer) -> list[
     created = Station("Created", "normal", "done", row.created_utc, viewer.name(row.created_by))
     uplinked = list_uplink_stations(known.exported, known.records, viewer.name)
     stopped = row.ground_state in {"REJECTED", "SUPERSEDED"} or row.onboard_state in {"MISMATCH", "UNKNOWN"}
+    if row.ground_state in approvals.SUBMITTABLE and known.report is not None:
+        stopped = stopped or bool(gates.lay_waivers(viewer.session, known.report).blocking)
     return lay_out([created, *_on_the_ground(row, known, viewer), *uplinked], TITLES, stopped=stopped)
 
 
@@ -219,7 +226,7 @@ def list_uplink_stations(
 
 def _recorded(progress: Sequence[Uplink], title: str, state: str, name: Callable[[int | None], str]) -> Station | None:
     wanted = {"VERIFIED", "MISMATCH"} if state == "VERIFIED" else {state}
-    row = next((row for row in progress if row.onboard_state in wanted), None)
+    row = next((row for row in progress if row.onboard_state in wanted and row.is_step), None)
     if row is None:
         return None
     level, word = ("critical", "MISMATCH") if row.onboard_state == "MISMATCH" else ("normal", "done")
@@ -271,7 +278,9 @@ def _step_of_set(viewer: _Viewer, row: ParameterSet, known: _Records) -> NextSte
         return _signing_step(viewer, known.request, known.report)
     if state == "APPROVED":
         said = f"Promote {row.name}: it becomes the baseline, and nothing on board changes."
-        return viewer.step_for(("operator",), said, "Promote", f"{address}#promote")
+        step = viewer.step_for(("operator",), said, "Promote", f"{address}#promote")
+        why = approvals.explain_why_not_promote(viewer.session, viewer.actor, row.id, policy=viewer.policy)
+        return viewer.hold(step, why)
     if state in {"REJECTED", "SUPERSEDED"}:
         return _step_of_former(viewer, row)
     if state == "BASELINE":
@@ -331,13 +340,12 @@ def _uplink_step(viewer: _Viewer, row: ParameterSet, known: _Records) -> NextSte
         said = "Export the uplink package; it contains the back-out."
         return viewer.step_for(("operator", "analyst"), said, "Export", f"{address}/package", posts=True)
     if row.onboard_state == "ACTIVE":
-        turns = bool(parse_parameter_set(row.document).alignment)
-        beside = (
-            " Unless its update of C_SD was loaded too, the reported attitude has turned: see Alignment."
-            if turns
-            else ""
-        )
-        place = f"/parameter-sets/{row.id}#alignment-title" if turns else ""
-        return NextStep(f"It is active on board: no further step.{beside}", href=place)
+        if not uplinks.is_c_sd_open(viewer.session, row):
+            return NextStep("It is active on board: no further step.")
+        said = "It is active, and its update of C_SD is not recorded as loaded: the reported attitude may have turned."
+        return viewer.step_for(("operator",), said, "Record C_SD", f"{address}#c-sd")
     said, label, place = UPLINK_STEPS.get(row.onboard_state, UPLINK_STEPS["UNKNOWN"])
-    return viewer.step_for(("operator",), said, label, f"{address}#{place}")
+    step = viewer.step_for(("operator",), said, label, f"{address}#{place}")
+    if row.onboard_state != "VERIFIED":
+        return step
+    return viewer.hold(step, uplinks.explain_why_not_activate(viewer.session, viewer.actor, row))

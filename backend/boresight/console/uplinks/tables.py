@@ -15,6 +15,8 @@ from boresight.errors import RefusedInputError
 from boresight.platform.db.declared import STRICT, Base, allow_only
 from boresight.platform.db.documents import JsonText
 
+C_SD_ANSWERS = ("LOADED", "NOT YET", "NOT NEEDED")
+
 
 @dataclass(frozen=True)
 class SentPackage:
@@ -43,7 +45,11 @@ class UplinkEvidence:
 
 
 class Uplink(Base):
-    """A record of an on-board state; never edited."""
+    """A record of an on-board state; never edited.
+
+    `c_sd`: whether the update of C_SD was loaded that keeps the attitude with the set; null where it was not told. `c_sd_said`:
+    when and how, or why not.
+    """
 
     __tablename__ = "uplinks"
     noun = "uplink record"
@@ -58,6 +64,13 @@ class Uplink(Base):
     evidence: Mapped[dict[str, Any] | None] = mapped_column(JsonText)  # package, dump, CRC, differing fields
     printed_name: Mapped[str | None] = mapped_column(sa.Text)  # of the activation's signature
     meaning: Mapped[str | None] = mapped_column(sa.Text)
+    c_sd: Mapped[str | None] = mapped_column(sa.Text)
+    c_sd_said: Mapped[str | None] = mapped_column(sa.Text)
+
+    @property
+    def is_step(self) -> bool:
+        """Whether it records a state; else it records the update of C_SD beside the state that the set was in."""
+        return self.c_sd is None or self.onboard_state == "LOADED"
 
     @property
     def typed_evidence(self) -> UplinkEvidence:

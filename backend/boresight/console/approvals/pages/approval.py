@@ -22,7 +22,7 @@ from boresight.console.access.password_checks import PasswordWorker
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.alignments import approval as alignment_approval
 from boresight.console.alignments.tables import Alignment, AlignmentRequest
-from boresight.console.approvals import gates, review, threads
+from boresight.console.approvals import gates, review, staleness, threads
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.pages.gates import make_gates_panel
@@ -68,7 +68,7 @@ from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.answers import make_four_views
 from boresight.verdicts.gates import GATES
-from boresight.verdicts.gates.judgement import STATUSES, GateReport
+from boresight.verdicts.gates.judgement import GateReport
 
 MEANINGS = {
     "APPROVE": "I reviewed the evidence and approve this set for baseline",
@@ -171,8 +171,8 @@ def request_page(
     points = review.list_points(session, approval, actor.user_id)
     found = threads.list_threads(session, approval_id)
     changed = [one for one in rows if one.delta]
+    blocked = approvals.explain_why_not_sign(session, actor, approval_id, policy=policy)
     panel = make_gates_panel(session, actor, row, report_sha256=approval.binding.gate_report_sha256)
-    against = [one for one in panel.rows if one.status != "PASS"]
     return render(
         request,
         "approvals/approval.html",
@@ -187,7 +187,6 @@ def request_page(
         changed=changed if incumbent is not None else rows,
         staying=len(rows) - len(changed),
         panel=panel,
-        against=sorted(against, key=lambda one: -STATUSES.index(one.status)),
         points=points,
         threads=group_threads(found),
         title_thread=title_thread,
@@ -201,15 +200,13 @@ def request_page(
         signatures=approval_queries.list_signatures(session, approval_id),
         pending=proposals.list_open_proposals(session, row.sensor_id) if approval.state in {"OPEN", "APPROVED"} else [],
         signers=approvals.list_request_signers(session, approval_id, policy=policy) if approval.state == "OPEN" else [],
-        blocked=approvals.explain_why_not_sign(session, actor, approval_id, policy=policy),
+        blocked=blocked or staleness.explain_outdated(session, approval, row),
         decisions=_decisions(approval, row),
         meanings=MEANINGS.values(),
         refusal=refusal,
         typed=typed or TypedText(),
         may_speak=bool(actor.roles - {"viewer"}),
-        may_promote="operator" in actor.roles,
         needed=get_needed(request, session, actor),
-        policy=policy,
     )
 
 

@@ -91,12 +91,21 @@ class GatesPanel:
         return [row for row in self.rows if row.blocking]
 
     @property
+    def against(self) -> Sequence[GateRow]:
+        """Gates that do not pass, the worst first."""
+        found = [row for row in self.rows if row.status != "PASS"]
+        return sorted(found, key=lambda row: (not row.blocking, -STATUSES.index(row.status)))
+
+    @property
+    def passing(self) -> Sequence[GateRow]:
+        """Gates that pass."""
+        return [row for row in self.rows if row.status == "PASS"]
+
+    @property
     def warnings(self) -> Sequence[str]:
         """What is against the set, the worst first: evidence that changed, then every gate that does not pass."""
         outdated = [f"The {' and the '.join(self.moved)} changed since the gates were assessed: assess them again."]
-        against = [row for row in self.rows if row.status != "PASS"]
-        against.sort(key=lambda row: (not row.blocking, -STATUSES.index(row.status)))
-        return [*(outdated if self.moved else ()), *(f"{row.title}: {row.sentence}" for row in against)]
+        return [*(outdated if self.moved else ()), *(f"{row.title}: {row.sentence}" for row in self.against)]
 
 
 def make_gates_panel(
@@ -108,7 +117,7 @@ def make_gates_panel(
 ) -> GatesPanel:
     """Fill the panel of a set, as an actor sees it."""
     report = approval_queries.find_newest_report(session, row.id, report_sha256)
-    moved = [] if report is None else gates.list_moved_since(session, report)
+    moved = outdated = [] if report is None else gates.list_moved_since(session, report)
     if row.ground_state in {"BASELINE", "SUPERSEDED"}:
         moved = [one for one in moved if one != "incumbent"]  # it was replaced by this very set
     found = None if report is None else gates.lay_waivers(session, report)
@@ -126,7 +135,7 @@ def make_gates_panel(
         given=[(waiver, waiver.expires_utc > now) for waiver in approval_queries.list_waivers(session, [row.id])],
         may_assess=None if actor.roles.intersection(gates.ASSESSORS) else ONLY_ASSESSORS,
         may_waive=None if actor.roles.intersection({"analyst", "approver"}) else ONLY_WAIVERS,
-        waivable=[one for one in rows if one.blocking and one.waivable and not moved],
+        waivable=[one for one in rows if one.blocking and one.waivable and not outdated],
         typed=typed or TypedWaiver(),
     )
 

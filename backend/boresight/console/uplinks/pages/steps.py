@@ -55,10 +55,10 @@ from boresight.console.uplinks import hand_over as hand_overs
 from boresight.console.uplinks import packages, read_backs
 from boresight.console.uplinks import service as uplinks
 from boresight.console.uplinks.hand_over import HandOver
-from boresight.console.uplinks.queries import BOARD_WORDS, find_baseline_before
+from boresight.console.uplinks.queries import BOARD_WORDS, find_baseline_before, find_c_sd_record
 from boresight.console.uplinks.stations import find_exported_package, find_uplink_progress, make_workflow
 from boresight.console.uplinks.tables import Package, Uplink
-from boresight.errors import BoresightError
+from boresight.errors import BoresightError, RefusedInputError
 from boresight.figures.tables import set_rows
 from boresight.mission_control.systems import Link
 from boresight.platform.actors import Actor
@@ -212,6 +212,11 @@ def _page(
         reference=reference,
         why_no_reference=why,
         next_states=uplinks.list_next_statements(session, row),
+        sendable={one.id for one in uplinks.list_sendable_packages(session, row, built)},
+        c_sd=find_c_sd_record(session, row.id),
+        c_sd_open=uplinks.is_c_sd_open(session, row) and row.onboard_state in uplinks.WITH_C_SD,
+        crc_held=uplinks.has_shown_mismatch(session, row),
+        why_not_active=uplinks.explain_why_not_activate(session, actor, row),
         why_not_sent=_why_not_sent(row),
         stores=[link for link in _links(request).values() if link.store and row.ground_state == "BASELINE"],
         handed_over=hand_overs.list_hand_overs(session, [one.id for one in built]),
@@ -339,13 +344,20 @@ async def record(request: Request, actor: Who, blobs: Blobs, set_id: int) -> Res
         state, source = typed.get("onboard_state", ""), typed.get("source", "")
         package_id = parse_row_id(package)
         happened = typed.get("happened_utc")
+        c_sd = uplinks.CsdAnswer(typed["c_sd"], typed.get("c_sd_said", "")) if typed.get("c_sd") else None
+        if state == "LOADED" and c_sd is None and uplinks.turns_attitude(session.get_known(ParameterSet, set_id)):
+            raise RefusedInputError(
+                "Say whether the update of C_SD was loaded with the set: choose one of the answers."
+            )
+        seen = seen_version(typed)
         return uplinks.record(
-            session, actor, set_id, state, source, seen_version(typed), package_id=package_id, happened=happened
+            session, actor, set_id, state, source, seen, package_id=package_id, happened=happened, c_sd=c_sd
         )
 
-    return await _taken_step(
-        request, actor, blobs, "record", typed, change, f"Recorded: the set is {typed.get('onboard_state', '')}."
-    )
+    said = f"Recorded: the set is {typed.get('onboard_state', '')}."
+    if typed.get("c_sd"):
+        said += f" Its update of C_SD: {typed['c_sd']}."
+    return await _taken_step(request, actor, blobs, "record", typed, change, said)
 
 
 @router.post("/parameter-sets/{set_id:int}/uplink/read-back")

@@ -1,0 +1,166 @@
+"""Every dialog of an act fits its window with the act in sight, hides no field, keeps the focus, and says what follows."""
+
+import json
+import re
+
+import pytest
+from playwright.sync_api import expect
+
+from tests.browser.people import get_password
+from tests.browser.window import GLANCE, PHONE, TABLET
+from tests.browser.work import make_set, queue, register_with_table, sent_table, sign, submit, upload
+
+pytestmark = pytest.mark.browser
+
+NAME = "DIALOG-1"
+OLD, NEW = f"PS-{NAME}-0", f"PS-{NAME}-1"
+WRONG = """dialog => {
+    const said = [], box = dialog.getBoundingClientRect();
+    const last = [...dialog.querySelectorAll(".actions")].at(-1);
+    dialog.scrollTop = 0;
+    const foot = last.getBoundingClientRect();
+    if (box.left < 0 || box.top < 0 || box.right > innerWidth + 1 || box.bottom > innerHeight + 1) said.push("outside the window");
+    if (dialog.scrollWidth > dialog.clientWidth + 1) said.push("leads sideways");
+    if (foot.top < box.top || foot.bottom > box.bottom + 1) said.push("its act is out of sight");
+    if (!dialog.contains(document.activeElement)) said.push("the focus is outside");
+    for (const field of dialog.querySelectorAll("input:not([type=hidden]), textarea, select")) {
+        if (!field.checkVisibility() || field.disabled) continue;
+        field.blur(); // what has the focus already is not scrolled to
+        field.focus();
+        const own = field.getBoundingClientRect();
+        const seen = document.elementFromPoint(own.left + own.width / 2, own.top + own.height / 2);
+        if (seen !== field && !field.contains(seen) || own.bottom > foot.top + 1) said.push(`${field.name} is covered`);
+    }
+    dialog.scrollTop = 0;
+    return said;
+}"""
+
+
+def holds(window, name, *, named=(OLD, NEW)):
+    """Hold that a dialog of the page fits in every width, says what it is about, and gives the focus back."""
+    page = window.page
+    dialog, opener = page.locator(f"#{name}"), page.locator(f"[data-act][popovertarget={name}]")
+    for size in (PHONE, TABLET, GLANCE):
+        page.set_viewport_size(size)
+        expect(opener).to_have_count(1)
+        opener.scroll_into_view_if_needed()
+        opener.click()
+        expect(dialog).to_be_visible()
+        window.settle()
+        assert dialog.evaluate(WRONG) == [], f"{name} at {size['width']} px"
+        window.keep(f"dialog-{name}-{size['width']}", whole=False)
+        for words in named:
+            expect(dialog).to_contain_text(words)
+        expect(dialog).to_contain_text("cannot be undone")
+        page.keyboard.press("Escape")
+        expect(dialog).to_be_hidden()
+        expect(opener).to_be_focused()
+
+
+def changes(window, name):
+    """Hold that a dialog lists parameters, those that change most first."""
+    rows = window.page.locator(f"#{name} tbody tr")
+    worth = [abs(float(row.locator("td").last.inner_text().replace("−", "-"))) for row in rows.all()]
+    assert worth
+    assert worth == sorted(worth, reverse=True)
+
+
+@pytest.fixture(scope="module")
+def made(people, files):
+    """A set of a sensor of its own, whose loading turns the attitude; its number."""
+    with people.seat("analyst") as window:
+        sensor = register_with_table(window, json.loads((files / "sensor.json").read_text()) | {"name": NAME})
+        data = upload(window, sensor, files / "calibration.csv")
+        window.open(f"/runs/new?set={data}")
+        run = queue(window, "For dialogs")
+        expect(window.page.locator("#stations [aria-current=step]")).to_contain_text("create", timeout=60_000)
+        return make_set(window, run)
+
+
+@pytest.fixture(scope="module")
+def asked(people, made):
+    with people.seat("analyst") as window:
+        window.open(f"/parameter-sets/{made}")
+        return submit(window, "To look at dialogs.")
+
+
+@pytest.fixture(scope="module")
+def approved(people, made, asked):
+    with people.seat("analyst") as window:
+        window.open(f"/parameter-sets/{made}")
+        holds(window, "withdraw", named=(NEW,))
+    with people.seat("approver") as window:
+        window.open(f"/approvals/{asked}")
+        for reason in window.page.locator("#sign .reason").all():
+            reason.fill("Known, and small.")
+        window.page.locator("#password").fill(get_password("approver"))
+        for name in ("approve", "refuse"):
+            holds(window, name, named=(NAME, OLD, NEW))
+            changes(window, name)
+        sign(window, "Approve", get_password("approver"))
+        expect(window.page.get_by_role("heading", level=1)).to_contain_text("Approved")
+    return made
+
+
+@pytest.fixture(scope="module")
+def baseline(people, approved):
+    with people.seat("operator") as window:
+        window.open(f"/parameter-sets/{approved}")
+        holds(window, "promote", named=(NAME, OLD, NEW))
+        changes(window, "promote")
+        window.page.locator("[data-act][popovertarget=promote]").click()
+        dialog = window.page.get_by_role("dialog")
+        dialog.get_by_label("Reason").fill("Now.")
+        dialog.get_by_label("Your password").fill(get_password("operator"))
+        dialog.get_by_role("button", name="Promote").click()
+        expect(window.page.locator(".two-states")).to_contain_text("BASELINE")
+    return approved
+
+
+def test_the_dialogs_on_the_ground(people, baseline):
+    with people.seat("analyst") as window:
+        before = window.read(f"/api/v1/parameter-sets/{baseline}")["sensor_id"]
+        sets = window.read(f"/api/v1/parameter-sets?sensor_id={before}")["items"]
+        window.open(f"/parameter-sets/{min(one['id'] for one in sets)}")
+        holds(window, "roll-back", named=(NAME, NEW, OLD))
+        changes(window, "roll-back")
+
+
+def confirm(window, effect, **typed):
+    dialog = window.page.get_by_role("dialog")
+    for label, text in typed.items():
+        dialog.get_by_label(re.compile(label.replace("_", " "))).first.fill(text)
+    dialog.get_by_role("button", name=re.compile(f"^{effect}")).click()
+
+
+def test_the_dialogs_on_the_way_to_the_spacecraft(people, baseline):
+    with people.seat("operator") as window:
+        page = window.page
+        window.open(f"/parameter-sets/{baseline}/uplink")
+        page.locator("#stations").get_by_role("button", name="Export").click()
+        holds(window, "record-sent", named=(NAME, OLD, NEW, "nothing"))
+        page.locator("[data-act][popovertarget=record-sent]").click()
+        page.get_by_role("dialog").get_by_label("Package that was sent").select_option(index=1)
+        confirm(window, "Record SENT", Source="Pass 1")
+        for name in ("record-loaded", "record-mismatch", "record-unknown"):
+            holds(window, name, named=(NAME, OLD, NEW))
+            changes(window, name)
+        page.locator("[data-act][popovertarget=record-loaded]").click()
+        asked = page.get_by_role("dialog")
+        expect(asked.locator("input[name=c_sd]:checked")).to_have_count(0)
+        asked.get_by_label("Not yet").check()
+        confirm(window, "Record LOADED", Source="Pass 1")
+        holds(window, "c-sd", named=(NAME, NEW))
+        holds(window, "compare", named=(NAME, OLD, NEW))
+        table = {"name": "dump.bin", "mimeType": "application/octet-stream", "buffer": sent_table(window, baseline)}
+        page.get_by_label("Dump of the table").set_input_files(table)
+        confirm(window, "Compare", Source="Pass 1")
+        holds(window, "activate", named=(NAME, OLD, NEW, "C_SD is not recorded as loaded"))
+
+
+@pytest.mark.parametrize(("address", "opener"), [("/users", "Disable")])
+def test_the_dialogs_of_people(people, address, opener):
+    with people.seat("administrator") as window:
+        window.open(address)
+        first = window.page.locator("[data-act]", has_text=re.compile(f"^{opener}")).first
+        holds(window, first.get_attribute("popovertarget"), named=())

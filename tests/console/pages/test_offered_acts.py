@@ -1,0 +1,255 @@
+"""What the pages of a set offer to whom, in every state on its way, is what the server would accept: no more and no less."""
+
+import re
+from html.parser import HTMLParser
+
+import pytest
+
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.platform.db.sessions import open_reading, utc_after
+from tests.console.approvals.gates import TIGHT
+from tests.console.uplinks.pages import advance, define, table
+from tests.sites import PASSWORD, answer_points
+
+NAMES = ("ada", "alan", "olga", "adele", "victor", "both")
+REASON = "The limit was only set to be tried."
+
+
+class Offers(HTMLParser):
+    """The buttons of a page that would send a form: its address and fields, and the dialog that it is in."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.sent: list[tuple[str, dict[str, str], str | None]] = []
+        self.openers: set[str] = set()
+        self._ahead: dict[str, dict[str, str]] = {}  # fields that stand before the form that they name
+        self._form: tuple[str, dict[str, str]] | None = None
+        self._dialog: str | None = None
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, given: list[tuple[str, str | None]]) -> None:
+        has = {name: value or "" for name, value in given}
+        if tag == "form":
+            fields = self._ahead.get(has.get("id", ""), {})
+            self._form = (has.get("action", ""), fields) if has.get("method") == "post" else None
+        elif tag == "dialog":
+            self._dialog = has["id"]
+        elif tag == "a" and "#" in has.get("href", ""):
+            self.openers.add(has["href"].partition("#")[2])
+        elif tag in {"input", "textarea", "select"} and "disabled" not in has:
+            if "form" in has:
+                self._ahead.setdefault(has["form"], {})[has.get("name", "")] = has.get("value", "")
+            elif self._form:
+                self._form[1].setdefault(has.get("name", ""), has.get("value", ""))
+        elif tag == "button" and not {"disabled", "hidden"} & set(has):
+            if "data-act" in has:
+                self.openers.add(has["popovertarget"])
+            elif has.get("type", "submit") == "submit" and self._form:
+                fields = self._form[1]
+                fields |= {has["name"]: has.get("value", "")} if "name" in has else {}
+                self.sent.append((has.get("formaction", self._form[0]), dict(fields), self._dialog))
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag == "form":
+            self._form = None
+        if tag == "dialog":
+            self._dialog = None
+
+    def reachable(self) -> list[tuple[str, dict[str, str]]]:
+        return [(place, fields) for place, fields, dialog in self.sent if dialog is None or dialog in self.openers]
+
+
+def offered(visitor, set_id, request_id):
+    """The acts on a set and its request that its pages offer somebody."""
+    place, found = f"/parameter-sets/{set_id}", []
+    pages = [place, f"{place}/gates", f"{place}/uplink", *([f"/approvals/{request_id}"] if request_id else [])]
+    for page in pages:
+        for address, fields in Offers(visitor.get(page)).reachable():
+            act = re.sub(rf"^({place}|/approvals/{request_id})(/uplink)?/", "", address.partition("#")[0])
+            if act in {"sign", "sign-over-the-shoulder"}:
+                act = f"{act} {fields.get('decision')}"
+            elif act == "record":
+                beside = fields["onboard_state"] == visitor.send("GET", f"/api/v1{place}").json()["onboard_state"]
+                act = "record C_SD" if beside else f"record {fields['onboard_state']}"
+            elif act == "read-back":
+                found += ["read-back by dump", *(["read-back by CRC"] if "crc" in fields else [])]
+            found.append(act)
+    return set(found) & set(ACTS)
+
+
+ACTS = {
+    "submit": ("set", "submit", {"reason": REASON}),
+    "roll-back": ("set", "roll-back", {"reason": REASON}),
+    "withdraw": ("set", "withdraw", {}),
+    "promote": ("set", "promote", {"reason": REASON}),
+    "assess": ("set", "assess", None),
+    "waive": (
+        "set",
+        "waive",
+        {"gate": TIGHT["name"], "code": "limit-too-tight", "reason": REASON, "password": PASSWORD},
+    ),
+    "sign APPROVE": ("request", "approve", {"meaning": "Read.", "password": PASSWORD}),
+    "sign REFUSE": ("request", "refuse", {"meaning": "Read.", "comment": REASON, "password": PASSWORD}),
+    "package": ("set", "export", {}),
+    "record SENT": ("record", "SENT", {}),
+    "record LOADED": ("record", "LOADED", {}),
+    "record MISMATCH": ("record", "MISMATCH", {}),
+    "record UNKNOWN": ("record", "UNKNOWN", {}),
+    "record C_SD": ("record", "", {"c_sd": "NOT YET"}),
+    "read-back by dump": ("read", "dump", {}),
+    "read-back by CRC": ("read", "crc", {}),
+    "activate": ("set", "activate", {"source": "TM", "meaning": "Seen.", "password": PASSWORD}),
+}
+
+
+def accepted(site, visitor, set_id, request_id):
+    """The acts that the server would accept from somebody now, by dry runs over REST."""
+    with open_reading(site.engine) as session:
+        row = session.get_known(ParameterSet, set_id)
+        seen, was_baseline, on_board = row.version, row.baseline_from_utc is not None, row.onboard_state
+    request_version = visitor.send("GET", f"/api/v1/approvals/{request_id}").json()["version"] if request_id else None
+
+    def tried(act):
+        kind, verb, body = ACTS[act]
+        if kind == "request" and request_id is None:
+            return False
+        place = f"/api/v1/approvals/{request_id}" if kind == "request" else f"/api/v1/parameter-sets/{set_id}"
+        version = request_version if kind == "request" else seen
+        options = {"headers": {"If-Match": f'"v{version}"', "X-CSRF-Token": visitor.csrf_token}}
+        if kind == "record":
+            place = "/api/v1/uplinks"
+            options["json"] = {
+                "parameter_set_id": set_id,
+                "onboard_state": verb or on_board,
+                "source": "Pass 1",
+                **body,
+            }
+        elif kind == "read":
+            place = f"{place}:read-back"
+            options["data"] = {"source": "Pass 1", **({"crc": "0"} if verb == "crc" else {})}
+            options["files"] = {"file": ("dump.bin", table(site, set_id))} if verb == "dump" else None
+        else:
+            place = f"{place}:{verb}"
+            if body is not None:
+                options["json"] = body | ({"expires_utc": utc_after(3600.0)} if verb == "waive" else {})
+        answer = visitor.send("POST", place, params={"validate_only": "true"}, **options)
+        assert answer.status_code in {200, 201, 401, 403, 404, 409, 412, 422}, (act, answer.text)
+        return answer.status_code in {200, 201}
+
+    acts = set(ACTS) - ({"submit"} if was_baseline else set())  # a former baseline goes back by a roll-back
+    return {act for act in acts if tried(act)}
+
+
+class Life:
+    """A set and its newest request on their way, one step at a time."""
+
+    def __init__(self, site) -> None:
+        self.site, self.request_id = site, None
+        self.people = {name: site.visitor(name) for name in NAMES}
+        self.set_id = int(self.people["ada"].post("/runs/1/parameter-set").headers["location"].rpartition("/")[2])
+        define(site)
+
+    @property
+    def place(self) -> str:
+        return f"/parameter-sets/{self.set_id}"
+
+    def _version(self) -> str:
+        with open_reading(self.site.engine) as session:
+            return str(session.get_known(ParameterSet, self.set_id).version)
+
+    def act(self, who, verb, **form):
+        answer = self.people[who].post(f"{self.place}/{verb}", version=self._version(), **form)
+        assert answer.status_code == 303, answer.text
+        if "/approvals/" in answer.headers["location"]:
+            self.request_id = int(answer.headers["location"].rpartition("/")[2])
+
+    def sign(self, who, decision):
+        alan, place = self.people[who], f"/approvals/{self.request_id}"
+        form = {"decision": decision, "comment": REASON, "password": PASSWORD, **answer_points(alan.get(place))}
+        version = alan.send("GET", f"/api/v1{place}").json()["version"]
+        assert alan.post(f"{place}/sign", version=str(version), **form).status_code == 303
+
+    def promoted(self):
+        self.act("ada", "submit", reason=REASON)
+        self.sign("alan", "APPROVE")
+        self.act("olga", "promote", reason=REASON, password=PASSWORD)
+
+    def record(self, *states):
+        advance(self.site, *states, set_id=self.set_id)
+
+    def tighten(self):
+        adele, body = self.people["adele"], {"gates": [TIGHT], "reason": REASON}
+        headers = {"If-Match": '"v0"', "X-CSRF-Token": adele.csrf_token}
+        answer = adele.send("POST", "/api/v1/sensors/1/gate-profiles", json=body, headers=headers)
+        assert answer.status_code == 201, answer.text
+
+    def holds(self, state, *names):
+        for name in names or NAMES:
+            visitor = self.people[name]
+            pages, server = (
+                offered(visitor, self.set_id, self.request_id),
+                accepted(self.site, visitor, self.set_id, self.request_id),
+            )
+            assert pages == server, f"{state}, {name}: offered {pages - server}, hidden {server - pages}"
+
+
+@pytest.fixture
+def life(site):
+    return Life(site)
+
+
+def test_on_the_ground_the_pages_offer_what_the_server_accepts(life):
+    life.holds("CANDIDATE")
+    life.act("ada", "submit", reason=REASON)
+    life.holds("SUBMITTED")
+    life.act("ada", "withdraw")
+    life.holds("WITHDRAWN")
+    life.act("ada", "submit", reason=REASON)
+    life.sign("alan", "REFUSE")
+    life.holds("REJECTED")
+
+
+def test_with_gates_in_the_way_the_pages_offer_what_the_server_accepts(life):
+    life.tighten()
+    life.act("ada", "assess")
+    life.holds("CANDIDATE that a gate stops")
+    life.act("ada", "submit", reason=REASON)
+    life.holds("SUBMITTED that a gate stops")
+    life.act("ada", "waive", gate=TIGHT["name"], code="limit-too-tight", reason=REASON, days="2", password=PASSWORD)
+    life.holds("CANDIDATE with a waiver")
+
+
+def test_on_board_the_pages_offer_what_the_server_accepts(life):
+    life.act("ada", "submit", reason=REASON)
+    life.sign("alan", "APPROVE")
+    life.holds("APPROVED")
+    life.act("olga", "promote", reason=REASON, password=PASSWORD)
+    life.holds("BASELINE")
+    for state in ("SENT", "LOADED", "VERIFIED", "ACTIVE"):
+        life.record(state)
+        life.holds(state, "olga", "ada")
+
+
+def test_after_a_mismatch_the_pages_offer_what_the_server_accepts(life):
+    life.promoted()
+    life.record("SENT", "LOADED", "MISMATCH")
+    life.holds("MISMATCH by statement", "olga")
+    life.record("SENT", "LOADED")
+    dump = bytes(len(table(life.site, life.set_id)))
+    visitor, version = life.people["olga"], life._version()
+    data = {"csrf_token": visitor.csrf_token, "source": "TM 4711", "version": version}
+    files = {"file": ("dump.bin", dump, "application/octet-stream")}
+    assert visitor.send("POST", f"{life.place}/uplink/read-back", data=data, files=files).status_code == 303
+    life.holds("MISMATCH by a dump", "olga", "alan")
+    life.record("UNKNOWN")
+    life.holds("UNKNOWN after a dump", "olga")
+
+
+def test_a_former_baseline_that_was_sent_is_offered_what_the_server_accepts(life):
+    former = Life.__new__(Life)
+    former.__dict__ |= life.__dict__ | {"set_id": 1}
+    former.record("SENT", "LOADED", "VERIFIED")
+    life.promoted()
+    former.holds("SUPERSEDED and VERIFIED", "olga", "both")
+    former.record("UNKNOWN")
+    former.holds("SUPERSEDED and UNKNOWN", "olga")
