@@ -171,8 +171,8 @@ def test_the_help_names_every_word_and_every_default_by_group(boresight):
     text = boresight("calibrate", "--help").stdout
     flat = " ".join(text.replace("-\n", "-").split())
     assert [line for line in text.splitlines() if line.endswith(":") and line[0] != " "][-9:] == [
-        "Files and output:", "Method:", "Matching:", "Of a joint calibration:", "Of a prior:", "Of the batch:",
-        "Of the filters:", "Of process noise:", "Of svd and angular:"
+        "Files and output:", "Method:", "Matching:", "Joint calibration:", "Prior:", "Batch:", "Filters:", "Process noise:",
+        "Singular values and all angular distances:"
     ]  # fmt: skip
     for name, option in ((name, option) for name, option in OPTIONS.items() if option.kind == "word"):
         listed = f"Choose from {', '.join(option.words)}. [default: {getattr(CalibrationSettings(), name)}]"

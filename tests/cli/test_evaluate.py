@@ -85,7 +85,7 @@ def test_a_wider_tolerance_accepts_more(evaluate, simulated):
 def test_shadow_lists_the_frames_that_one_would_lose(evaluate, calibration):
     done = evaluate("--parameters", calibration, "--shadow")
     assert "lost by" in done.stdout
-    assert "frames that the baseline loses and loses no frame that the baseline solves" in done.stdout
+    assert "frames that the old ones lose and lose no frame that the old ones solve" in done.stdout
     found = json.loads(evaluate("--parameters", calibration, "--shadow", "--json", "-").stdout)["shadow"]
     assert len(found["frames"]) == found["frames_in_set"]
 

@@ -114,7 +114,7 @@ def _check_names(values: Mapping[str, Any], sensor: Sensor, name: str) -> None:
     camera = CAMERA_MODELS[sensor.camera_model]
     missing = [parameter for parameter in camera.parameter_names if parameter not in values]
     if missing:
-        raise RefusedInputError(f"{name} gives no {', '.join(missing)}: give every parameter of {camera.name}.")
+        raise RefusedInputError(f"{name} lacks {', '.join(missing)}: give every parameter of {camera.name}.")
     unknown = [parameter for parameter in values if parameter not in camera.parameter_names]
     if unknown:
         raise RefusedInputError(

@@ -414,7 +414,7 @@ def _find_refraction(fitted: FittedSet) -> Departure | str:
         return "The sensor declares that its images are from space."
     time = None if fitted.telemetry.time_utc is None else fitted.telemetry.time_utc[_first_row_of_exposures(fitted)]
     if time is None or np.isnat(time).any():
-        return "The telemetry has no times, so it is not known where the zenith is."
+        return "The telemetry has no times, so the zenith direction is unknown."
     if site is not None:
         zenith = view_from(site, time).zenith
         return Departure("refraction", "sky", partial(_lifted, zenith[:, None], refraction_constants(site)))

@@ -60,7 +60,7 @@ def star_table(fitted: FittedSet, first: StarResiduals) -> StarTable:
     """Judge every star, taking suspects out until none is left."""
     if fitted.telemetry.star_id is None:
         raise Unavailable(
-            "The telemetry gives no star numbers, so sightings of one star cannot be combined: give star_id."
+            "The telemetry gives no star numbers, so sightings of the same star cannot be combined: give star_id."
         )
     ids = fitted.telemetry.star_id[first.arcs.source_row]
     table = _judged(ids, first)
