@@ -118,7 +118,7 @@ class Observability:
             f" {'+' if v > 0 else '−'} {abs(v):.2f} {name}" for name, v in rest
         )
         together = join_words([symbol for symbol, _ in named])
-        return f"{together} are correlated: the combination {ratio} (in typical sigmas) {known}."
+        return f"{together} move together: the combination {ratio} (in typical sigmas) {known}."
 
 
 def observability(A: FloatArray, names: tuple[str, ...], symbols: tuple[str, ...]) -> Observability:
