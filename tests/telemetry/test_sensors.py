@@ -125,7 +125,7 @@ ROLLING_READOUT = {"mode": "rolling", "line_time_s": 3.6e-5}
         ("readout", {"mode": "line"}, "readout.mode is 'line'"),
         ("readout", {"mode": ["global"]}, "readout.mode is ['global']"),
         ("readout", {"mode": "rolling"}, "readout.line_time_s is missing"),
-        ("readout", {"mode": "global", "line_time_s": 1e-5}, "leave the others out"),
+        ("readout", {"mode": "global", "line_time_s": 1e-5}, "omit the others"),
         ("readout", ROLLING_READOUT | {"line_time_s": 0}, "readout.line_time_s is 0"),
         ("readout", ROLLING_READOUT | {"line_time_s": True}, "readout.line_time_s is True"),
         ("readout", ROLLING_READOUT | {"line_time_s": float("nan")}, "readout.line_time_s is nan"),
@@ -262,7 +262,7 @@ def test_matched_stars_off_the_detector_are_refused_with_row_and_column_by_numbe
     with pytest.raises(RefusedInputError) as caught:
         check_against_sensor(telemetry, sensor)
     assert [(fault.row, fault.column) for fault in caught.value.faults] == [(3, "row_px"), (4, "col_px")]
-    assert "769.6 is off the detector (-0.5 to 767.5): exchange rows and columns" in str(caught.value)
+    assert "769.6 is outside the detector (−0.5 to 767.5): swap rows and columns" in str(caught.value)
     telemetry = read("frame,exposure,row_px,col_px,ra_deg,dec_deg\n0,0,9000,20,1,2\n0,0,9001,20,,\n")
     with pytest.raises(RefusedInputError) as caught:
         check_against_sensor(telemetry, sensor)

@@ -38,7 +38,7 @@ ADVICE_KINDS = {
     "misfit": "sigmas that misfit widens",
     "nis": "a filter that is over-confident",
     "nis_over_time": "innovations that change over the set",
-    "off_detector": "stars off the detector",
+    "off_detector": "stars outside the detector",
     "one_update": "a filter that used all frames at once",
     "overclaim": "a filter that claims too much information",
     "parity": "a mirrored detector",

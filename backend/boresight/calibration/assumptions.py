@@ -232,7 +232,7 @@ def _decentring(sensor: Sensor, unseen: Sequence[UnseenDeparture]) -> list[Assum
         )
         if most.sigmas <= MATTERS:
             said = f"Significant tangential distortion would be detected: {how}."
-            return [Assumption(name=name, declared=True, value="would be noticed", sentence=said)]
+            return [Assumption(name=name, declared=True, value="would be detected", sentence=said)]
     sentence = (
         f"The camera model has no tangential terms, so a centred lens is assumed; {how}: calibrate with a model that has "
         f"them, such as {name_camera_with(Role.DECENTRING)}, or {WHERE}."
@@ -256,7 +256,7 @@ def _centroids(sensor: Sensor, unseen: Sequence[UnseenDeparture]) -> Assumption:
         )
         if max(moves) <= MATTERS:
             said = f"Significant displacements that depend on position or brightness would be detected. {how}."
-            return Assumption(name=name, declared=True, value="would be noticed", sentence=said)
+            return Assumption(name=name, declared=True, value="would be detected", sentence=said)
     sentence = (
         "Centroids are assumed to have no systematic displacements with position or brightness, caused for example by readout "
         f"seams, charge left behind or the window. {how}: measure them, for example on flat fields or with a star moved over the "
@@ -334,11 +334,11 @@ def _earth_rotation(telemetry: Telemetry) -> Assumption:
         days = int((last - tables.measured_to) / np.timedelta64(1, "D"))
         sentence = (
             f"The Earth's rotation and pole are predicted {days} days beyond the measurements: {value}; {leap}. That changes "
-            "the zenith by about 0.1 arcsec, which does not matter; a newer astropy-iers-data has the measured values."
+            "the zenith by about 0.1 arcsec, which is negligible; a newer astropy-iers-data has the measured values."
         )
     else:
         sentence = (
             f"The set ends {last}, after the last table of the Earth's rotation: {value}; {leap}. The last values are used, and "
-            "the zenith may be off by arcseconds, which does not matter to refraction: install a newer astropy-iers-data."
+            "the zenith may be off by arcseconds, which is negligible for refraction: install a newer astropy-iers-data."
         )
     return Assumption(name="earth_rotation", declared=True, value=value, sentence=sentence)

@@ -43,7 +43,7 @@ METHODS = {
             "sqrf",
             "Square-root filter",
             "Frame by frame with a square-root covariance, as it would run on board: use it to see how fast the parameters"
-            " settle and whether they drift.",
+            " converge and whether they drift.",
         ),
         MethodChoice(
             "ekf",

@@ -222,7 +222,7 @@ def _detector(telemetry: TelemetryInput, given: LensAndDetector) -> tuple[int, i
     if off > FEW_OFF * total:
         raise RefusedInputError(
             f"{off:,} of {total:,} detections are outside a detector of {given.rows or 'any'} rows and {given.columns or 'any'} "
-            f"columns, up to row {ends[1, 0]:.0f} and column {ends[1, 1]:.0f}: correct rows and columns, or leave them out."
+            f"columns, up to row {ends[1, 0]:.0f} and column {ends[1, 1]:.0f}: correct rows and columns, or omit them."
         )
     found = [
         side or max(round(max(first, 0.0) + last), math.floor(last + 0.5), int(ASKED["rows"].lowest)) + 1

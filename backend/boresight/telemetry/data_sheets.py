@@ -106,12 +106,12 @@ class LensAndDetector:
     )
     centroid_sigma_px: float | None = field(
         default=None,
-        metadata=Asked("Centroid noise", "px", 1e-4, 100.0, "One axis, one sigma; 0.2 px when left out.").metadata,
+        metadata=Asked("Centroid noise", "px", 1e-4, 100.0, "One axis, one sigma; 0.2 px if omitted.").metadata,
     )
     magnitude_limit: float | None = field(
         default=None,
         metadata=Asked(
-            "Faintest magnitude", "mag", -2.0, 20.0, "Of the stars that it sees; found from each set when left out."
+            "Faintest magnitude", "mag", -2.0, 20.0, "Of the stars that it sees; found from each set if omitted."
         ).metadata,
     )
     site: Site | None = None

@@ -14,7 +14,7 @@ SCHEMA: Final = "boresight.diagnosis/1"
 CAUSES: Final = {
     "none": "sensor file and telemetry match",
     "parity": "the image is mirrored",
-    "swapped_axes": "rows and columns are exchanged",
+    "swapped_axes": "rows and columns are swapped",
     "flipped_rows": "rows are counted from the other edge",
     "flipped_columns": "columns are counted from the other edge",
     "half_pixel": "pixels are counted from another origin",

@@ -19,7 +19,7 @@ def describe(hypothesis: Hypothesis) -> str:
     mapping = hypothesis.mapping
     said = [
         "the other parity" if hypothesis.parity else "",
-        "rows and columns exchanged" if mapping.swapped_axes else "",
+        "rows and columns swapped" if mapping.swapped_axes else "",
         "rows from the other edge" if mapping.flipped_rows else "",
         "columns from the other edge" if mapping.flipped_columns else "",
         f"origin {mapping.origin_px:g} px" if mapping.origin_px else "",
@@ -108,7 +108,7 @@ def _origin_clause(best: Trial, _: Sensor) -> str:
     mapping = best.hypothesis.mapping
     origin = mapping.origin_px
     if mapping.centred:
-        return f"the middle that pixels are counted from is {origin:g} px off the detector's"
+        return f"the middle from which pixels are counted is {origin:g} px off the detector's"
     return f"pixels are counted from another origin: the centre of the first one is {origin:g}, not 0"
 
 

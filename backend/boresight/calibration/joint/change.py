@@ -176,7 +176,7 @@ def _fit_events(of: PassesProblem, own: IntArray, events: Sequence[str]) -> tupl
     for gap, event in zip(gaps, events, strict=True):
         if not 0 <= gap < len(days) - 1:
             raise RefusedInputError(
-                f"No pass is on both sides of the event {event}: give passes before and after it, or leave it out."
+                f"No pass is on both sides of the event {event}: give passes before and after it, or omit it."
             )
         if gaps.count(gap) > 1:
             raise RefusedInputError(

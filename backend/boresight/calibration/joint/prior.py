@@ -258,7 +258,7 @@ def _age_days(source: PriorSource, settings: CalibrationSettings, begins: np.dat
     if settings.prior_age_days is not None:
         if settings.prior_drift_sigma == 0.0:
             raise RefusedInputError(
-                "An age without a drift changes nothing: give --prior-drift-sigma too, or leave it out."
+                "An age without a drift changes nothing: give --prior-drift-sigma too, or omit the age."
             )
         return settings.prior_age_days
     if source.ended is None or begins is None or np.isnat(begins):

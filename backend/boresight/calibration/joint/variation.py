@@ -67,7 +67,7 @@ FIRST_WALK, WALK_ROUNDS, WALK_RESTS = 0.1, 4, 0.1
 def refuse_one_pass() -> NoReturn:
     """Refuse what varies from pass to pass of one set."""
     raise RefusedInputError(
-        "What varies from pass to pass needs several telemetry sets: name more, or leave --vary out.",
+        "What varies from pass to pass needs several telemetry sets: give more, or omit --vary.",
         code="one-set-cannot-vary",
     )
 
@@ -131,7 +131,7 @@ def fit_variation(
         ) from error
     if not fitted.converged:
         raise RefusedInputError(
-            "The fit of the passes does not settle: choose --vary-as walk, or vary fewer parameters."
+            "The fit of the passes does not converge: choose --vary-as walk, or vary fewer parameters."
         )
     compared = None
     if settings.vary_as in IN_TIME:
@@ -204,16 +204,14 @@ def _write_walk(names: Sequence[str], walk: Walk | None, settings: CalibrationSe
 def _sentence(found: PassVariation) -> str:
     how = {"pass": "one value in each", "walk": "a random walk over each"}
     how |= {"temperature": "linear in the temperature", "drift": "linear in time"}
-    how |= {"walk-and-temperature": "a random walk about a line in the temperature over each"}
+    how |= {"walk-and-temperature": "a random walk around a linear temperature trend over each"}
     last = f"values are those of the last pass, {found.states[-1].name}."
     if found.compared:
         last = f"{say_comparison(found.compared)}; {last}"
     if found.vary_as == "evidence":
         steps = "; ".join(one.sentence for one in found.steps or ()) or "no significant step"
         about = [what for what, of in (("temperature", found.slope), ("time", found.rate)) if of is not None]
-        opening = (
-            f"{', '.join(found.vary)}: a random walk{' about lines in ' + ' and '.join(about) if about else ''} over"
-        )
+        opening = f"{', '.join(found.vary)}: a random walk{' around linear trends in ' + ' and '.join(about) if about else ''} over"
         return f"{opening} {len(found.states)} passes{_drifts(found)}; {steps}; {last}"
     if found.steps is not None:
         none = f"{', '.join(found.vary)}: no significant step over {len(found.states)} passes"

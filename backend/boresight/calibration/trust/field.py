@@ -285,7 +285,7 @@ ALONG = {"row": 0, "column": 1, "row_phase": 0, "column_phase": 1}
 #: Those judged at a fifth of `UNLIKELY`.
 LOOKED_AT = ("colour", *ALONG)
 ABSENT = {
-    "colour": "The catalogue gives no B-V of these stars.",
+    "colour": "The catalogue gives no B−V of these stars.",
     "magnitude": "The telemetry gives no magnitude.",
     "temperature": "The telemetry gives no temperature.",
     "time": "The telemetry gives no time.",

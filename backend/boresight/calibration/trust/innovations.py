@@ -137,7 +137,7 @@ def _series(fitted: FittedSet) -> tuple[NDArray[np.int64], FloatArray, FloatArra
 
 def _innovations_sentence(n: int, outside: float, bounds: tuple[float, float], runs: float, filtered: bool) -> str:
     what = "updates" if filtered else "frames"
-    share = f"{outside:.1%} of {n} {what} lie outside their 95 % bounds ({bounds[0]:.1%} to {bounds[1]:.1%} is what chance allows)"
+    share = f"{outside:.1%} of {n} {what} lie outside their 95 % bounds ({bounds[0]:.1%} to {bounds[1]:.1%} expected by chance)"
     wrong = "" if bounds[0] <= outside <= bounds[1] else ": the noise or the covariance is not as stated"
     if n < FEWEST_FOR_RUNS:
         return f"{share}{wrong}."

@@ -195,7 +195,10 @@ def stars_sentence(table: StarTable, frames_used: int, frames: int, *, fits: boo
     named = table.star_id[table.suspect]
     of = "" if frames_used == frames else f" in {frames_used} frames spaced evenly over the set"
     if not len(named):
-        return f"None of {len(table.z)} stars{of} is off its catalogue place by more than chance explains (1 % over all of them)."
+        return (
+            f"None of {len(table.z)} stars{of} is off its catalogue position by more than chance explains (1 % over all of "
+            "them)."
+        )
     worst = table.star_id[table.suspect][np.argsort(-table.z[table.suspect])][:10]
     what = (
         "check their matches or leave them out"

@@ -174,7 +174,7 @@ class _Thrift:
         elif kind in {_BYTE, _DOUBLE}:
             self._skip(1 if kind == _BYTE else 8)
         elif kind not in {_TRUE, _FALSE}:
-            raise DamagedPageError("a page header holds what none has")
+            raise DamagedPageError("a page header contains invalid data")
         return None
 
     def _list(self, depth: int) -> list[object]:
