@@ -219,7 +219,7 @@ def test_a_distortion_that_turns_back_on_the_detector_is_named_with_the_blind_co
     document.pop("free", None)
     assert parse_sensor(document).camera_model == "pinhole_radial"
     document["initial"]["k1"] = -1e3
-    assert "turns back before the corner at row -0.5, column -0.5" in refusal(document)
+    assert "folds back before the corner at row -0.5, column -0.5" in refusal(document)
 
 
 def test_every_wrong_field_is_listed(document):

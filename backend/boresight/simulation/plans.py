@@ -156,7 +156,8 @@ def make_plan(
     plan = plan_pointings(candidates, A_1, A_0, constraints, "D" if criterion == "D" else "A")
     if not len(plan.place):
         raise RefusedInputError(
-            "No candidate can be observed: each is too near the Sun, the Moon or the Earth, has too few stars, or takes longer "
+            "No candidate pointing can be observed: each is too near the Sun, the Moon or the Earth, has too few stars, or takes "
+            "longer "
             "than the available time: give smaller angles, more minutes, or other candidates."
         )
     return _write(sensor, names, scale, candidates, stars, constraints, criterion, plan, known=known is not None)

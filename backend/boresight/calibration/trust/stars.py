@@ -207,6 +207,6 @@ def stars_sentence(table: StarTable, frames_used: int, frames: int, *, fits: boo
     )
     more = "" if len(named) <= len(worst) else f" and {len(named) - len(worst)} more"
     return (
-        f"{len(named)} of {len(table.z)} stars{of} {'is' if len(named) == 1 else 'are'} off the catalogue place by more than "
+        f"{len(named)} of {len(table.z)} stars{of} {'is' if len(named) == 1 else 'are'} off the catalogue position by more than "
         f"chance explains (1 % over all of them): HIP {', '.join(map(str, worst))}{more}; {what}."
     )
