@@ -172,8 +172,9 @@ def _directions(telemetry: Telemetry, sensor: Sensor, corner_px: float) -> Assum
     if word is not None:
         return Assumption(name=name, declared=True, value=word, sentence=f"Declared. {_words(name, word)}.")
     sentence = (
-        "Directions in the telemetry are assumed to be apparent. If they are of J2000.0, 20 arcsec of aberration stretch "
-        f"the field by up to 100 ppm, {100e-6 * corner_px:.2g} px at the corner, and are fitted as focal length: {WHERE}."
+        "Directions in the telemetry are assumed to be apparent. If they are of J2000.0, 20 arcsec of aberration would stretch "
+        f"the field by up to 100 ppm, {100e-6 * corner_px:.2g} px at the corner, and would be absorbed by the focal length: "
+        f"{WHERE}."
     )
     return Assumption(name=name, declared=False, value="apparent", sentence=sentence)
 
@@ -206,8 +207,8 @@ def _tilt(sensor: Sensor, x: FloatArray) -> list[Assumption]:
     moved_px = USUAL_TILT_RAD * camera.focal_px(x, sensor.pixel_pitch_m)
     sentence = (
         f"The camera model has no tilt, so a detector square to the optical axis is assumed. A tilt of "
-        f"{USUAL_TILT_RAD * 1e3:g} mrad would be fitted as a principal point {moved_px:.2g} px off, with no sign in the residuals "
-        f"and almost none in the directions of stars: calibrate with a model that has it, such as "
+        f"{USUAL_TILT_RAD * 1e3:g} mrad would be fitted as a principal point {moved_px:.2g} px off, without any trace in the "
+        f"residuals and with almost none in the directions of stars: calibrate with a model that has it, such as "
         f"{name_camera_with(Role.TILT)}, or {WHERE}."
     )
     return [Assumption(name=name, declared=False, value="none", sentence=sentence)]

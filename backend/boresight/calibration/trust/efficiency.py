@@ -58,7 +58,7 @@ def efficiency(fitted: FittedSet) -> Efficiency:
     """Claimed sigma over bound, a parameter at a time and over all directions."""
     if not fitted.determined:
         raise Unavailable(
-            "The data do not determine one direction of the parameters, so there is no bound: hold it fixed."
+            "The data do not determine one direction of the parameters, so there is no bound: hold a parameter fixed."
         )
     arcs = fitted.thinned(MOST_FRAMES)
     held = _centroid_information(fitted, arcs)
@@ -143,7 +143,7 @@ def arc_sigma_map(fitted: FittedSet) -> ArcSigmaMap:
     """The map, with the length of its arcs and a sentence."""
     if not fitted.determined:
         raise Unavailable(
-            "The data do not determine one direction of the parameters, so arcs have no bounded error: hold it fixed."
+            "The data do not determine one direction of the parameters, so arcs have no bounded error: hold a parameter fixed."
         )
     sensor = fitted.problem.sensor
     row, col = grid(sensor.rows, sensor.columns, ROWS, COLUMNS)
@@ -224,7 +224,7 @@ def _more_data_sentence(fitted: FittedSet, frames: list[int], sigma: FloatArray,
     gain = 1 - sigma[:, least] / sigma[0, least]
     if gain[most] < LITTLE:
         return (
-            f"A filter that forgets only uses its last frames: even {frames[most]:,} further frames of the same kind would "
+            f"A filter that forgets uses only its last frames: even {frames[most]:,} further frames of the same kind would "
             f"lower the sigma of {symbol} by only {gain[most]:.0%}."
         )
     unlike = (

@@ -149,7 +149,7 @@ def _sentence(value: float, dof: int, bounds: tuple[float, float], found: float,
     numbers = (
         f"chi-square {value:.3g} for {dof}, {lower:.2g} to {upper:.3g} expected, {probability(chdtrc(dof, value))}"
     )
-    over = f"over the detector they differ by {found:.2g} arcsec (rms), {expected:.2g} expected"
+    over = f"over the detector they differ by {found:.2g} arcsec (RMS), {expected:.2g} expected"
     if value > upper:
         return (
             f"Two halves of the set disagree by more than their sigmas allow ({numbers}); {over}: "

@@ -935,8 +935,8 @@ def import_by_likeliest(
         size = place.stat().st_size
     if size > MOST_BYTES_RECOGNISED:
         raise RefusedInputError(
-            f"{file.name} has more than {MOST_BYTES_RECOGNISED / 1e6:.0f} MB, too many to try every mapping profile on: choose its "
-            "profile yourself."
+            f"{file.name} has more than {MOST_BYTES_RECOGNISED / 1e6:.0f} MB, too large to try every mapping profile: choose "
+            "its profile yourself."
         )
     found = recognise_table(file.path, file.name)
     likely = [] if found is None else found.rank(profiles)

@@ -376,7 +376,7 @@ def _troubles(profile: Profile) -> list[tuple[bool, str]]:
     columns, detector = () if turned is None else turned.columns, profile.detector
     texts = _texts(_list_stated(profile))
     return [
-        (not NAME.fullmatch(profile.name), "its name must be of small letters, digits, dots and dashes, at most 64"),
+        (not NAME.fullmatch(profile.name), "its name must be of lower-case letters, digits, dots and dashes, at most 64 in all"),
         (any(abs(number) > MOST_WHOLE for number in _wholes(_list_stated(profile))), f"a number is over {MOST_WHOLE:,}"),
         (not 1 <= profile.version <= MOST_VERSION, "its version must be a number from 1"),
         (any(len(text) > LONGEST_TEXT or "\0" in text for text in texts), f"a text is over {LONGEST_TEXT:,} characters"),

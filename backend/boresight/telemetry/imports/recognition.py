@@ -550,6 +550,6 @@ def recognise_for_import(path: Path, name: str) -> Recognised:
         with expanded(path, name, LIMITS) as place:
             format_at(place, name)
         raise RefusedInputError(
-            f"{name} is no table that can be imported: give a table of stars, or images to `boresight extract`."
+            f"{name} is not a table that can be imported: give a table of stars, or images to `boresight extract`."
         )
     return found

@@ -387,7 +387,11 @@ def _by_astropy(
     except (ValueError, IndexError, TypeError, OverflowError) as error:
         place = _BAD_LINE.search(str(error))
         row = data[min(max(int(place.group(1)) - 1, 0), len(data) - 1)] if place else None
-        fault = Fault(row, None, "has not as many cells as the header, or none that can be read: check the separator")
+        fault = Fault(
+            row,
+            None,
+            "does not have as many cells as the header, or has cells that cannot be read: check the separator",
+        )
         raise RefusedInputError(f"{name}: {fault}.", (fault,)) from error
     columns = {column: _convert_masked(found[column]) for column in found.colnames}
     if not has_header and names is None:
@@ -461,7 +465,7 @@ def _read_objects(path: Path, name: str, layout: Layout, limits: Limits) -> Sour
         records += [record] * len(stars)
         if len(rows) > MOST_OBJECTS:
             raise RefusedInputError(
-                f"{name} has over {MOST_OBJECTS:,} stars, the most that is read of nested JSON: split it by time."
+                f"{name} exceeds the limit of {MOST_OBJECTS:,} stars for nested JSON: split it by time."
             )
         _refuse_cells(name, len(rows), len(common) + len(stars[0]) if stars else 1, limits)
     faults.refuse()
