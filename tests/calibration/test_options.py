@@ -80,7 +80,7 @@ def test_every_setting_survives_its_document(chosen):
         ({"flight_tolerance_urad": -1}, "give a number from 0.1"),
         ({"leave_out_doubles": "yes"}, "give true or false"),
         ({"method": "sqrf", "robust": "huber"}, "Robust loss works only with method 'batch'"),
-        ({"method": "ukf", "error": "cosine"}, "The cosine error is only for the batch"),
+        ({"method": "ukf", "error": "cosine"}, "The cosine error works only with method 'batch'"),
         ({"error": "cosine", "robust": "huber"}, "set 'robust' to 'none'"),
         ({"forgetting_factor": 0.9}, "A forgetting factor is only for filters"),
     ],

@@ -134,10 +134,10 @@ def test_data_that_a_prior_holds_under_another_name_are_told_and_others_are_not(
     again = replace(first_set, row_px=np.round(first_set.row_px, 3), time_utc=None)
     for settings in (NOISE, {"prior_inflation": 3.0}, {"method": "sqrf"}):
         found = run(again, sensor, catalogue, PriorSource(former), {"telemetry": "bb"}, **settings)
-        assert any("counted twice" in sentence for sentence in found.advice), settings
+        assert any("twice" in sentence for sentence in found.advice), settings
     for seed in range(70, 76):
         found = run(a_pass(seed, frames=60), sensor, catalogue, PriorSource(former), {"telemetry": "bb"}, **NOISE)
-        assert not any("counted twice" in sentence for sentence in found.advice)
+        assert not any("twice" in sentence for sentence in found.advice)
 
 
 def test_data_within_the_times_of_a_prior_are_said_to_be(former, sensor, catalogue):

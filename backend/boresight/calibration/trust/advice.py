@@ -72,8 +72,8 @@ def _advise_on_coverage(trust: Trust, coverage: Coverage | None) -> Iterator[Adv
     if parts.mean() >= COVERED:
         return
     yield Advice(
-        f"Stars cover {int(parts.sum())} of {parts.size} parts of the detector; elsewhere the camera is extrapolated"
-        f"{_predicted(trust, coverage, parts)}: add frames with stars in the other parts, or use only the part that is covered.",
+        f"Stars cover {int(parts.sum())} of {parts.size} regions of the detector; elsewhere the camera is extrapolated"
+        f"{_predicted(trust, coverage, parts)}: add frames with stars in the other regions, or use only the part that is covered.",
         "coverage",
     )
 
