@@ -88,7 +88,9 @@ def test_a_prior_makes_sigmas_smaller_and_the_terminal_says_how_much_came_from_i
     assert all(0 < found["prior"]["share"][name] < 1 for name in found["free"])
     assert found["prior"]["sha256"] == found["inputs"]["sha256s"]["prior"] == compute_digest(former)
     assert "comes from former.json" in done.stdout
-    assert_refused(boresight("calibrate", simulated / "calibration.csv", *sensor, "--prior", former), "already contains", lines=1)
+    assert_refused(
+        boresight("calibrate", simulated / "calibration.csv", *sensor, "--prior", former), "already contains", lines=1
+    )
     assert_refused(boresight(*words, "--prior", former, "--server", "http://127.0.0.1:9"), "server", lines=1)
 
 
