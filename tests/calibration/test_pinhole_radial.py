@@ -148,7 +148,7 @@ def test_the_first_sentence_names_the_parameter_whose_spread_it_was_and_what_it_
     assert result["status"] == "diverged"
     assert "states 2.4 sigmas away" in result["advice"][0]
     assert "where k2 makes the distortion fold back" in result["advice"][0]
-    assert "choose sqrf" in result["advice"][0]
+    assert "Choose sqrf" in result["advice"][0]
     assert calibrated(WIDE, "sqrf", linearisations=1)["status"] == "converged"
     assert calibrated(WIDE)["status"] == "converged"
     assert calibrated(WIDE, linearisations=1, initial_sigma_scale=0.5)["status"] == "converged"

@@ -203,7 +203,7 @@ def test_a_wrong_number_is_named(document, path, value, words):
         ("initial.f_m", 35.0, "field of view of 0.0144 degrees"),
         ("initial.b2_per_m2", 9e7, "field of view of 179 degrees"),
         ("initial.m0_px", 9e4, "principal point at row 90000"),
-        ("initial.n0_px", -3000, "far off the detector"),
+        ("initial.n0_px", -3000, "far outside the detector"),
     ],
 )
 def test_a_wrong_field_is_named_with_what_to_do(document, path, value, words):
