@@ -118,7 +118,7 @@ NAMES = ("s", "f_m", "u0_px", "v0_px", "k1", "k2")
 SOUND = dict(zip(NAMES, WU_TRUTH.tolist(), strict=True))
 UNSOUND = {
     "a distortion that folds back before the corner at row -0.5, column -0.5": {"k1": -10.0, "k2": 0.0},
-    "the principal point at row 550, column -1990, far off the detector": {"u0_px": -1990.0},
+    "the principal point at row 550, column -1990, far outside the detector": {"u0_px": -1990.0},
 }
 
 

@@ -104,7 +104,7 @@ def test_parameters_must_be_named(evaluate):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        (lambda values: values.pop("b4_per_m4"), "gives no b4_per_m4: give every parameter of inverted_wang"),
+        (lambda values: values.pop("b4_per_m4"), "lacks b4_per_m4: give every parameter of inverted_wang"),
         (lambda values: values.update(k1=1.0), "gives 'k1', which is not a parameter"),
         (lambda values: values.update(f_m=-0.016), "gives f_m as -0.016, expected a number"),
         (lambda values: values.update(f_m=16.0), "a field of view of 0.025"),
@@ -213,7 +213,7 @@ def test_a_set_against_itself_has_not_moved_and_against_better_parameters_it_fai
         ("--profile", "{", "is not JSON: give a gate profile"),
         ("--profile", [1], "is not a JSON object: give a gate profile"),
         ("--profile", {"gates": [{"name": "beauty"}]}, "There is no gate 'beauty'"),
-        ("--against", {"f_m": 0.016}, "gives no m0_px"),
+        ("--against", {"f_m": 0.016}, "lacks m0_px"),
         ("--validate", "frame,exposure\n", "no rows"),
     ],
 )
