@@ -321,7 +321,7 @@ def test_given_matches_give_the_calibration_of_the_set_without_the_row(px, senso
     without_row = in_memory(without(whole), sensor, catalogue, match="given")
     for name in PARTS:
         assert left[name] == without_row[name], name
-    assert left["left_out"] == [{"what": "stars", "count": 2, "reason": "centroid off the detector"}]
+    assert left["left_out"] == [{"what": "stars", "count": 2, "reason": "centroid outside the detector"}]
     assert left["stars_off_detector"]["stars"] == 2
     assert [star["row"] for star in left["stars_off_detector"]["rows"]] == [row + 2 for row in MOVED]
     told = left["advice_codes"].count("off_detector")
@@ -419,7 +419,7 @@ def test_a_covariance_that_is_too_small_is_widened_by_the_worst_sign_of_it(
         ({"variant": "q"}, "process noise"),
         ({"variant": "no-refit"}, "matches used only"),
         ({"variant": "no-q", "inputs": Inputs(settings=StatedSettings(linearisations=1))}, "over-confident"),
-        ({"variant": "no-q", "inputs": Inputs(settings=StatedSettings(forgetting_factor=0.99))}, "forgets"),
+        ({"variant": "no-q", "inputs": Inputs(settings=StatedSettings(forgetting_factor=0.99))}, "forgetting"),
     ],
 )
 def test_what_no_factor_makes_comparable_is_left_out(changed: dict[str, Any], why: str) -> None:

@@ -134,5 +134,5 @@ def test_stars_in_one_quarter_of_the_detector_are_said_with_the_error_elsewhere_
     (sentence,) = trust_advice(trust, Coverage(**edges, counts=counts.tolist()))[:1]
     assert sentence.code == "coverage"
     assert " 12 of 48 " in sentence
-    assert re.search(r"[\d.]+ arcsec off", sentence)
+    assert re.search(r"off by [\d.]+ arcsec", sentence)
     assert trust_advice(trust, Coverage(**edges, counts=(counts + 1).tolist())) == trust_advice(trust)

@@ -371,7 +371,7 @@ def test_from_telemetry_the_sentence_names_the_terms_and_the_file_holds_what_was
     ) & {"k2"}
     assert "tangential" in found.sentence
     assert "p < 1e-6" in found.sentence
-    assert "nothing beyond" in found.sentence
+    assert "no further terms are needed" in found.sentence
     assert {"camera_model", "free", "chi2", "dof", "bic", "rms_arc_rad", "held_out_rms_arc_rad"} <= set(
         written["models"][0]
     )

@@ -394,9 +394,9 @@ def test_alike_states_are_told_apart_no_more_often_than_the_test_says():
 @pytest.mark.parametrize(
     ("baseline", "candidate", "words"),
     [
-        ([1, 1, 0, 0], [1, 1, 0, 0], "solve the same frames; 2 .* 1 lost"),
-        ([0] * 9, [1] * 9, "solves 9 frames .* loses no frame .* 2 .* 1 lost"),
-        ([1, 1], [0, 1], "loses 1 frame .* solves no frame .*, which chance alone explains.* 2 .* 1 lost"),
+        ([1, 1, 0, 0], [1, 1, 0, 0], "solve the same frames; 2 .* gained, 1 lost"),
+        ([0] * 9, [1] * 9, "solve 9 frames .* lose no frame .* 2 .* gained, 1 lost"),
+        ([1, 1], [0, 1], "lose 1 frame .* solve no frame .*: consistent with chance.* 2 .* gained, 1 lost"),
     ],
 )
 def test_the_summary_says_it_in_a_sentence(baseline, candidate, words):

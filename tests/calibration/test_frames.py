@@ -454,7 +454,7 @@ def test_the_same_parameters_turn_nothing_and_one_frame_has_no_scatter_and_so_no
     view = to_plain(alignment_view(make_frame_problem(7), TRUTH, TRUTH, KNOWN))
     assert np.abs(view["rotation_arcsec"]).max() < 1e-6
     assert view["consistent"]
-    assert "C_SD may stay" in view["sentence"]
+    assert "C_SD can stay" in view["sentence"]
     np.testing.assert_allclose(view["c_sd_update"], np.eye(3), atol=1e-12)
     assert to_plain(alignment_view(make_frame_problem(8, 1), GROUND, TRUTH, KNOWN)) is None
 
@@ -468,7 +468,7 @@ def test_the_view_holds_the_numbers_that_its_sentence_says_and_open_sigmas_where
     np.testing.assert_allclose(to_matrix(np.array(view["quaternion"])).T, view["c_sd_update"], atol=1e-15)
     assert (np.array(view["sigma_arcsec"]) > view["sigma_of_mean_arcsec"]).all()
     assert f"{np.linalg.norm(view['rotation_arcsec']):,.1f}" in view["sentence"]
-    assert "multiply C_SD from the right" in view["sentence"]
+    assert "right-multiply C_SD" in view["sentence"]
     view = to_plain(alignment_view(make_frame_problem(10), GROUND, TRUTH, np.full((8, 8), np.nan)))
     assert view["sigma_arcsec"] == [None] * 3
     assert "(one sigma)" not in view["sentence"]

@@ -148,7 +148,7 @@ def test_passes_that_share_some_frames_are_refused_with_how_many(large_rows):
     """Twenty of sixty frames in two files would make every sigma 13 % too small."""
     whole = a_pass(5, day=0.0, frames=60)
     sets = together(frames_of(whole, 0, 40), a_pass(6, day=1.0), frames_of(whole, 20, 60), large_rows=large_rows)
-    with pytest.raises(RefusedInputError, match="pass 2 holds the centroids of pass 0 in 20 of its frames: cut"):
+    with pytest.raises(RefusedInputError, match="pass 2 contains the centroids of pass 0 in 20 of its frames: remove"):
         for _ in sets.chunks():
             pass
     apart = together(frames_of(whole, 0, 20), frames_of(whole, 20, 60))

@@ -124,7 +124,7 @@ def test_a_set_in_pieces_has_the_same_estimate(catalogue, tmp_path):
 
 
 def test_the_loss_is_of_the_batch():
-    with pytest.raises(ValueError, match="choose method 'batch'"):
+    with pytest.raises(ValueError, match="only with method 'batch'"):
         CalibrationSettings.parse({"method": "sqrf", "robust": "stars"})
 
 

@@ -73,14 +73,14 @@ def test_every_setting_survives_its_document(chosen):
         ({"method": "svd", "singular_values": "23"}, "give some of 1, 2, 3"),
         ({"method": "sqrf", "star_model": 3}, "Star model and singular values are only for method 'svd'"),
         ({"singular_values": [3]}, "Star model and singular values are only for method 'svd'"),
-        ({"method": "ekf", "gain_form": "gain"}, "The gain form is only for methods svd and angular"),
+        ({"method": "ekf", "gain_form": "gain"}, "The gain form applies only to methods svd and angular"),
         ({"forgetting_factor": 0.4, "method": "sqrf"}, "give a number from 0.5 to 1"),
         ({"forgetting_factor": float("nan"), "method": "sqrf"}, "give a number from 0.5 to 1"),
         ({"huber_threshold": 0}, "give a number from 0.1 to 10"),
         ({"flight_tolerance_urad": -1}, "give a number from 0.1"),
         ({"leave_out_doubles": "yes"}, "give true or false"),
-        ({"method": "sqrf", "robust": "huber"}, "Robust loss is only for the batch"),
-        ({"method": "ukf", "error": "cosine"}, "The cosine error is only for the batch"),
+        ({"method": "sqrf", "robust": "huber"}, "Robust loss works only with method 'batch'"),
+        ({"method": "ukf", "error": "cosine"}, "The cosine error works only with method 'batch'"),
         ({"error": "cosine", "robust": "huber"}, "set 'robust' to 'none'"),
         ({"forgetting_factor": 0.9}, "A forgetting factor is only for filters"),
     ],
@@ -117,8 +117,8 @@ SENSOR = wu_sensor()
 NAMES = ("s", "f_m", "u0_px", "v0_px", "k1", "k2")
 SOUND = dict(zip(NAMES, WU_TRUTH.tolist(), strict=True))
 UNSOUND = {
-    "a distortion that turns back before the corner at row -0.5, column -0.5": {"k1": -10.0, "k2": 0.0},
-    "the principal point at row 550, column -1990, far off the detector": {"u0_px": -1990.0},
+    "a distortion that folds back before the corner at row -0.5, column -0.5": {"k1": -10.0, "k2": 0.0},
+    "the principal point at row 550, column -1990, far outside the detector": {"u0_px": -1990.0},
 }
 
 

@@ -146,9 +146,9 @@ def calibrated(short_scenario, short_telemetry, catalogue):
 def test_the_first_sentence_names_the_parameter_whose_spread_it_was_and_what_it_says_helps(calibrated):
     result = calibrated(WIDE, linearisations=1)
     assert result["status"] == "diverged"
-    assert "states 2.4 of its sigmas away" in result["advice"][0]
-    assert "by k2 the lens turns back" in result["advice"][0]
-    assert "choose sqrf" in result["advice"][0]
+    assert "states 2.4 sigmas away" in result["advice"][0]
+    assert "where k2 makes the distortion fold back" in result["advice"][0]
+    assert "Choose sqrf" in result["advice"][0]
     assert calibrated(WIDE, "sqrf", linearisations=1)["status"] == "converged"
     assert calibrated(WIDE)["status"] == "converged"
     assert calibrated(WIDE, linearisations=1, initial_sigma_scale=0.5)["status"] == "converged"

@@ -274,7 +274,7 @@ def test_a_seam_that_no_test_sees_leaves_the_gate_of_assumptions_without_data_un
 
 
 @pytest.mark.parametrize(
-    ("sigmas", "value"), [((2.9, 0.4), "would be noticed"), ((2.9, 3.1), "unbiased"), ((), "unbiased")]
+    ("sigmas", "value"), [((2.9, 0.4), "would be detected"), ((2.9, 3.1), "unbiased"), ((), "unbiased")]
 )
 def test_centroids_need_no_word_where_whatever_matters_would_be_noticed_and_none_is_known_of_a_small_set(
     sigmas, value, catalogue
@@ -285,7 +285,7 @@ def test_centroids_need_no_word_where_whatever_matters_would_be_noticed_and_none
     unseen = [UnseenDeparture(name=name, size_px=0.2, parameter="f_m", sigmas=far) for name, far in found.items()]
     said = list_assumptions(telemetry, telemetry, sensor, catalogue, sensor.initial, ReadoutCorrection(), unseen)
     (one,) = (one for one in said if one.name == "centroids")
-    assert (one.value, one.declared) == (value, value == "would be noticed")
+    assert (one.value, one.declared) == (value, value == "would be detected")
     assert ("too small" in one.sentence) == (not sigmas)
 
 

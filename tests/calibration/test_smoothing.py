@@ -126,7 +126,7 @@ def test_one_short_set_keeps_the_usual_drift_bit_for_bit_and_says_so(sensor, cat
     ("settings", "said"),
     [
         ({"method": "batch", "smooth": True}, "choose a filter, or leave 'smooth' off"),
-        ({"smooth": True, "forgetting_factor": 0.9}, "leave 'forgetting_factor' at 1"),
+        ({"smooth": True, "forgetting_factor": 0.9}, "set 'forgetting_factor' to 1"),
         ({"variant": "q", "process_noise_per": "day"}, "give --process-noise"),
         ({"variant": "q", "process_noise_of": ["f_m=lots"]}, "give parameters with numbers"),
         ({"variant": "q", "process_noise_of": ["k1=0.5"]}, "k1 is not free, so it cannot drift: choose"),

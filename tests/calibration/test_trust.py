@@ -207,7 +207,7 @@ def test_causes_come_first_in_their_order_with_their_share_and_what_they_leave_u
     said = advise(spoiled, [_cause("places", 0.8), _cause("noise")])
     assert [sentence.code for sentence in said] == ["cause_places", "stars", "cause_noise", "efficiency", "drop_one"]
     assert "(80%)" in said[0]
-    assert said[2].startswith("Besides: ")
+    assert said[2].startswith("Also: ")
 
 
 @pytest.mark.parametrize(("likelihood", "is_likely"), [(0.03, False), (0.49, False), (0.5, True), (0.9, True)])

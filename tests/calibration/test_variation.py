@@ -301,8 +301,8 @@ def test_errors_of_the_last_pass_are_spread_as_its_covariance_says(sensor, catal
         ({"vary": ("f_m",), "vary_as": "walk"}, "add time_utc"),
         ({"vary": ("f_m",), "vary_as": "drift"}, "add time_utc"),
         ({"vary": ("f_m",), "vary_as": "step"}, "add time_utc"),
-        ({"vary": ("f_m",), "degree": "2"}, "leave --degree out"),
-        ({"vary": ("f_m",), "events": ("2026-01-01",)}, "leave --events out"),
+        ({"vary": ("f_m",), "degree": "2"}, "omit --degree"),
+        ({"vary": ("f_m",), "events": ("2026-01-01",)}, "omit --events"),
     ],
 )
 def test_what_cannot_vary_is_refused(sensor, catalogue, settings, said):

@@ -87,8 +87,10 @@ def test_a_prior_makes_sigmas_smaller_and_the_terminal_says_how_much_came_from_i
     assert all(found["sigma"][name] < alone["sigma"][name] for name in found["free"])
     assert all(0 < found["prior"]["share"][name] < 1 for name in found["free"])
     assert found["prior"]["sha256"] == found["inputs"]["sha256s"]["prior"] == compute_digest(former)
-    assert "came from former.json" in done.stdout
-    assert_refused(boresight("calibrate", simulated / "calibration.csv", *sensor, "--prior", former), "holds", lines=1)
+    assert "comes from former.json" in done.stdout
+    assert_refused(
+        boresight("calibrate", simulated / "calibration.csv", *sensor, "--prior", former), "already contains", lines=1
+    )
     assert_refused(boresight(*words, "--prior", former, "--server", "http://127.0.0.1:9"), "server", lines=1)
 
 
@@ -171,8 +173,8 @@ def test_the_help_names_every_word_and_every_default_by_group(boresight):
     text = boresight("calibrate", "--help").stdout
     flat = " ".join(text.replace("-\n", "-").split())
     assert [line for line in text.splitlines() if line.endswith(":") and line[0] != " "][-9:] == [
-        "Files and output:", "Method:", "Matching:", "Of a joint calibration:", "Of a prior:", "Of the batch:",
-        "Of the filters:", "Of process noise:", "Of svd and angular:"
+        "Files and output:", "Method:", "Matching:", "Joint calibration:", "Prior:", "Batch:", "Filters:", "Process noise:",
+        "Singular values and all angular distances:"
     ]  # fmt: skip
     for name, option in ((name, option) for name, option in OPTIONS.items() if option.kind == "word"):
         listed = f"Choose from {', '.join(option.words)}. [default: {getattr(CalibrationSettings(), name)}]"

@@ -85,7 +85,7 @@ def test_a_wider_tolerance_accepts_more(evaluate, simulated):
 def test_shadow_lists_the_frames_that_one_would_lose(evaluate, calibration):
     done = evaluate("--parameters", calibration, "--shadow")
     assert "lost by" in done.stdout
-    assert "frames that the baseline loses and loses no frame that the baseline solves" in done.stdout
+    assert "frames that the old ones lose and lose no frame that the old ones solve" in done.stdout
     found = json.loads(evaluate("--parameters", calibration, "--shadow", "--json", "-").stdout)["shadow"]
     assert len(found["frames"]) == found["frames_in_set"]
 
@@ -104,7 +104,7 @@ def test_parameters_must_be_named(evaluate):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        (lambda values: values.pop("b4_per_m4"), "gives no b4_per_m4: give every parameter of inverted_wang"),
+        (lambda values: values.pop("b4_per_m4"), "lacks b4_per_m4: give every parameter of inverted_wang"),
         (lambda values: values.update(k1=1.0), "gives 'k1', which is not a parameter"),
         (lambda values: values.update(f_m=-0.016), "gives f_m as -0.016, expected a number"),
         (lambda values: values.update(f_m=16.0), "a field of view of 0.025"),
@@ -213,7 +213,7 @@ def test_a_set_against_itself_has_not_moved_and_against_better_parameters_it_fai
         ("--profile", "{", "is not JSON: give a gate profile"),
         ("--profile", [1], "is not a JSON object: give a gate profile"),
         ("--profile", {"gates": [{"name": "beauty"}]}, "There is no gate 'beauty'"),
-        ("--against", {"f_m": 0.016}, "gives no m0_px"),
+        ("--against", {"f_m": 0.016}, "lacks m0_px"),
         ("--validate", "frame,exposure\n", "no rows"),
     ],
 )

@@ -71,7 +71,7 @@ def test_singular_values_rebuild_the_information_and_an_undetermined_direction_i
     assert (np.diff(seen.singular_values) <= 0).all()
     assert seen.condition_number == pytest.approx(seen.singular_values[0] / seen.singular_values[-1])
     open_one = observability(np.diag([4.0, 0.0]), ("f_m", "g_y"), ("f", "g_y"))
-    assert open_one.sentence(1) == "g_y moves nearly alone: it is not determined by these data."
+    assert open_one.sentence(1) == "g_y is nearly independent of the others: it is not determined by these data."
     assert (open_one.condition_number, open_one.weak()) == (None, [1])
 
 

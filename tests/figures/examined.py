@@ -45,7 +45,7 @@ def trust(n_frames=200, seed=6):
         "nis_over_time": nis_over_time(rng, n_frames),
         "stars": stars,
         "suspects": [1000, 1017],
-        "stars_sentence": "2 stars stand beside their catalogue places: flag them, or leave them out.",
+        "stars_sentence": "2 stars are off their catalogue positions: flag them, or leave them out.",
         "residual_against": found["residual_against"] | {"temperature": None},
         "residual_field": residual_field(),
         "residual_outliers": residual_outliers(rng),
@@ -100,7 +100,7 @@ def shadow(n_frames=40, lost=(7,), gained=(1, 2, 3)):
         }
         for k in range(n_frames)
     ]
-    sentence = "The candidate solves 3 frames that the baseline loses, and loses 1."
+    sentence = "The new parameters solve 3 frames that the old ones lose, and lose 1."
     summary = {
         "baseline_only": len(lost),
         "candidate_only": len(gained),

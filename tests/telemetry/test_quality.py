@@ -267,5 +267,5 @@ def test_findings_of_a_set_that_is_not_held_name_rows_of_the_file_and_say_what_w
     report = in_parts(hot, sensor, 1)
     rows = finding(report, "MAGNITUDE_RANGE")["rows"]
     assert rows == [2 + frame * STARS for frame in range(0, 30, 4)]
-    assert finding(report, "PART_OF_THE_SET")["sentence"].startswith("Findings come from 8 of 30 frames")
+    assert finding(report, "PART_OF_THE_SET")["sentence"].startswith("Findings are based on 8 of 30 frames")
     assert "PART_OF_THE_SET" not in codes(quality_report(hot, sensor, Stars()))

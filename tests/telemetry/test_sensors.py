@@ -125,7 +125,7 @@ ROLLING_READOUT = {"mode": "rolling", "line_time_s": 3.6e-5}
         ("readout", {"mode": "line"}, "readout.mode is 'line'"),
         ("readout", {"mode": ["global"]}, "readout.mode is ['global']"),
         ("readout", {"mode": "rolling"}, "readout.line_time_s is missing"),
-        ("readout", {"mode": "global", "line_time_s": 1e-5}, "leave the others out"),
+        ("readout", {"mode": "global", "line_time_s": 1e-5}, "omit the others"),
         ("readout", ROLLING_READOUT | {"line_time_s": 0}, "readout.line_time_s is 0"),
         ("readout", ROLLING_READOUT | {"line_time_s": True}, "readout.line_time_s is True"),
         ("readout", ROLLING_READOUT | {"line_time_s": float("nan")}, "readout.line_time_s is nan"),
@@ -203,7 +203,7 @@ def test_a_wrong_number_is_named(document, path, value, words):
         ("initial.f_m", 35.0, "field of view of 0.0144 degrees"),
         ("initial.b2_per_m2", 9e7, "field of view of 179 degrees"),
         ("initial.m0_px", 9e4, "principal point at row 90000"),
-        ("initial.n0_px", -3000, "far off the detector"),
+        ("initial.n0_px", -3000, "far outside the detector"),
     ],
 )
 def test_a_wrong_field_is_named_with_what_to_do(document, path, value, words):
@@ -219,7 +219,7 @@ def test_a_distortion_that_turns_back_on_the_detector_is_named_with_the_blind_co
     document.pop("free", None)
     assert parse_sensor(document).camera_model == "pinhole_radial"
     document["initial"]["k1"] = -1e3
-    assert "turns back before the corner at row -0.5, column -0.5" in refusal(document)
+    assert "folds back before the corner at row -0.5, column -0.5" in refusal(document)
 
 
 def test_every_wrong_field_is_listed(document):
@@ -262,7 +262,7 @@ def test_matched_stars_off_the_detector_are_refused_with_row_and_column_by_numbe
     with pytest.raises(RefusedInputError) as caught:
         check_against_sensor(telemetry, sensor)
     assert [(fault.row, fault.column) for fault in caught.value.faults] == [(3, "row_px"), (4, "col_px")]
-    assert "769.6 is off the detector (-0.5 to 767.5): exchange rows and columns" in str(caught.value)
+    assert "769.6 is outside the detector (−0.5 to 767.5): swap rows and columns" in str(caught.value)
     telemetry = read("frame,exposure,row_px,col_px,ra_deg,dec_deg\n0,0,9000,20,1,2\n0,0,9001,20,,\n")
     with pytest.raises(RefusedInputError) as caught:
         check_against_sensor(telemetry, sensor)

@@ -79,11 +79,11 @@ def _advise_on_status(estimate: Estimate, observed: Observability, settings: Cal
             if settings.match == "given"
             else ""
         )
-        rest = f": do not use these numbers; {named}free fewer parameters, or start closer to the truth."
+        rest = f": do not use these results; {named}free fewer parameters, or start closer to the true values."
         yield Advice.begin("diverged", "The fit diverged", rest)
     if estimate.status == "max_iterations":
         rest = ": allow more iterations, or free fewer parameters."
-        yield Advice.begin("max_iterations", "The fit had not settled at its last iteration", rest)
+        yield Advice.begin("max_iterations", "The fit had not converged at its last iteration", rest)
     if estimate.status == "rank_deficient":
         lost = [observed.direction(i) for i in range(len(observed.names)) if observed.singular_values[i] == 0]
         names = sorted({name for direction in lost for name, value in direction.items() if abs(value) > 0.1})
@@ -109,9 +109,9 @@ def _advise_on_curvature(observed: Observability, estimate: Estimate, rise: floa
     if rise is None or not is_curved(rise):
         return
     finding = "The covariance is wrong along the weakest direction"
-    size = f": one sigma along it chi-square rises by {rise:.3g} where the covariance says 1"
+    size = f": at one sigma, chi-square rises by {rise:.3g} instead of 1"
     if len(observed.names) == 1:
-        rest = f"{size}, because the fit is curved there: add frames before relying on its sigma."
+        rest = f"{size}, because the fit is not linear there: add frames before relying on its sigma."
         yield Advice.begin("curved", finding, rest)
         return
     alike = join_words([symbol for symbol, _ in observed.named(len(observed.names) - 1)])
@@ -119,7 +119,7 @@ def _advise_on_curvature(observed: Observability, estimate: Estimate, rise: floa
     yield Advice.begin(
         "curved",
         finding,
-        f"{size}, because the data hardly separate {alike} and the fit is curved there; hold "
+        f"{size}, because the data barely separate {alike} and the fit is not linear there; hold "
         f"{join_words([observed.names[p] for p in held])} fixed and run again before relying on its sigmas.",
     )
 
@@ -147,8 +147,8 @@ def _advise_on_consistency(
         times = f"{claimed:.2g} times" if np.isfinite(claimed) else "far more than"
         yield Advice.begin(
             "overclaim",
-            f"The filter claims {times} the information that the data contain along some direction, because it used "
-            "early frames far from its final state",
+            f"Along one direction the filter claims {times} the information in the data, because it used early frames while "
+            "far from its final state",
             ": its sigmas there are too small; run the batch, or start from its result.",
         )
     if settings.sequential and settings.linearisations == 1:
@@ -171,7 +171,7 @@ def _advise_on_shift(problem: Problem, parameters: Parameters, estimate: Estimat
         rest = f" (change in typical sigmas: {far}): diagnose it, or choose the right sensor."
         yield Advice.begin("wrong_sensor", "This telemetry is probably not from this sensor", rest)
     else:
-        finding = f"Large change from the start, in typical sigmas: {far}"
+        finding = f"Large change from the initial values, in typical sigmas: {far}"
         yield Advice.begin("large_change", finding, "; check the sensor file's start and typical_sigma.")
 
 
@@ -191,7 +191,8 @@ def _advise_on_gain_form(problem: Problem, settings: CalibrationSettings) -> Ite
         yield Advice.begin(
             "gain_form",
             f"{many} of {problem.arcs.n_exposures} exposures have more than {MOST_PAIRS:,} pairs (up to {most:,})",
-            ": their gain was taken over two numbers a star, which gives the same but takes less time than the printed inverse.",
+            ": for these, the gain was computed from two numbers per star, which gives the same result faster than the inverse in "
+            "the paper.",
         )
 
 
@@ -255,10 +256,10 @@ def _say_holding(held: list[int], A: FloatArray, observed: Observability) -> lis
     if not held or worst > WEAK:
         return []
     names = [observed.symbols[p] for p in held]
-    by_then = "it is" if len(names) == 1 else "they are"
+    fixed = "value" if len(names) == 1 else "values"
     sentence = (
-        f"Hold {join_words(names)} fixed, and every direction of the others is known to {worst:.2g} typical sigmas or better; "
-        f"what {by_then} wrong by then goes into the others."
+        f"Hold {join_words(names)} fixed: every direction of the others is then known to {worst:.2g} typical sigmas or better, "
+        f"but any error in the fixed {fixed} goes into the others."
     )
     return [sentence]
 
@@ -274,8 +275,8 @@ def _say_coverage(problem: Problem) -> list[str]:
     if reach >= ENOUGH and filled >= ENOUGH * PARTS**2:
         return []
     sentence = (
-        f"Stars reach {100 * min(reach, 1.0):.0f} % of the way to the corner and lie in {filled} of {PARTS**2} parts of the "
-        "detector: frames with stars in the others would help most."
+        f"Stars reach {100 * min(reach, 1.0):.0f} % of the way to the corner and lie in {filled} of {PARTS**2} regions of "
+        "the detector: frames with stars in the empty regions would help most."
     )
     return [sentence]
 

@@ -97,7 +97,8 @@ def _readout(
         sentence = (
             f"The sensor file does not declare how the detector is read, so a global shutter is assumed. At {speed:.3g} px/s"
             f"{'' if known else f', {USUAL_RATE_DEG_S:g} °/s,'} a rolling shutter of {USUAL_READOUT_S * 1e3:.0f} ms would displace "
-            f"stars by up to {speed * USUAL_READOUT_S:.2g} px, which the parameters would absorb without a sign in the residuals: "
+            f"stars by up to {speed * USUAL_READOUT_S:.2g} px, which the parameters would absorb without any trace in the "
+            "residuals: "
             "declare `readout` in the sensor file."
         )
         return Assumption(name="readout", declared=False, value="global shutter", sentence=sentence)
@@ -106,8 +107,8 @@ def _readout(
         return Assumption(name="readout", declared=True, value=said, sentence=f"Declared: {said}.")
     if not done.moved:
         sentence = (
-            f"Declared: {said}. No rate is known for a correction, so it stays in the centroids and in the parameters: give "
-            "time_utc and quaternions, or exposures less than a minute apart with identified stars."
+            f"Declared: {said}. It cannot be corrected because the rate is unknown, so the effect remains in the centroids and in "
+            "the parameters: give time_utc and quaternions, or exposures less than a minute apart with identified stars."
         )
         return Assumption(name="readout", declared=True, value=f"{said}: left in", sentence=sentence, left_in=True)
     left = done.exposures - done.moved
@@ -151,8 +152,9 @@ def _velocity(telemetry: Telemetry, sensor: Sensor, corner_px: float) -> Assumpt
         "Declared as given, but this telemetry has none" if word else "The telemetry gives no velocity of the satellite"
     )
     sentence = (
-        f"{opening}, so none is assumed. In a low orbit 5 arcsec of aberration would stretch the field by up to 25 ppm, "
-        f"{25e-6 * corner_px:.2g} px at the corner, and be fitted as focal length: give vx_km_s, vy_km_s and vz_km_s, or {WHERE}."
+        f"{opening}, so zero velocity is assumed. In low orbit, 5 arcsec of aberration would stretch the field by up to 25 ppm, "
+        f"{25e-6 * corner_px:.2g} px at the corner, and would be absorbed by the focal length: give vx_km_s, vy_km_s and vz_km_s, "
+        f"or {WHERE}."
     )
     return Assumption(name=name, declared=False, value="none", sentence=sentence)
 
@@ -170,8 +172,9 @@ def _directions(telemetry: Telemetry, sensor: Sensor, corner_px: float) -> Assum
     if word is not None:
         return Assumption(name=name, declared=True, value=word, sentence=f"Declared. {_words(name, word)}.")
     sentence = (
-        "Directions in the telemetry are assumed to be apparent. If they are of J2000.0, 20 arcsec of aberration stretch "
-        f"the field by up to 100 ppm, {100e-6 * corner_px:.2g} px at the corner, and are fitted as focal length: {WHERE}."
+        "Directions in the telemetry are assumed to be apparent. If they are of J2000.0, 20 arcsec of aberration would stretch "
+        f"the field by up to 100 ppm, {100e-6 * corner_px:.2g} px at the corner, and would be absorbed by the focal length: "
+        f"{WHERE}."
     )
     return Assumption(name=name, declared=False, value="apparent", sentence=sentence)
 
@@ -181,14 +184,14 @@ def _refraction(telemetry: Telemetry, sensor: Sensor, corner_px: float) -> Assum
     size = f"at least 290 ppm, {290e-6 * corner_px:.2g} px at the corner, and more toward the horizon"
     if word == "uncorrected":
         sentence = (
-            f"Declared: images from the ground with refraction left in. It changes the scale by {size}, and is in these "
-            "parameters: give `site` in the sensor file, or do not use them for a sensor in space."
+            f"Declared: images from the ground with refraction left in. It changes the scale by {size}, which is "
+            "included in these parameters: give `site` in the sensor file, or do not use the parameters in space."
         )
         return Assumption(name=name, declared=True, value=word, sentence=sentence, left_in=True)
     if word is not None:
         return Assumption(name=name, declared=True, value=word, sentence=f"Declared. {_words(name, word)}.")
     sentence = (
-        f"No refraction is assumed, as in space. Of images from the ground it would change the scale by {size}: {WHERE}, or give "
+        f"No refraction is assumed, as in space. For images from the ground it would change the scale by {size}: {WHERE}, or give "
         "its `site`."
     )
     return Assumption(name=name, declared=False, value="none", sentence=sentence)
@@ -204,8 +207,8 @@ def _tilt(sensor: Sensor, x: FloatArray) -> list[Assumption]:
     moved_px = USUAL_TILT_RAD * camera.focal_px(x, sensor.pixel_pitch_m)
     sentence = (
         f"The camera model has no tilt, so a detector square to the optical axis is assumed. A tilt of "
-        f"{USUAL_TILT_RAD * 1e3:g} mrad would be fitted as a principal point {moved_px:.2g} px off, with no sign in the residuals "
-        f"and almost none in the directions of stars: calibrate with a model that has it, such as "
+        f"{USUAL_TILT_RAD * 1e3:g} mrad would be fitted as a principal point {moved_px:.2g} px off, without any trace in the "
+        f"residuals and with almost none in the directions of stars: calibrate with a model that has it, such as "
         f"{name_camera_with(Role.TILT)}, or {WHERE}."
     )
     return [Assumption(name=name, declared=False, value="none", sentence=sentence)]
@@ -220,17 +223,17 @@ def _decentring(sensor: Sensor, unseen: Sequence[UnseenDeparture]) -> list[Assum
         return [Assumption(name=name, declared=True, value=word, sentence=f"Declared. {_words(name, word)}.")]
     most = next((one for one in unseen if one.name == TANGENTIAL), None)
     if most is None:
-        how = "and it is not known what unnoticed tangential distortion would do"
+        how = "and the effect of undetected tangential distortion is unknown"
     elif most.sigmas is None:
         how = f"and tangential distortion cannot be separated from {most.parameter}"
     else:
         how = (
-            f"tangential distortion of {most.size_px:.2g} px at the corner goes unnoticed once in ten such sets, and moves "
-            f"{most.parameter} by {most.sigmas:.2g} claimed sigmas"
+            f"tangential distortion of {most.size_px:.2g} px at the corner would go undetected in one of ten such sets, and "
+            f"would shift {most.parameter} by {most.sigmas:.2g} claimed sigmas"
         )
         if most.sigmas <= MATTERS:
-            said = f"Tangential distortion that matters would be noticed: {how}."
-            return [Assumption(name=name, declared=True, value="would be noticed", sentence=said)]
+            said = f"Significant tangential distortion would be detected: {how}."
+            return [Assumption(name=name, declared=True, value="would be detected", sentence=said)]
     sentence = (
         f"The camera model has no tangential terms, so a centred lens is assumed; {how}: calibrate with a model that has "
         f"them, such as {name_camera_with(Role.DECENTRING)}, or {WHERE}."
@@ -245,19 +248,20 @@ def _centroids(sensor: Sensor, unseen: Sequence[UnseenDeparture]) -> Assumption:
         return Assumption(name=name, declared=True, value=word, sentence=f"Declared. {_words(name, word)}.")
     moves = {one.sigmas: one for one in unseen if one.name != TANGENTIAL and one.sigmas is not None}
     if not moves:
-        how = "This set is too small, or was not examined, to tell how far an unnoticed one moves the parameters"
+        how = "This set is too small, or was not tested, so the effect of undetected displacements on the parameters is unknown"
     else:
         most = moves[max(moves)]
         how = (
-            f"Of the kind “{get_test_title(most.name).lower()}”, {most.size_px:.2g} px at most go unnoticed once in ten such "
-            f"sets and move {most.parameter} by {most.sigmas:.2g} claimed sigmas"
+            f"Of the kind “{get_test_title(most.name).lower()}”, {most.size_px:.2g} px at most would go undetected in one of ten "
+            f"such sets and would shift {most.parameter} by {most.sigmas:.2g} claimed sigmas"
         )
         if max(moves) <= MATTERS:
-            said = f"Displacements that stay with place or brightness and matter would be noticed. {how}."
-            return Assumption(name=name, declared=True, value="would be noticed", sentence=said)
+            said = f"Significant displacements that depend on position or brightness would be detected. {how}."
+            return Assumption(name=name, declared=True, value="would be detected", sentence=said)
     sentence = (
-        "Centroids are assumed to have no displacements that stay with place or brightness, such as seams of the readout, charge "
-        f"left behind or a window. {how}: measure them, as on flat fields or with a star moved over the detector, and {WHERE}."
+        "Centroids are assumed to have no systematic displacements with position or brightness, caused for example by readout "
+        f"seams, charge left behind or the window. {how}: measure them, for example on flat fields or with a star moved over the "
+        f"detector, and {WHERE}."
     )
     return Assumption(name=name, declared=False, value="unbiased", sentence=sentence)
 
@@ -285,14 +289,15 @@ def _refraction_above(site: Site, named: Telemetry, catalogue: Catalogue, corner
         )
     )
     sentence = (
-        f"Stars are seen through the air at {site.latitude_deg:.4g}°, {site.longitude_deg:.4g}° east, {pressure:.4g} hPa, "
+        f"Stars are observed through the atmosphere at {site.latitude_deg:.4g}°, {site.longitude_deg:.4g}° east, {pressure:.4g} "
+        "hPa, "
         f"{temperature:.3g} °C, humidity {humidity:.2g}, {wavelength:.2g} µm"
         + (f" ({', '.join(assumed)}: usual values, because none were given)" if assumed else "")
         + f". At {lowest:.0f}° above the horizon, the lowest here, it shrinks the field by {_stretch(site, lowest) * 1e6:.0f} ppm; "
-        f"{off.pressure_hpa:g} hPa more change it by {by_pressure * 1e6:.2g} ppm, {by_pressure * corner_px:.2g} px at the corner, "
+        f"{off.pressure_hpa:g} hPa more changes it by {by_pressure * 1e6:.2g} ppm, {by_pressure * corner_px:.2g} px at the corner, "
         f"{off.temperature_c:g} °C by {by_temperature * 1e6:.2g} ppm"
         + (f": {WHERE}, under `site`." if assumed else ".")
-        + (f" Below {FORMULA_DEG:g}° the formula itself is wrong by arcseconds." if lowest < FORMULA_DEG else "")
+        + (f" Below {FORMULA_DEG:g}° the formula has errors of arcseconds." if lowest < FORMULA_DEG else "")
     )
     value = "computed from the site" + (f", {', '.join(assumed)} assumed" if assumed else "")
     return Assumption(name="refraction", declared=not assumed, value=value, sentence=sentence)
@@ -330,11 +335,11 @@ def _earth_rotation(telemetry: Telemetry) -> Assumption:
         days = int((last - tables.measured_to) / np.timedelta64(1, "D"))
         sentence = (
             f"The Earth's rotation and pole are predicted {days} days beyond the measurements: {value}; {leap}. That changes "
-            "the zenith by about 0.1 arcsec, which does not matter; a newer astropy-iers-data has the measured values."
+            "the zenith by about 0.1 arcsec, which is negligible; a newer astropy-iers-data has the measured values."
         )
     else:
         sentence = (
             f"The set ends {last}, after the last table of the Earth's rotation: {value}; {leap}. The last values are used, and "
-            "the zenith may be off by arcseconds, which does not matter to refraction: install a newer astropy-iers-data."
+            "the zenith may be off by arcseconds, which is negligible for refraction: install a newer astropy-iers-data."
         )
     return Assumption(name="earth_rotation", declared=True, value=value, sentence=sentence)

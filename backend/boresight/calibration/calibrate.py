@@ -397,7 +397,7 @@ def _fit_passes(
     check_variation(names, settings)
     with _fit_alike(telemetry, sensor, catalogue, parameters, settings, context) as ended:
         if ended.estimate.status in {"diverged", "max_iterations"}:
-            raise RefusedInputError("All passes as one camera do not fit: see what it says without --vary.")
+            raise RefusedInputError("The passes do not fit a single camera; run without --vary to see the details.")
         fitted, variation = fit_variation(
             ended.matched.problem, list_passes(telemetry), parameters, ended.estimate.x, settings, context.cancelled
         )
@@ -453,9 +453,9 @@ def _explained(
     from boresight.calibration.diagnosis.explain import explain  # noqa: PLC0415 - only for sets that hardly match
 
     def report(message: str, _: float | None) -> None:
-        refuse_cancelled(context.cancelled, "before it was known why so few stars match")
+        refuse_cancelled(context.cancelled, "before the reason for so few matches was found")
         if context.report is not None:
-            context.report(Progress(0.0, f"finding out why so few stars match: {message}", None))
+            context.report(Progress(0.0, f"finding the reason for so few matches: {message}", None))
 
     return explain(telemetry, sensor, catalogue, settings, context.cache_folder, report, advice=advice)
 
@@ -615,8 +615,8 @@ def _say_what_was_judged(found: Calibration, judged: Problem) -> Calibration:
     return with_advice(
         replace(found, judged_on=part),
         Advice(
-            f"Flight scores, shadow, alignment and trust are judged on {judged.arcs.n_frames:,} of {found.frames:,} frames, "
-            "in stretches evenly spread over the set; estimate, sigmas, chi-square, RMS and coverage use all frames.",
+            f"The flight check, shadow mode, alignment and trust tests use {judged.arcs.n_frames:,} of {found.frames:,} frames, "
+            "in stretches spread evenly over the set; estimate, sigmas, chi-square, RMS and coverage use all frames.",
             "judged_on",
         ),
     )

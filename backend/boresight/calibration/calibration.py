@@ -58,9 +58,7 @@ class Values(Mapping[str, Number_co]):
     def __setattr__(self, name: str, value: object) -> None:
         """Take the numbers once; what an estimate found is not changed."""
         if name not in Values.__slots__:
-            raise AttributeError(
-                f"{name} is what was found and is not changed: copy the numbers with dict() to change them"
-            )
+            raise AttributeError(f"{name} is read-only: copy it with dict() to change values")
         super().__setattr__(name, value)
 
     def __getitem__(self, name: str) -> Number_co:
@@ -180,7 +178,7 @@ class Covariance:
         import numpy as np  # noqa: PLC0415 - only where arrays are asked for
 
         if copy is False:
-            raise ValueError("A covariance is kept as lists: an array of it is a copy.")
+            raise ValueError("A covariance is stored as lists; converting it to an array makes a copy.")
         n = len(self.names)
         return np.array(self.matrix, dtype=np.float64).reshape(n, n).astype(dtype or np.float64, copy=False)
 
@@ -1516,7 +1514,7 @@ def _find_faults(found: Calibration) -> Iterator[str]:
     from boresight.cameras import CAMERA_MODELS  # noqa: PLC0415 - they load what compiles
 
     if (camera := CAMERA_MODELS.get(found.camera_model)) is None:
-        yield f"camera_model: {found.camera_model!r} is none of {', '.join(CAMERA_MODELS)}"
+        yield f"camera_model: {found.camera_model!r} is not one of {', '.join(CAMERA_MODELS)}"
         return
     yield from _find_wrong_parameters(found, camera)
     for member in ("sigma", "sigma_with_misfit", "typical_sigma"):

@@ -253,7 +253,7 @@ def try_conversion(
         "conversion": _how(name, sensor.camera_model, x, found, allowed, _assumed(document, sensor))
         | _describe_residual(spline, found),
     }
-    parse_parameters(written, sensor_under(sensor, written), f"{name} in {target}")
+    parse_parameters(written, sensor_under(sensor, written), f"{name} converted to {target}")
     return TriedConversion(found.misfit_px, allowed, written)
 
 
@@ -291,16 +291,22 @@ def _assumed(document: Mapping[str, Any], sensor: Sensor) -> list[str]:
     return [name for name in CAMERA_MODELS[sensor.camera_model].parameter_names if estimated and name not in estimated]
 
 
+def _plain(value: float) -> str:
+    """Write a number with two digits, and without a power of ten below a million."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
 def _refusal(name: str, source: str, target: str, found: Conversion, allowed_px: float, *, by_rule: bool) -> str:
     """One sentence that says by how much, why, and what to do instead."""
     size = (
-        f"differ by up to {found.misfit_px:.2g} px ({found.misfit_rad * ARCSEC_PER_RAD:.2g} arcsec) over the detector"
+        f"differs from {source} by up to {_plain(found.misfit_px)} px ({_plain(found.misfit_rad * ARCSEC_PER_RAD)} arcsec) over "
+        "the detector"
         if math.isfinite(found.misfit_px)
-        else "cannot be compared over the whole detector"
+        else f"cannot be compared with {source} over the whole detector"
     )
     rule = f" ({100 * ALLOWED_SHARE:g} % of the sensor's centroid_sigma_px)" if by_rule else ""
     return (
-        f"{name} cannot be written in {target}: at best it and {source} {size}, where {allowed_px:.2g} px is allowed{rule}, "
+        f"{name} cannot be converted to {target}: even the best fit {size}, where {allowed_px:.2g} px is allowed{rule}, "
         f"because {_reason(source, target)}; calibrate the telemetry under {target} instead, or allow more."
     )
 
@@ -310,10 +316,10 @@ def _reason(source: str, target: str) -> str:
     seen, meant = CAMERA_MODELS[source], CAMERA_MODELS[target]
     lacking = {one.role for one in seen.parameters} & set(NEUTRAL) - {one.role for one in meant.parameters}
     if lacking:
-        return f"{target} has no {' and no '.join(sorted(role.value for role in lacking))}"
+        return f"{target} has no {' or '.join(sorted(role.value for role in lacking))}"
     if seen.equations.runs != meant.equations.runs:
         return f"the radial polynomial of {source} runs {seen.equations.runs}, that of {target} {meant.equations.runs}"
-    return f"{target} has fewer terms of the radius, or measures it differently"
+    return f"{target} has fewer radial terms or defines the radius differently"
 
 
 def _how(

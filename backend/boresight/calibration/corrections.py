@@ -192,7 +192,7 @@ def to_observed(telemetry: Telemetry) -> Telemetry:
         return telemetry
     if telemetry.time_utc is None:
         raise RefusedInputError(
-            "The sensor has a site on the ground, but the telemetry has no time, which the zenith needs: "
+            "The sensor has a site on the ground, but the telemetry has no time, which is needed to find the zenith: "
             "add time_utc (ISO 8601, UTC), or declare refraction corrected if its directions include it."
         )
     cos_dec = np.cos(telemetry.dec_rad)

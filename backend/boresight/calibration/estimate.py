@@ -60,14 +60,14 @@ def compared(arcs: Arcs, x: FloatArray, free: NDArray[np.int64], scale: FloatArr
 
 def _remark(sigma: FloatArray, claimed: FloatArray, of_arcs: FloatArray) -> str:
     """Say by how much the fit's own sigmas would mislead, and how much better arclengths do."""
-    opening = "The unweighted cosine error is only for comparison, and sigmas from its own sum of squares are not valid"
+    opening = "The unweighted cosine error is only for comparison, and the sigmas from its sum of squares are not valid"
     if not len(sigma):
         return f"{opening}."
     ratio = sigma / claimed
     cost = np.exp(np.mean(np.log(sigma / of_arcs)))
     return (
-        f"{opening}: the true ones, which are given here, are {ratio.min():.2f} to {ratio.max():.2f} times as large. From the same "
-        f"data arclengths with their covariance give sigmas {cost:.2f} times smaller: decide by those."
+        f"{opening}. The correct sigmas, shown here, are {ratio.min():.2f} to {ratio.max():.2f} times as large. Arclengths with "
+        f"their covariance give sigmas {cost:.2f} times smaller from the same data: use those for decisions."
     )
 
 
@@ -124,9 +124,9 @@ def _sentence(found: Robustness, share: float, shift: dict[str, float]) -> str:
     """Say what the loss did, against what it does to noise alone."""
     did = "Huber's loss down-weighted" if found.by == "arcs" else "The loss by stars left out"
     counted = (
-        f"{did} {found.downweighted:,} {found.by}, {share:.2g} of all, where Gaussian noise alone gives {found.expected_share:.2g}"
+        f"{did} {found.downweighted:,} {found.by}, {share:.2%} of all; Gaussian noise alone would give {found.expected_share:.2%}"
         if found.by == "stars"
-        else f"{did} {found.downweighted:,} arcs, {share:.1%} of them, where Gaussian noise alone gives {found.expected_share:.1%}"
+        else f"{did} {found.downweighted:,} arcs, {share:.1%} of them; Gaussian noise alone would give {found.expected_share:.1%}"
     )
     moved = {name: z for name, z in shift.items() if np.isfinite(z)}
     if not moved:

@@ -218,7 +218,7 @@ def frame_stars(found: MatchedFrame, sensor: Sensor, catalogue: Catalogue, minim
     matched = matched[rows]
     off &= matched | (given[rows] > 0)
     fate = np.select([used, matched | off, given[rows] > 0], [USED, LEFT_OUT, REJECTED], UNMATCHED).tolist()
-    few = f"its exposure has fewer than {minimum_stars} usable stars, or all of them on one line"
+    few = f"its exposure has fewer than {minimum_stars} usable stars, or they all lie on one line"
     reasons = [
         None if used[k] else ROW_REASONS[OFF_DETECTOR] if off[k] else few if matched[k] else why
         for k, why in enumerate(_why_unmatched(new, given)[rows])
@@ -401,7 +401,7 @@ def _why_none(kept: int, why_invalid: str | None, reasons: list[str | None]) -> 
         return None
     said = why_invalid or next((reason for reason in reasons if reason), None)
     because = f": {said}" if said else ""
-    return f"{kept} of its detections {'is' if kept == 1 else 'are'} matched and an attitude needs {FEWEST}{because}"
+    return f"only {kept} of its detections {'is' if kept == 1 else 'are'} matched; an attitude needs {FEWEST}{because}"
 
 
 def _arcs(here: Telemetry, sensor: Sensor, s_i: FloatArray, placed: IntArray) -> ArcSet:

@@ -160,7 +160,9 @@ def describe_minima_of_filter(problem: Problem, searched: Searched, x: FloatArra
     if described is None or float(step @ A @ step) < ELSEWHERE**2:
         return described
     where = _farthest(_describe(problem.camera.parameter_names, best, best), x, sigma)
-    sentence = f"The filter did not end in the lowest minimum ({where}): run the batch. {described.sentence}"
+    sentence = (
+        f"The filter did not converge to the lowest minimum ({where}): run the batch method. {described.sentence}"
+    )
     return replace(described, elsewhere=True, sentence=sentence)
 
 
@@ -258,7 +260,7 @@ def _sentence(described: Minima, searched: Searched, x: FloatArray, sigma: Float
     parts = [*_say_taken(searched), *_say_others(described, x, sigma), *_say_intervals(described)]
     if len(parts) == 0:
         return (
-            f"From {described.starts} other starts no other minimum was found within {TOLD:.0f} of chi-square, and profile "
+            f"{described.starts} other starting points gave no other minimum within {TOLD:.0f} in chi-square, and profile "
             "likelihood gives the same intervals as the sigmas."
         )
     return " ".join(parts)
@@ -294,7 +296,7 @@ def _farthest(one: Minimum, x: FloatArray, sigma: FloatArray) -> str:
     with np.errstate(divide="ignore", invalid="ignore"):
         shift = (np.array(list(one.parameters.values()), float) - x) / sigma
     place = int(np.nanargmax(np.where(np.isfinite(shift), np.abs(shift), -1.0)))
-    return f"{list(one.parameters)[place]} {shift[place]:+.0f} sigma away"
+    return f"{list(one.parameters)[place]} shifted by {shift[place]:+.0f} sigma"
 
 
 def _say_intervals(described: Minima) -> list[str]:

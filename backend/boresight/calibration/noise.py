@@ -76,10 +76,10 @@ UNITS = {
     "level": "× stated",
     "magnitude": "decades per magnitude",
     "field_angle": "decades from centre to corner",
-    "rate": "decades per pixel per second",
+    "rate": "decades per (px/s)",
     "phase_row": "px",
     "phase_col": "px",
-    "colour": "px per magnitude of B-V at the corner",
+    "colour": "px per magnitude of B−V at the corner",
 }
 TITLES = {
     "level": "Noise level",
@@ -94,8 +94,8 @@ TITLES = {
 PHASE_AXES = {"phase_row": 0, "phase_col": 1}
 NO_MAGNITUDE = "Neither telemetry nor catalogue gives these stars a magnitude."
 NO_RATE = "The rate is not known: give time_utc and quaternions, or exposures less than a minute apart."
-NO_COLOUR = "The catalogue gives no B-V of these stars: match with star numbers of Hipparcos."
-UNIFORM = "It is almost the same for all stars in this set, so a dependence cannot be found: add other scenes."
+NO_COLOUR = "The catalogue gives no B−V of these stars: match with Hipparcos numbers."
+UNIFORM = "The quantity is nearly constant in this set, so no dependence can be determined: add different scenes."
 MOVED_BEFORE = "These centroids were corrected beforehand, so their places within the pixels are not known."
 EVEN_PHASES = "The centroids lie at few places within their pixels, so no curve can be found: give them unrounded."
 
@@ -265,7 +265,7 @@ def _round(
     flat = X.reshape(2 * n, -1)
     products, rows = flat.T @ flat, flat[:, :-1]
     if not np.isfinite(products).all():
-        raise np.linalg.LinAlgError("an exposure leaves a rotation open")
+        raise np.linalg.LinAlgError("the attitude of an exposure is not fully determined")
     G = _inverse(products[:-1, :-1])
     c = G @ products[:-1, -1]
     score, A = np.empty(terms), np.empty((terms, terms))
@@ -354,13 +354,16 @@ def _fitted(
     D = np.concatenate([nothing, *made.bias.values()], axis=2)[inside]
     sigma = arcs.sigma_px[inside]
     if len(g) < FEWEST_STARS:
-        few = f"Only {len(g)} stars are within {CUT:g} spreads of their place; a noise model needs {FEWEST_STARS}."
+        few = (
+            f"Only {len(g)} stars are within {CUT:g} standard deviations of their predicted positions; a noise model needs "
+            f"{FEWEST_STARS}."
+        )
         return Noise(unavailable=dict.fromkeys(UNITS, few))
     try:
         found = fit_noise(r[inside], J[inside] * arcs.sigma_px[inside][:, None, None], K[inside] * sigma[:, None, None],
                           D, g, sigma, starts)  # fmt: skip
     except np.linalg.LinAlgError:
-        singular = "The numbers of this fit are too close to singular: free fewer parameters."
+        singular = "This fit is nearly singular: free fewer parameters."
         return Noise(unavailable=dict.fromkeys(UNITS, singular))
     return Noise(terms=_terms(found, made), unavailable=dict(made.unavailable))
 
@@ -423,17 +426,17 @@ def _sentence(
     """Say the size of a term, and what was or is to be done about it."""
     main = "factor" if name == "level" else "slope"
     if name in PHASE_AXES:
-        size = f"the bias varies by ± {phase_amplitude(value):.2g} px within a pixel"
+        size = f"the bias varies by ±{phase_amplitude(value):.2g} px within a pixel"
     elif name == "level":
         size = f"the noise is {value[main]:.3f} ± {sigma[main]:.3f} times the stated noise"
     elif name == "colour":
-        size = f"a star moves {value[main]:+.2g} ± {sigma[main]:.2g} px outward at the corner for each magnitude of B-V"
+        size = f"a star moves {value[main]:+.2g} ± {sigma[main]:.2g} px outward at the corner for each magnitude of B−V"
     else:
         size = f"the noise changes by {value[main]:+.2g} ± {sigma[main]:.2g} {UNITS[name]}"
     if not needed:
-        return f"{TITLES[name]}: {size}, which chance explains."
+        return f"{TITLES[name]}: {size}; not significant."
     remedy = "applied" if applied else "use noise_model from-data, or state it in sigma_px"
-    return f"{TITLES[name]}: {size}, more than chance (p = {p:.1g}): {remedy}."
+    return f"{TITLES[name]}: {size}; significant (p = {p:.1g}): {remedy}."
 
 
 def phase_amplitude(coefficients: Mapping[str, float]) -> float:

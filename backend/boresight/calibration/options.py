@@ -43,7 +43,7 @@ METHODS = {
             "sqrf",
             "Square-root filter",
             "Frame by frame with a square-root covariance, as it would run on board: use it to see how fast the parameters"
-            " settle and whether they drift.",
+            " converge and whether they drift.",
         ),
         MethodChoice(
             "ekf",
@@ -53,20 +53,20 @@ METHODS = {
         MethodChoice(
             "ukf",
             "Unscented filter",
-            "Spreads points as far as the parameters are uncertain, instead of derivatives: use it as an independent"
-            " check of the square-root filter; it is slower and not more accurate.",
+            "Propagates sample points spread over the parameter uncertainty instead of using derivatives: use it as an"
+            " independent check of the square-root filter; it is slower and not more accurate.",
         ),
         MethodChoice(
             "svd",
             "Singular values",
             "Singular values of star combinations in place of arcs: use it to reproduce or compare with the method of Wu et al.;"
-            " with correct weights it uses a little less information than arcs, and costs more.",
+            " even with correct weights it uses slightly less information than arcs, and takes longer.",
         ),
         MethodChoice(
             "angular",
             "All angular distances",
             "Every pair of stars, the usual reference for singular values: use it to compare with them; it gives the"
-            " same result as the arcs of the square-root filter, at a higher cost.",
+            " same result as the arcs of the square-root filter, and takes longer.",
         ),
     )
 }
@@ -74,26 +74,26 @@ ALL, BATCH = tuple(METHODS), ("batch",)
 FILTERS = tuple(method.name for method in METHODS.values() if method.sequential)
 EITHER_FORM = ("svd", "angular")
 #: Headings of choices that the form of one run has by themselves; the runs of a campaign take one set each, without a prior.
-OF_ONE_RUN = OF_A_JOINT_CALIBRATION, OF_A_PRIOR = ("Of a joint calibration", "Of a prior")
+OF_ONE_RUN = OF_A_JOINT_CALIBRATION, OF_A_PRIOR = ("Joint calibration", "Prior")
 #: Headings of the choices, with the methods that have those of each.
 GROUPS = {
     "Method": ALL,
     "Matching": ALL,
     OF_A_JOINT_CALIBRATION: ALL,
     OF_A_PRIOR: ALL,
-    "Of the batch": BATCH,
-    "Of the filters": FILTERS,
-    "Of process noise": FILTERS,
-    "Of svd and angular": EITHER_FORM,
+    "Batch": BATCH,
+    "Filters": FILTERS,
+    "Process noise": FILTERS,
+    "Singular values and all angular distances": EITHER_FORM,
 }
 #: Headings of a form's sets of fields, by the methods that have them and whether they are usual.
 LEGENDS = {
     (FILTERS, True): "Filter",
     (("svd",), True): "Singular values",
     (ALL, False): "Stars and matches",
-    (BATCH, False): "Of the batch",
-    (FILTERS, False): "Of a filter",
-    (EITHER_FORM, False): "Of singular values and all angular distances",
+    (BATCH, False): "Batch",
+    (FILTERS, False): "Further filter settings",
+    (EITHER_FORM, False): "Singular values and all angular distances",
 }
 
 
@@ -160,7 +160,7 @@ class Option:
             return
         if self.kind == "names":
             raise RefusedInputError(
-                f"Setting {self.name!r} is not a list of parameter names: give at least one name, or leave it out."
+                f"Setting {self.name!r} is not a list of parameter names: give at least one name, or omit it."
             )
         give = {
             "word": f"choose from {self.range}",
@@ -282,16 +282,17 @@ class CalibrationSettings:
         words={method.name: method.title for method in METHODS.values()},
     )  # fmt: skip
     variant: str = option(
-        "Method", "Process noise", "For filters: no-q keeps parameters constant, q follows drift, no-refit is q on old matches.",
+        "Method", "Process noise",
+        "For filters: no-q keeps parameters constant; q follows drift; no-refit is q with the matches of the initial parameters.",
         cell=(1, 1), radios=True, default="no-q", flag="--variant", methods=FILTERS, usual=True,
         words={
             "no-q": "No-Q: parameters are constant",
             "q": "Q: parameters may drift",
-            "no-refit": "No-Refit: Q, with the matches of the baseline only",
+            "no-refit": "No-Refit: Q, with the matches of the initial parameters only",
         },
     )  # fmt: skip
     free: tuple[str, ...] | None = option(
-        "Method", "Free parameters", "Parameters to estimate, such as f_m,b2_per_m2; the sensor's own list if left out.",
+        "Method", "Free parameters", "Parameters to estimate, such as f_m,b2_per_m2; the sensor's own list if omitted.",
         default=None, kind="names", flag="--free", usual=True,
     )  # fmt: skip
     match: str = option(
@@ -302,7 +303,7 @@ class CalibrationSettings:
     match_parameters: str = option(
         "Matching", "Parameters for matching", "Parameters with which a filter matches each frame.",
         cell=(1, 1), default="latest", flag="--match-parameters", methods=FILTERS,
-        words={"latest": "The latest, frame by frame", "baseline": "The baseline it started from"},
+        words={"latest": "The latest, frame by frame", "baseline": "The parameters it started from"},
     )  # fmt: skip
     match_rule: str = option(
         "Matching", "Tolerance of a match", "Tolerance of a match: from its noise, or the fixed one of the flight code.",
@@ -314,7 +315,7 @@ class CalibrationSettings:
     )  # fmt: skip
     flight_tolerance_urad: float | None = option(
         "Matching", "Flight tolerance",
-        "Largest disagreement of an arc that the flight code accepts; five sigmas of an arc if left out.",
+        "Largest disagreement of an arc that the flight code accepts; five sigmas of an arc if omitted.",
         cell=(1, 2), default=None, kind="number", lowest=0.1, highest=1e5, unit="µrad", flag="--flight-tolerance-urad",
         hint="Empty: five sigmas of an arc.",
     )  # fmt: skip
@@ -330,10 +331,10 @@ class CalibrationSettings:
         "Matching", "Blended stars",
         "Stars whose centroid is shifted by more than 0.4 sigma by a catalogue neighbour; needs psf_sigma_px, which images have.",
         cell=(3, 2), default="leave-out", flag="--blends",
-        words={"leave-out": "Leave out, if the width of a star's image is known", "keep": "Keep"},
+        words={"leave-out": "Leave out if the width of the star images is known", "keep": "Keep"},
     )  # fmt: skip
     noise_model: str = option(
-        "Method", "Centroid noise", "Noise of centroids: as stated, or corrected where the data show more than chance.",
+        "Method", "Centroid noise", "Centroid noise: as stated, or corrected where the data show a significant deviation.",
         cell=(3, 1), default="stated", flag="--noise-model",
         words={
             "stated": "As stated by telemetry or sensor file",
@@ -341,118 +342,128 @@ class CalibrationSettings:
         },
     )  # fmt: skip
     minimum_stars: int = option(
-        "Method", "Fewest stars of an exposure", "Exposures with fewer stars are not used.",
+        "Method", "Minimum stars per exposure", "Exposures with fewer stars are not used.",
         cell=(2, 1), default=MINIMUM_STARS, lowest=MINIMUM_STARS, highest=1000, flag="--minimum-stars",
     )  # fmt: skip
     vary: tuple[str, ...] | None = option(
-        OF_A_JOINT_CALIBRATION, "Parameters of a pass", "Parameters that each telemetry set has by itself, as f_m,m0_px.",
+        OF_A_JOINT_CALIBRATION, "Parameters of a pass",
+        "Parameters estimated separately for each telemetry set, for example f_m,m0_px.",
         cell=(0, 0), default=None, kind="names", flag="--vary",
-        hint="Empty: the same in every set. Names with commas between them, such as f_m.",
+        hint="Empty: the same in every set. Parameter names separated by commas.",
     )  # fmt: skip
     vary_as: str = option(
-        OF_A_JOINT_CALIBRATION, "How they vary", "How parameters of a pass hang together.", cell=(1, 0), default="pass",
+        OF_A_JOINT_CALIBRATION, "How they vary", "How parameters vary from pass to pass.", cell=(1, 0), default="pass",
         flag="--vary-as",
         words={
             "pass": "Each pass by itself",
             "walk": "A random walk from pass to pass",
-            "walk-and-temperature": "A random walk about a line in the temperature",
+            "walk-and-temperature": "A random walk around a linear temperature trend",
             "temperature": "By the mean temperature of a pass",
             "drift": "By time",
             "step": "In steps, at events or at dates that the data propose",
-            "evidence": "A walk about temperature and time with steps, each as far as the passes show it",
+            "evidence": "A walk around trends in temperature and time, with steps; each term is included only if the passes "
+            "support it",
         },
     )  # fmt: skip
     degree: str = option(
-        OF_A_JOINT_CALIBRATION, "Degree", "Of temperature and drift: the polynomial's degree; auto is by evidence.", cell=(2, 0),
-        default="1", flag="--degree",
-        words={"1": "Linear", "2": "Quadratic", "3": "Cubic", "auto": "Up to 3, by the evidence of each parameter; 0 is no change"},
+        OF_A_JOINT_CALIBRATION, "Degree", "For temperature and drift: polynomial degree; auto chooses it from the data.",
+        cell=(2, 0), default="1", flag="--degree",
+        words={
+            "1": "Linear",
+            "2": "Quadratic",
+            "3": "Cubic",
+            "auto": "Up to 3, chosen from the data for each parameter; 0 is no change",
+        },
     )  # fmt: skip
     events: tuple[str, ...] | None = option(
-        OF_A_JOINT_CALIBRATION, "Events", "Of step: when something happened, as 2026-03-02T10:00:00Z; sought if left out.",
+        OF_A_JOINT_CALIBRATION, "Events", "For step: times of events, for example 2026-03-02T10:00:00Z; searched for if omitted.",
         cell=(2, 1), default=None, kind="times", flag="--events",
     )  # fmt: skip
     walk_sigma: float | None = option(
         OF_A_JOINT_CALIBRATION, "Step of the walk",
-        "Of walks: drift, in typical sigmas a square root of a day; estimated from the passes if left out.",
+        "For walks: drift in typical sigmas per square root of a day; estimated from the passes if omitted.",
         cell=(1, 1), default=None, kind="number", lowest=1e-4, highest=100.0, unit="typical σ/√d", flag="--walk-sigma",
         hint="Empty: the most likely drift of each parameter.",
     )  # fmt: skip
     prior_covariance: str = option(
-        OF_A_PRIOR, "Covariance of the prior", "Covariance that a prior enters with.", cell=(0, 0), default="with-misfit",
+        OF_A_PRIOR, "Covariance of the prior", "Covariance used for a prior.", cell=(0, 0), default="with-misfit",
         flag="--prior-covariance",
         words={
-            "with-misfit": "With misfit, by which decisions go",
-            "noise": "Of noise alone: then prior and data are exactly the joint problem",
+            "with-misfit": "With misfit, as used for decisions",
+            "noise": "From noise alone: prior and data together then equal a joint fit",
         },
     )  # fmt: skip
     prior_inflation: float = option(
-        OF_A_PRIOR, "Inflation of the prior", "Factor on the sigmas of a prior.", cell=(1, 0), default=1.0, lowest=1.0,
-        highest=1e3, flag="--prior-inflation",
+        OF_A_PRIOR, "Inflation of the prior", "Factor by which the sigmas of a prior are multiplied.", cell=(1, 0),
+        default=1.0, lowest=1.0, highest=1e3, flag="--prior-inflation",
     )  # fmt: skip
     prior_drift_sigma: float = option(
-        OF_A_PRIOR, "Drift since the prior", "Drift since a prior, in typical sigmas a square root of a day.",
+        OF_A_PRIOR, "Drift since the prior", "Assumed drift since the prior, in typical sigmas per square root of a day.",
         cell=(1, 1), default=0.0, lowest=0.0, highest=10.0, unit="typical σ/√d", flag="--prior-drift-sigma",
     )  # fmt: skip
     prior_age_days: float | None = option(
-        OF_A_PRIOR, "Age of the prior", "Days from a prior's last star to the first of the run; by their times if left out.",
+        OF_A_PRIOR, "Age of the prior",
+        "Days between the last star of the prior and the first star of the run; computed from their times if omitted.",
         cell=(1, 2), default=None, kind="number", lowest=0.0, highest=36_525.0, unit="d", flag="--prior-age-days",
     )  # fmt: skip
     max_iterations: int = option(
-        "Of the batch", "Most iterations", "Most iterations of a fit.",
+        "Batch", "Maximum iterations", "Maximum number of iterations.",
         cell=(1, 2), default=50, lowest=1, highest=10_000, flag="--max-iterations",
     )  # fmt: skip
     error: str = option(
-        "Of the batch", "Error minimised", "Error that is minimised; cosine is worse, for comparison.",
+        "Batch", "Error minimised", "Error to minimise; cosine is less accurate and only for comparison.",
         cell=(1, 1), default="arclength", flag="--error",
         words={
-            "arclength": "Arclength, with its full covariance",
-            "cosine": "Cosine of the arc, unweighted: worse, for comparison",
+            "arclength": "Arclength with its full covariance",
+            "cosine": "Cosine of the arc, unweighted: less accurate, only for comparison",
         },
-        elsewhere="The cosine error is only for the batch: choose method 'batch', or error 'arclength'.",
+        elsewhere="The cosine error works only with method 'batch': choose it, or error 'arclength'.",
     )  # fmt: skip
     robust: str = option(
-        "Of the batch", "Loss", "Loss that limits the effect of false stars; huber is weaker, for comparison.",
+        "Batch", "Loss", "Loss that limits the effect of false stars; huber is less effective and only for comparison.",
         cell=(2, 1), default="none", flag="--robust",
         words={
             "none": "Least squares",
             "stars": "By stars: stars that are far off are ignored",
-            "huber": "Huber on arcs: limits the effect of false stars, for comparison",
+            "huber": "Huber on arcs: limits the effect of false stars, only for comparison",
         },
-        elsewhere="Robust loss is only for the batch: choose method 'batch', or set 'robust' to 'none'.",
+        elsewhere="Robust loss works only with method 'batch': choose it, or set 'robust' to 'none'.",
     )  # fmt: skip
     huber_threshold: float = option(
-        "Of the batch", "Huber threshold", "For huber, in whitened sigmas.",
+        "Batch", "Huber threshold", "For huber, in whitened sigmas.",
         cell=(2, 2), default=1.345, lowest=0.1, highest=10.0, unit="whitened σ", flag="--huber-threshold",
         hint="1.345 keeps 95 % of the efficiency for Gaussian noise.",
     )  # fmt: skip
     linearisations: int = option(
-        "Of the filters", "Linearisations per frame", "Most per frame; 1 is the published filter.",
+        "Filters", "Linearisations per frame", "Maximum linearisations per frame; 1 reproduces the published filter.",
         cell=(2, 1), default=6, lowest=1, highest=100, flag="--linearisations", usual=True,
-        hint="1 is the published filter; more let the state settle within the frame.",
+        hint="1 reproduces the published filter; with more, the state converges within each frame.",
     )  # fmt: skip
     process_noise_sigma: float | None = option(
-        "Of the filters", "Drift per frame",
-        "For q and no-refit: drift, in typical sigmas; if left out from the data, where these show it, else 0.02 per frame.",
+        "Filters", "Drift per frame",
+        "For q and no-refit: drift in typical sigmas. If omitted, it is estimated from the data where possible, otherwise 0.02 "
+        "per frame.",
         cell=(1, 2), default=None, kind="number", lowest=0.0, highest=10.0, unit="typical σ", flag="--process-noise", usual=True,
-        hint="Not for No-Q. Empty: from the data where five passes show it, else 0.02.",
+        hint="Not used with No-Q. If empty: estimated from the data if there are at least five passes, otherwise 0.02.",
     )  # fmt: skip
     process_noise_of: tuple[str, ...] | None = option(
-        "Of process noise", "Drift by parameter", "Drift of single parameters in place of that, as f_m=0.05,b2_per_m2=0.",
+        "Process noise", "Drift by parameter",
+        "Drift of individual parameters, overriding the general value, for example f_m=0.05,b2_per_m2=0.",
         cell=(4, 1), default=None, kind="numbers", lowest=0.0, highest=10.0, unit="typical σ", flag="--process-noise-of",
     )  # fmt: skip
     process_noise_per: str = option(
-        "Of process noise", "Drift counts", "Whether drift is per frame, or per square root of a day by the times of frames.",
+        "Process noise", "Drift unit", "Unit of drift: per frame, or per square root of a day (computed from the frame times).",
         cell=(4, 2), default="frame", flag="--process-noise-per",
-        words={"frame": "Per frame, however long the gap before it", "day": "Per square root of a day, by the time that passed"},
-        elsewhere="Process noise is only for filters: choose a filter, or leave 'process_noise_per' out.",
+        words={"frame": "Per frame, whatever the gap before it", "day": "Per square root of a day, from the time between frames"},
+        elsewhere="Process noise is only for filters: choose a filter, or omit 'process_noise_per'.",
     )  # fmt: skip
     smooth: bool = option(
-        "Of the filters", "Smooth", "Estimate the parameters at every frame's time given all frames, beside the filter.",
+        "Filters", "Smooth", "In addition to the filter, estimate the parameters at each frame's time from all frames.",
         cell=(3, 1), default=False, flag="--smooth", usual=True,
         elsewhere="A smoother runs beside a filter: choose a filter, or leave 'smooth' off.",
     )  # fmt: skip
     forgetting_factor: float = option(
-        "Of the filters", "Forgetting factor", "Share of the information kept from frame to frame.",
+        "Filters", "Forgetting factor", "Share of the information kept from frame to frame.",
         cell=(2, 1), default=1.0, lowest=0.5, highest=1.0, flag="--forgetting-factor",
         hint="Share of the information kept from frame to frame; 1 forgets nothing.",
         elsewhere=(
@@ -460,11 +471,12 @@ class CalibrationSettings:
         ),
     )  # fmt: skip
     initial_sigma_scale: float = option(
-        "Of the filters", "Sigma of the start", "Sigma of the start, in typical sigmas.",
+        "Filters", "Initial sigma", "Initial sigma, in typical sigmas.",
         cell=(2, 2), default=10.0, lowest=1e-3, highest=1e4, unit="typical σ", flag="--initial-sigma-scale",
     )  # fmt: skip
     star_model: int = option(
-        "Of svd and angular", "Star combinations", "For svd: star combinations, 1 to 4; 4 is the paper's choice.",
+        "Singular values and all angular distances", "Star combinations",
+        "For svd: star combinations, 1 to 4; 4 is the paper's choice.",
         cell=(1, 1), default=4, lowest=1, highest=4, methods=("svd",), flag="--star-model", usual=True,
         words={
             "1": "1: three neighbours at a time",
@@ -472,10 +484,10 @@ class CalibrationSettings:
             "3": "3: all stars but one at a time",
             "4": "4: the first three, four, five … all stars",
         },
-        elsewhere="Star model and singular values are only for method 'svd': choose it, or leave them out.",
+        elsewhere="Star model and singular values are only for method 'svd': choose it, or omit them.",
     )  # fmt: skip
     singular_values: tuple[int, ...] = option(
-        "Of svd and angular", "Singular values",
+        "Singular values and all angular distances", "Singular values",
         "For svd: some of 1,2,3; the first adds nothing to the others, because their squares add up to the number of stars.",
         cell=(1, 2), default=(2, 3), kind="wholes", methods=("svd",), flag="--singular-values", usual=True,
         words={
@@ -490,16 +502,17 @@ class CalibrationSettings:
         hint=(
             "σ1 adds nothing to the other two: the squares of the three add up to the number of stars, whatever the camera."
         ),
-        elsewhere="Star model and singular values are only for method 'svd': choose it, or leave them out.",
+        elsewhere="Star model and singular values are only for method 'svd': choose it, or omit them.",
     )  # fmt: skip
     gain_form: str = option(
-        "Of svd and angular", "Update", "How the update is computed; gain as published: slower, same result.",
+        "Singular values and all angular distances", "Update",
+        "How the update is computed; gain is the published form (slower, same result).",
         cell=(1, 1), default="information", flag="--gain-form",
-        words={"information": "Information form", "gain": "Gain form, as published: slower, same result"},
-        elsewhere=f"The gain form is only for methods {' and '.join(EITHER_FORM)}: choose one, or leave 'gain_form' out.",
+        words={"information": "Information form", "gain": "Gain form, as published (slower, same result)"},
+        elsewhere=f"The gain form applies only to methods {' and '.join(EITHER_FORM)}: choose one of them, or omit 'gain_form'.",
     )  # fmt: skip
     replay_frames_per_s: float = option(
-        "Of the filters", "Replay pace", "Rate at which a filter processes frames; 0: as fast as possible.",
+        "Filters", "Replay pace", "Rate at which a filter processes frames; 0: as fast as possible.",
         cell=(2, 2), default=0.0, lowest=0.0, highest=1e6, unit="frames per second", usual=True,
         hint="As a downlink would deliver them; 0: as fast as possible.",
     )  # fmt: skip
@@ -556,11 +569,11 @@ class CalibrationSettings:
             raise RefusedInputError("The cosine error has no weights for a robust loss: set 'robust' to 'none'.")
         if self.smooth and self.forgetting_factor != 1.0:
             raise RefusedInputError(
-                "Forgetting is no model of change that a smoother could use: leave 'forgetting_factor' at 1, or 'smooth' off."
+                "A smoother cannot be used with a forgetting factor: set 'forgetting_factor' to 1, or turn 'smooth' off."
             )
         if self.process_noise_per == "day" and not self.states_drift and self.variant != "no-q":
             raise RefusedInputError(
-                "Drift per day has no usual size: give --process-noise, or leave --process-noise-per out."
+                "There is no default for drift per day: give --process-noise, or omit --process-noise-per."
             )
 
     def document(self) -> dict[str, Any]:

@@ -114,12 +114,10 @@ def _check_names(values: Mapping[str, Any], sensor: Sensor, name: str) -> None:
     camera = CAMERA_MODELS[sensor.camera_model]
     missing = [parameter for parameter in camera.parameter_names if parameter not in values]
     if missing:
-        raise RefusedInputError(f"{name} gives no {', '.join(missing)}: give every parameter of {camera.name}.")
+        raise RefusedInputError(f"{name} lacks {', '.join(missing)}: give every parameter of {camera.name}.")
     unknown = [parameter for parameter in values if parameter not in camera.parameter_names]
     if unknown:
-        raise RefusedInputError(
-            f"{name} gives {unknown[0]!r}, which is not a parameter of {camera.name}: leave it out."
-        )
+        raise RefusedInputError(f"{name} gives {unknown[0]!r}, which is not a parameter of {camera.name}: omit it.")
     for parameter, fault in camera.find_implausible(values):
         raise RefusedInputError(f"{name} gives {parameter} as {fault}: check its unit.")
 

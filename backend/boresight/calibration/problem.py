@@ -31,9 +31,9 @@ UNMATCHED_REASON = "not matched to a catalogue star"
 STAR_REASONS = (
     UNMATCHED_REASON,
     "no direction: number not in the catalogue, or no time",
-    "centroid off the detector",
+    "centroid outside the detector",
 )
-COLLINEAR_REASON = "all usable stars on one line"
+COLLINEAR_REASON = "all usable stars lie on one line"
 
 
 def too_few_reason(minimum_stars: int) -> str:

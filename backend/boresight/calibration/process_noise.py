@@ -34,7 +34,7 @@ from boresight.estimation.arcs import ArcSet
 #: Stretches of data, and hours without a frame between two of them, from which drift is estimated where nobody states it.
 FEWEST_STRETCHES, GAP_HOURS = 5, 1.0
 #: Of a chi-square that process noise explains.
-LAST_FRAMES = "it follows the last frames, as process noise has it, and the best fit of all frames is as expected"
+LAST_FRAMES = "it follows the most recent frames, as process noise implies; the best fit of all frames is as expected"
 #: By where drift is from.
 SOURCES = {
     "given": "as given",
@@ -81,7 +81,7 @@ class FrameSteps:
         days = np.full(len(self._frame), np.nan) if problem.time_utc is None else to_days(problem.time_utc)
         known = np.isfinite(days)
         if not known.any():
-            raise RefusedInputError("Drift a day needs the times of frames: add time_utc, or give drift a frame.")
+            raise RefusedInputError("Drift per day requires frame times: add time_utc, or give drift per frame.")
         self._frame, self._days = self._frame[known], days[known]
 
     def take(self, frame: IntArray) -> FloatArray:
@@ -127,7 +127,7 @@ def describe_process_noise(names: list[str], drift: Drift) -> ProcessNoise:
 
 
 def _sentence(found: ProcessNoise) -> str:
-    unit = "a frame" if found.per == "frame" else "a square root of a day"
+    unit = "per frame" if found.per == "frame" else "per square root of a day"
     opening = f"Drift in typical sigmas {unit}, {SOURCES[found.source].format(stretches=found.stretches)}"
     if found.interval:
         ends = {name: f" ({low:.2g} to {high:.2g})" for name, (low, high) in found.interval.items()}
@@ -137,6 +137,6 @@ def _sentence(found: ProcessNoise) -> str:
     if found.source == "given":
         return f"{opening}: {listed}."
     return (
-        f"{opening}: {listed}; these data do not tell it, for that takes {FEWEST_STRETCHES} stretches with times, {GAP_HOURS:g} h "
-        "apart: give more passes, or --process-noise."
+        f"{opening}: {listed}. These data cannot determine it: that requires {FEWEST_STRETCHES} stretches with times, "
+        f"{GAP_HOURS:g} h apart. Give more passes, or --process-noise."
     )

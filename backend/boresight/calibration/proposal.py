@@ -191,7 +191,7 @@ def propose_apart(
     return run_apart(
         work,
         seconds,
-        "Recognising the stars {}: give the field of view too, or use `boresight sensor new` on your own machine.",
+        "Recognising the stars {}: also give the field of view, or use `boresight sensor new` on your own machine.",
     )
 
 
@@ -221,8 +221,8 @@ def _detector(telemetry: TelemetryInput, given: LensAndDetector) -> tuple[int, i
         off, total = off + int(((places < -1) | (places > size)).any(axis=0).sum()), total + places.shape[1]
     if off > FEW_OFF * total:
         raise RefusedInputError(
-            f"{off:,} of {total:,} detections are off a detector of {given.rows or 'any'} rows and {given.columns or 'any'} "
-            f"columns, up to row {ends[1, 0]:.0f} and column {ends[1, 1]:.0f}: correct rows and columns, or leave them out."
+            f"{off:,} of {total:,} detections are outside a detector of {given.rows or 'any'} rows and {given.columns or 'any'} "
+            f"columns, up to row {ends[1, 0]:.0f} and column {ends[1, 1]:.0f}: correct rows and columns, or omit them."
         )
     found = [
         side or max(round(max(first, 0.0) + last), math.floor(last + 0.5), int(ASKED["rows"].lowest)) + 1
@@ -528,8 +528,8 @@ def _conclude(
     pitch = _say_pitch(given, sensor.pixel_pitch_m * 1e6, focal_mm, share * focal_mm)
     sentences = [
         (
-            f"{trial.solved:,} of {looked} were solved with {trial.stars:,} stars: the image is {way} (parity {parity}) and sees "
-            f"{across:.3g}° by {down:.3g}°, a focal length of {uncertain}."
+            f"{trial.solved:,} of {looked} were solved with {trial.stars:,} stars: the image is {way} (parity {parity}) and covers "
+            f"{across:.3g}° by {down:.3g}°; focal length {uncertain}."
         ),
         pitch,
         *_compare(given, focal_mm, across),
@@ -543,21 +543,23 @@ def _conclude(
             "as a start for calibrations."
         ),
         "initial.focal_length": (
-            f"{focal_mm:.5g} mm, {uncertain}, as {trial.stars:,} stars of {trial.solved:,} {what} say, which sees {across:.3g}° by "
-            f"{down:.3g}°."
+            f"{focal_mm:.5g} mm, {uncertain}, measured from {trial.stars:,} stars in {trial.solved:,} {what}; the field covers "
+            f"{across:.3g}° by {down:.3g}°."
         ),
         f"typical_sigma.{camera.parameter_names[place]}": (
             "Three times the uncertainty from so few stars."
             if few
-            else f"{FOCAL_SHARE:.0%} of it, as of any lens: these stars say {share:.2%}, and would count twice in a calibration."
+            else f"{FOCAL_SHARE:.0%} of it, as for any lens. These stars give {share:.2%}, but using that would count them twice "
+            "in "
+            "a calibration."
         ),
         "parity": f"{trial.solved:,} of {looked} were solved as {way}.",
     }
     if given.centroid_sigma_px is None and matched.known.centroid_sigma_px is not None:
-        reasons["centroid_sigma_px"] = f"As measured: how far {trial.stars:,} stars are from their catalogue places."
+        reasons["centroid_sigma_px"] = f"Measured: distance of {trial.stars:,} stars from their catalogue positions."
     if given.magnitude_limit is None and matched.known.magnitude_limit is not None:
         reasons["magnitude_limit"] = (
-            f"As seen: {SEEN_SHARE:.0%} of the matched stars are brighter by {BEYOND_MAG:g} at least."
+            f"Observed: {SEEN_SHARE:.0%} of the matched stars are at least {BEYOND_MAG:g} mag brighter."
         )
     return Proposal(
         described=Described(sensor, reasons),
@@ -583,8 +585,8 @@ def _say_pitch(given: LensAndDetector, pitch_um: float, focal_mm: float, sigma_m
             f"{pitch_um:.4g} µm."
         )
     return (
-        f"Stars only determine focal length over pixel pitch, and neither was given: a pixel is taken as {pitch_um:g} µm, which "
-        f"makes the focal length {focal_mm:.4g} mm; another pitch scales every length alike and moves no star."
+        f"Stars only determine focal length over pixel pitch, and neither was given: a pixel pitch of {pitch_um:g} µm is "
+        f"assumed, which makes the focal length {focal_mm:.4g} mm; another pitch scales all lengths equally and moves no star."
     )
 
 
@@ -605,7 +607,10 @@ def _compare(given: LensAndDetector, focal_mm: float, across_deg: float) -> Iter
 def _say_detector(given: LensAndDetector, measured: tuple[str, ...], *, of_images: bool) -> str:
     if measured:
         names = " and ".join(measured)
-        return f"{names.capitalize()} as far as detections lie, the same margin at both ends: give {names} if you know better."
+        return (
+            f"{names.capitalize()} estimated from the extent of the detections, with equal margins at both ends; give {names} if "
+            "known."
+        )
     return "As large as the images." if of_images and given.sheet is None else "As given."
 
 
@@ -617,7 +622,7 @@ def _say_nothing(search: _Search, of_exposures: int, *, of_images: bool) -> str:
     rich = int(np.sum(count >= ENOUGH_STARS))
     if 2 * rich < n:
         return (
-            f"None of the {of} {what} was solved, for {n - rich:,} show fewer than {ENOUGH_STARS} stars (the median is "
+            f"None of the {of} {what} could be solved, because {n - rich:,} show fewer than {ENOUGH_STARS} stars (the median is "
             f"{np.median(count):.0f}): expose longer or look for fainter stars"
             + (" (--threshold)" if of_images else "")
             + ", and check that the lens is in focus and the sky clear."
@@ -628,7 +633,7 @@ def _say_nothing(search: _Search, of_exposures: int, *, of_images: bool) -> str:
     )
     late = " The time limit was reached before all fields were tried." if search.cut_short else ""
     return (
-        f"None of the {of} {what} was solved with {np.median(count):.0f} stars in the median one. Tried, upright and mirrored, "
-        f"were fields of view of {tried}, in brackets how many were recognised.{late} Give the field of view if it is different, "
+        f"None of the {of} {what} could be solved (median {np.median(count):.0f} stars). Fields of view tested, upright and "
+        f"mirrored, with the number recognised in brackets: {tried}.{late} Give the field of view if it is different, "
         "leave out images with clouds, trails or motion, and check that rows and columns are those of the whole detector."
     )

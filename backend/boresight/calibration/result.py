@@ -377,9 +377,9 @@ def _unjudged(estimate: Estimate, dof: int) -> list[Advice]:
     if estimate.status == "running":
         return []
     if dof <= 0:
-        none = "There are not more arcs than free parameters, so nothing can be checked: add frames or free fewer parameters."
+        none = "There are no more arcs than free parameters, so nothing can be checked: add frames or free fewer parameters."
         return [Advice(none, "too_few_arcs")]
-    diverged = "The fit diverged: do not use these numbers; free fewer parameters, or start closer to the truth."
+    diverged = "The fit diverged: do not use these results; free fewer parameters, or start closer to the true values."
     return [*estimate.remarks, Advice(diverged, "diverged")]
 
 
@@ -417,13 +417,13 @@ def nothing_estimated(
 
 
 LEFT_OUT_VARIANTS = {
-    "q": "process noise makes it forget: it is an estimate from its last frames",
+    "q": "with process noise it reflects mainly its last frames",
     "no-refit": "its matches used only the parameters that it started from",
 }
 
 
-OF_SEVERAL = "it is of several telemetry sets at once, whose stars other entries have too"
-ON_A_PRIOR = "it stands on a prior, and so on telemetry of earlier entries too"
+OF_SEVERAL = "it combines several telemetry sets whose stars are also in other entries"
+ON_A_PRIOR = "it uses a prior, and therefore telemetry of earlier entries"
 
 
 @dataclass(frozen=True)
@@ -469,15 +469,15 @@ def _factors(result: Calibration) -> Iterator[tuple[str, float]]:
     if result.misfit is not None:
         chi2 = None
     if per_dof is not None and chi2 is not None and chi2.upper is not None and per_dof > chi2.upper:
-        yield f"sigmas widened {per_dof**0.5:.2f} times: chi-square is {per_dof:.3g} per degree of freedom", per_dof
+        yield f"sigmas multiplied by {per_dof**0.5:.2f}: chi-square is {per_dof:.3g} per degree of freedom", per_dof
     if result.misfit is not None and result.method == "batch":
         nis = None  # a batch has its chi-square there
     if nis is not None and nis.mean is not None and nis.upper is not None and nis.mean > nis.upper:
-        yield f"sigmas widened {nis.mean**0.5:.2f} times: the normalised innovations are {nis.mean:.3g}", nis.mean
+        yield f"sigmas multiplied by {nis.mean**0.5:.2f}: the normalised innovations are {nis.mean:.3g}", nis.mean
     efficiency = None if result.trust is None else result.trust.efficiency
     if efficiency is not None and 0 < efficiency.overall_ratio < TOO_SMALL:
         ratio = efficiency.overall_ratio
-        yield f"sigmas widened {1 / ratio:.2f} times: they were claimed below the Cramér-Rao bound", ratio**-2
+        yield f"sigmas multiplied by {1 / ratio:.2f}: they were below the Cramér-Rao bound", ratio**-2
 
 
 def _left_out(result: Calibration) -> str | None:
@@ -486,12 +486,12 @@ def _left_out(result: Calibration) -> str | None:
     if not result.is_usable:
         return f"it ended {result.status.replace('_', ' ')}"
     if result.observability is not None and is_curved(result.observability.chi2_rise):
-        return "the fit is curved along its weakest direction, where its covariance is wrong"
+        return "the fit is not linear along its weakest direction, where its covariance is wrong"
     if result.variant in LEFT_OUT_VARIANTS:
         return LEFT_OUT_VARIANTS[result.variant]
     if result.variant is not None and settings.linearisations == 1:
         return "one linearisation per frame makes it over-confident"
     if settings.forgetting_factor < 1.0:
-        return "it forgets: it is an estimate from its last frames"
+        return "with a forgetting factor it reflects mainly its last frames"
     several = OF_SEVERAL if len(result.inputs.passes) > 1 else None
     return several if result.prior is None else ON_A_PRIOR

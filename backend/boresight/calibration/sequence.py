@@ -159,9 +159,9 @@ def _say_blindness(problem: Problem, parameters: Parameters, history: RecordedHi
     names = [problem.camera.parameter_names[parameters.free[place]] for place in history.blind]
     if names:
         yield (
-            f"The filter diverged because it tries states {np.sqrt(len(parameters.free)):.1f} of its sigmas away, where by "
-            f"{' or '.join(names)} the lens turns back before some stars: choose sqrf, which tries none, allow more "
-            "linearisations, or lower typical_sigma or initial_sigma_scale."
+            f"The filter diverged because it samples states {np.sqrt(len(parameters.free)):.1f} sigmas away, where "
+            f"{' or '.join(names)} make{'s' * (len(names) == 1)} the distortion fold back before reaching some stars. Choose sqrf, "
+            "which does not sample states, allow more linearisations, or lower typical_sigma or initial_sigma_scale."
         )
 
 

@@ -70,7 +70,10 @@ def describe_smoothed(
 def _sentence(of_set: SmoothedSet, estimate: Estimate, parameters: Parameters) -> str:
     n_frames = len(of_set.states)
     if not of_set.found.settled:
-        return f"The smoother of {n_frames:,} frames does not settle: do not use it, and give less drift or a nearer start."
+        return (
+            f"The smoother did not converge over {n_frames:,} frames: do not use it; specify less drift or a closer starting "
+            "point."
+        )
     said = f"Parameters at {n_frames:,} frames given all of them"
     if not estimate.history:
         return f"{said}."

@@ -156,8 +156,9 @@ def make_plan(
     plan = plan_pointings(candidates, A_1, A_0, constraints, "D" if criterion == "D" else "A")
     if not len(plan.place):
         raise RefusedInputError(
-            "No candidate can be observed: each is too near the Sun, the Moon or the Earth, has too few stars, or takes longer "
-            "than there is time: give smaller angles, more minutes, or other candidates."
+            "No candidate pointing can be observed: each is too near the Sun, the Moon or the Earth, has too few stars, or takes "
+            "longer "
+            "than the available time: give smaller angles, more minutes, or other candidates."
         )
     return _write(sensor, names, scale, candidates, stars, constraints, criterion, plan, known=known is not None)
 
@@ -172,8 +173,8 @@ def _known(sensor: Sensor, known: Calibration | None, names: tuple[str, ...]) ->
         return x, np.eye(len(names)) / CalibrationSettings().initial_sigma_scale ** 2
     if known.camera_model != sensor.camera_model or not known.is_usable:
         raise RefusedInputError(
-            f"The calibration is of a {known.camera_model} and ended {known.status}: give one of this {sensor.camera_model} that "
-            "converged."
+            f"The calibration uses {known.camera_model} and ended {known.status}: give a converged calibration with "
+            f"{sensor.camera_model}."
         )
     scale = sensor.typical_sigma[[camera.parameter_names.index(name) for name in names]]
     x = np.array([known.parameters[name] for name in camera.parameter_names])
@@ -185,7 +186,7 @@ def _say_when_below(to_gate: float | None) -> str:
     """Say when the weakest direction is below the gate's limit, in minutes; nothing where it is not."""
     if to_gate is None:
         return ""
-    return f", below the gate's {WEAK:g} {f'after {to_gate:.1f} minutes' if to_gate else 'from the beginning'}"
+    return f" and is below the gate limit of {WEAK:g} {f'after {to_gate:.1f} minutes' if to_gate else 'from the beginning'}"
 
 
 def _write(  # noqa: PLR0913 - what a plan is written from
@@ -212,7 +213,7 @@ def _write(  # noqa: PLR0913 - what a plan is written from
     places = [CAMERA_MODELS[sensor.camera_model].parameter_names.index(name) for name in names]
     seen = observability(plan.A[-1], names, tuple(symbols[place] for place in places))
     sentence = (
-        f"{len(at)} pointings in {took:.1f} minutes; the weakest direction goes from "
+        f"{len(at)} pointings in {took:.1f} minutes; the weakest direction improves from "
         f"{weakest[0]:.2g} to {weakest[-1]:.2g} typical sigmas"
         f"{_say_when_below(to_gate)}. Weakest at the end: {seen.sentence(len(names) - 1)}"
     )

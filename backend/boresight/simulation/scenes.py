@@ -278,7 +278,7 @@ def _parse_truth(truth: Any, base: Scenario) -> FloatArray:
         is not None
     ):
         raise RefusedInputError(
-            "A scenario's `truth` must give all of the detector a direction: correct its distortion, which turns back before "
+            "A scenario's `truth` must give all of the detector a direction: correct its distortion, which folds back before "
             "a corner.",
             code="distortion-turns-back",
         )

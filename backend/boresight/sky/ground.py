@@ -158,7 +158,7 @@ def view_from(site: Site, time_utc: TimeArray) -> GroundView:
             tt = erfa.taitt(*erfa.utctai(JD_J2000, days_utc))
     except erfa.ErfaError as error:
         raise RefusedInputError(
-            "A camera on the ground needs times from 1960 on, in UTC: correct time_utc, or leave the site out."
+            "A camera on the ground needs times from 1960 on, in UTC: correct time_utc, or omit the site."
         ) from error
     ut1_minus_utc, pole_x, pole_y = earth_orientation(days_utc)
     theta = erfa.era00(JD_J2000, days_utc + ut1_minus_utc / 86400.0)

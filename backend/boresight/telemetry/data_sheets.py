@@ -46,7 +46,7 @@ DATA_SHEETS: dict[str, DataSheet] = {
         ),
         DataSheet(
             "FLIR BFS-U3-31S4M, 2x2", 768, 1024, 6.9, None, "global",
-            "the same, binned two by two, as github.com/esa/tetra3 has it of its test images (their lens is of 35 mm)",
+            "the same, binned two by two, as in the test images of github.com/esa/tetra3 (35 mm lens)",
         ),
         DataSheet("Raspberry Pi Camera Module 1", 1944, 2592, 1.4, 3.6, "rolling", _PI),
         DataSheet("Raspberry Pi Camera Module 2", 2464, 3280, 1.12, 3.04, "rolling", _PI),
@@ -106,12 +106,12 @@ class LensAndDetector:
     )
     centroid_sigma_px: float | None = field(
         default=None,
-        metadata=Asked("Centroid noise", "px", 1e-4, 100.0, "One axis, one sigma; 0.2 px when left out.").metadata,
+        metadata=Asked("Centroid noise", "px", 1e-4, 100.0, "One axis, one sigma; 0.2 px if omitted.").metadata,
     )
     magnitude_limit: float | None = field(
         default=None,
         metadata=Asked(
-            "Faintest magnitude", "mag", -2.0, 20.0, "Of the stars that it sees; found from each set when left out."
+            "Faintest magnitude", "mag", -2.0, 20.0, "Of the stars that it sees; found from each set if omitted."
         ).metadata,
     )
     site: Site | None = None

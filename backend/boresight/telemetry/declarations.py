@@ -56,7 +56,7 @@ DECLARATIONS = {
             "satellite_velocity",
             "Satellite velocity",
             {
-                "given": "the telemetry gives it, or its directions include its aberration already",
+                "given": "the telemetry contains it, or its directions already include aberration",
                 "negligible": "too small to matter, as on the ground",
             },
         ),
@@ -81,21 +81,21 @@ DECLARATIONS = {
         Declaration(
             "tilt",
             "Tilt of the detector",
-            {"aligned": "the detector was measured to be square to the optical axis, or its tilt does not matter"},
+            {"aligned": "the detector was measured to be square to the optical axis, or its tilt is negligible"},
             Role.TILT,
         ),
         Declaration(
             "decentring",
             "Decentring of the lens",
-            {"centred": "the lens was measured to have no tangential distortion, or what it has does not matter"},
+            {"centred": "the lens was measured to have no tangential distortion, or it is negligible"},
             Role.DECENTRING,
         ),
         Declaration(
             "centroids",
             "Centroids over the detector",
             {
-                "unbiased": "they were measured to have no displacements that stay with place or brightness, such as seams of the "
-                "readout, charge left behind or a window, or what they have does not matter"
+                "unbiased": "they were measured to have no systematic displacements with position or brightness (readout seams, "
+                "charge left behind, the window), or these are negligible"
             },
         ),
     )
@@ -135,7 +135,7 @@ class Readout:
             return "global shutter"
         if self.corrected:
             return "rolling shutter, corrected in the telemetry"
-        return f"rolling shutter along {self.axis}, {abs(self.line_time_s or 0.0) * 1e6:.4g} µs a line, not corrected"
+        return f"rolling shutter along {self.axis}, {abs(self.line_time_s or 0.0) * 1e6:.4g} µs per line, not corrected"
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ def parse_image_format(value: Any, faults: Faults) -> ImageFormat:
             isinstance(number, bool) or not isinstance(number, kinds) or not low <= number <= high
         ):
             faults.add(
-                f"image.{name} is {number!r}: give a {'whole ' * whole}number from {low:g} to {high:g}, or leave it out"
+                f"image.{name} is {number!r}: give a {'whole ' * whole}number from {low:g} to {high:g}, or omit it"
             )
             return NO_FORMAT
     if value.get("byte_order", BYTE_ORDERS[0]) not in BYTE_ORDERS:
@@ -251,7 +251,7 @@ def parse_readout(value: Any, faults: Faults) -> Readout | None:
     _refuse_unknown("readout", value, tuple(item.name for item in fields(Readout)), faults)
     if value["mode"] == GLOBAL:
         if set(value) - {"mode"}:
-            faults.add("readout.mode is global, which allows no other fields: leave the others out, or write rolling")
+            faults.add("readout.mode is global, which allows no other fields: omit the others, or write rolling")
         return Readout(GLOBAL)
     axis, corrected = value.get("axis", AXES[0]), value.get("corrected", False)
     if axis not in AXES:
@@ -290,9 +290,7 @@ def parse_declared(value: Any, faults: Faults) -> Declared:
     _refuse_unknown("declared", value, tuple(DECLARATIONS), faults)
     for name, declaration in DECLARATIONS.items():
         if name in value and value[name] not in tuple(declaration.words):
-            faults.add(
-                f"declared.{name} is {quote(value[name])}: write {' or '.join(declaration.words)}, or leave it out"
-            )
+            faults.add(f"declared.{name} is {quote(value[name])}: write {' or '.join(declaration.words)}, or omit it")
     return Declared(**{name: value[name] for name in DECLARATIONS if name in value})
 
 

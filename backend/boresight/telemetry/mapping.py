@@ -100,7 +100,7 @@ def profile_members(document: Mapping[str, Any]) -> str:
     """Say what a mapping is in the members of a mapping profile."""
     told, found = list[str](), parse_mapping(document)
     if found.swapped_axes:
-        told.append("the columns of row and col exchanged")
+        told.append("the columns of row and col swapped")
     if found.centred:
         told.append('row.origin and col.origin "centre"')
     elif found.origin_px:

@@ -222,7 +222,7 @@ def _focal_mm(at_hand: Mapping[str, float | None], sheet: DataSheet | None, faul
     """Focal length in millimetres, as given or by the field of view; None with a fault where neither tells it."""
     focal, view = at_hand["focal_length_mm"], at_hand["field_of_view_deg"]
     if focal is None and view is None:
-        of = f": {sheet.name} takes any lens" if sheet is not None else ""
+        of = f" ({sheet.name} does not include a lens)" if sheet is not None else ""
         faults.add(
             f"focal_length_mm is missing{of}: give it in mm, or field_of_view_deg across the longer side",
             name="focal_length_mm",
@@ -235,7 +235,7 @@ def _focal_mm(at_hand: Mapping[str, float | None], sheet: DataSheet | None, faul
     if focal is not None and abs(from_view / focal - 1) > 0.05:
         faults.add(
             f"focal_length_mm is {focal:g} and field_of_view_deg {view:g}, which would be {from_view:.4g} mm across "
-            f"{max(rows, columns):g} pixels of {pitch:g} µm: leave one of them out, or correct rows, columns or pixel_pitch_um",
+            f"{max(rows, columns):g} pixels of {pitch:g} µm: omit one of them, or correct rows, columns or pixel_pitch_um",
             name="focal_length_mm",
         )
     return from_view if focal is None else focal
@@ -263,7 +263,8 @@ def _describe(
         "initial.focal_length": _why_focal(known, focal_mm, focal_px, rows, columns),
         "initial": "Without distortion, the principal point in the middle of the detector: a calibration starts from there.",
         **why,
-        "free": f"{', '.join(free)}: what every lens needs; the others are held until `boresight choose` finds them needed.",
+        "free": f"{', '.join(free)}: needed for every lens. The others are held fixed until `boresight choose` shows that they "
+        "are needed.",
         "camera_model": (
             "As given."
             if camera.usual is None or model
@@ -308,8 +309,8 @@ def _describe(
 def _why_focal(known: LensAndDetector, focal_mm: float, focal_px: float, rows: float, columns: float) -> str:
     across = 2 * math.degrees(math.atan(max(rows, columns) / 2 / focal_px))
     down = 2 * math.degrees(math.atan(min(rows, columns) / 2 / focal_px))
-    start = "From the field of view" if known.focal_length_mm is None and known.field_of_view_deg else "The lens's"
-    return f"{start}: {focal_mm:.4g} mm, {focal_px:.0f} px, which sees {across:.3g}° by {down:.3g}°."
+    start = "From the field of view" if known.focal_length_mm is None and known.field_of_view_deg else "Lens"
+    return f"{start}: {focal_mm:.4g} mm, {focal_px:.0f} px; field of view {across:.3g}° by {down:.3g}°."
 
 
 def _spreads(
@@ -335,7 +336,7 @@ def _spreads(
             )
         elif one.role in by_role and slope[place] > 0:
             found.append(float(by_role[one.role] / slope[place]))
-            why[f"typical_sigma.{name}"] = f"Moves a star in the corner by {by_role[one.role]:.2g} px."
+            why[f"typical_sigma.{name}"] = f"One sigma moves a star in the corner by {by_role[one.role]:.2g} px."
         else:
             found.append(one.typical_sigma)
             why[f"typical_sigma.{name}"] = "The spread of the trackers in E Table II."

@@ -135,7 +135,7 @@ class _Waiting:
         frame, many = self._parts[0].frame[0], sum(map(len, self._parts)) > MOST_ROWS
         size = f"{MOST_ROWS:,} rows" if many else f"{MOST_BYTES / 1e6:,.0f} MB"
         raise RefusedInputError(
-            f"{self._name}: frame {frame} has over {size}: give every reading of the star tracker its own frame number.",
+            f"{self._name}: frame {frame} has over {size}: give each reading its own frame number.",
             code="frame-too-large",
         )
 

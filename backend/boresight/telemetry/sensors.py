@@ -206,7 +206,7 @@ def _parse(document: Mapping[str, Any], faults: Faults) -> Sensor:
     )
     if sensor.site is not None and sensor.declared.refraction == "none":
         faults.add(
-            "declared.refraction is none, images from space, and there is a site on the ground: leave one of the two out"
+            "declared.refraction is none, images from space, and there is a site on the ground: omit one of the two"
         )
     _check_readout(sensor, faults)
     faults.refuse()
@@ -339,7 +339,7 @@ def _free(value: Any, names: tuple[str, ...], faults: Faults) -> tuple[str, ...]
     if value is None:
         return names
     if not isinstance(value, list | tuple) or not value:
-        faults.add(f"free is {quote(value)}: list the parameters to estimate, or leave it out for all")
+        faults.add(f"free is {quote(value)}: list the parameters to estimate, or omit it for all")
         return ()
     if FOCAL_M in names:
         value = [FOCAL_M if name == FOCAL_PX else name for name in value]
@@ -361,14 +361,14 @@ def check_geometry(sensor: Sensor, model: CameraModel, faults: Faults, subject: 
     row, col = model.principal_point(sensor.initial)
     if not (-sensor.rows < row < 2 * sensor.rows and -sensor.columns < col < 2 * sensor.columns):
         faults.add(
-            f"{subject} puts the principal point at row {row:g}, column {col:g}, far off the detector: correct it"
+            f"{subject} puts the principal point at row {row:g}, column {col:g}, far outside the detector: correct it"
         )
         return
     corner = model.blind_corner(sensor.initial, sensor.rows, sensor.columns, sensor.pixel_pitch_m)
     if corner is not None:
         faults.add(
-            f"{subject} has a distortion that turns back before the corner at row {corner[0]:g}, column {corner[1]:g}, "
-            "where a star would have no direction: correct its distortion coefficients"
+            f"{subject} has a distortion that folds back before the corner at row {corner[0]:g}, column {corner[1]:g}, "
+            "so this position has no direction: correct its distortion coefficients"
         )
         return
     rows, columns = np.array([0.0, sensor.rows - 1.0]), np.array([0.0, sensor.columns - 1.0])

@@ -241,7 +241,7 @@ def test_presets_are_listed_with_what_they_change_and_archived_by_an_analyst(sit
     with open_writing(site.engine) as session:
         row = presets.save_preset(session, site.actor("ada"), "Mondays", "On Mondays.", {"robust": "huber"})
     ada = site.visitor("ada")
-    assert "Loss Huber on arcs: limits the effect of false stars, for comparison" in read(ada.get("/presets"))
+    assert "Loss Huber on arcs: limits the effect of false stars, only for comparison" in read(ada.get("/presets"))
     site.visitor("victor").post(f"/presets/{row.id}/archive")
     assert "Archived" not in read(ada.get("/presets"))
     ada.post(f"/presets/{row.id}/archive")

@@ -54,7 +54,7 @@ def test_of_calibrations_of_the_same_stars_one_counts_and_of_unequal_methods_the
 def test_what_cannot_be_compared_is_left_out_with_its_reason(session):
     rng = np.random.default_rng(1)
     _baselined(session, rng)
-    over = add_run(session, add_set(session, 1, 3), rng, left_out="it forgets")
+    over = add_run(session, add_set(session, 1, 3), rng, left_out="with a forgetting factor")
     names = list(over.summary["trend"]["names"])
     fewer = add_run(
         session, add_set(session, 1, 6), rng, names=names[:5], covariance=np.eye(5).tolist()

@@ -60,7 +60,7 @@ def test_a_preview_drafts_a_profile_that_is_saved_and_chosen(site):
     files = {"file": ("stars.txt", b"# frame x y\n0 255.5 475.25\n0 72.0 474.5\n1 155.75 211.5\n")}
     shown = ada.send("POST", "/telemetry", data=data, files=files, headers={"Accept": "text/html"}).text
     assert codes(shown)[:1] == ["drafted"]
-    assert "that its comment names the columns rightly: frame, x, y" in shown
+    assert "whether its comment names the columns correctly: frame, x, y" in shown
     assert "475.25" in shown
     draft = html.unescape(re.search(r"<textarea id=\"document\"[^>]*>(.*?)</textarea>", shown, re.DOTALL).group(1))
     saved = ada.post("/import-profiles", document=draft)

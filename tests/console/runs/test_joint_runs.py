@@ -138,15 +138,13 @@ def test_what_cannot_be_started_from_is_refused(session, upload, launch, finishe
     elsewhere = upload("other", sensor_id=other_sensor)
     refused = {
         "another sensor": lambda: launch(elsewhere, sensor_id=other_sensor, prior_run_id=before.id),
-        "stars count once": lambda: launch(session.get_one(TelemetrySet, 1), prior_run_id=before.id),
+        "not be counted twice": lambda: launch(session.get_one(TelemetrySet, 1), prior_run_id=before.id),
         "took part in": lambda: launch(new, validation=session.get_one(TelemetrySet, 1), prior_run_id=before.id),
         "frees f_m": lambda: launch(new, settings={"free": ["f_m"]}, prior_run_id=before.id),
-        "not of passes that vary": lambda: launch(
-            new, upload("more"), settings={"vary": ["f_m"]}, prior_run_id=before.id
-        ),
+        "vary between passes": lambda: launch(new, upload("more"), settings={"vary": ["f_m"]}, prior_run_id=before.id),
         "not both": lambda: launch(new, prior_run_id=before.id, prior_set_id=1),
         "ground calibration": lambda: launch(new, prior_set_id=1),
-        "none was given": lambda: launch(new, settings={"prior_inflation": 2.0}),
+        "requires a prior": lambda: launch(new, settings={"prior_inflation": 2.0}),
         "cosine": lambda: launch(new, settings={"error": "cosine"}, prior_run_id=before.id),
     }
     for said, ask in refused.items():

@@ -328,7 +328,7 @@ def seen(site, monkeypatch):
         typical_sigma={"f_m": 8e-6, "b2_per_m2": 1000.0},
         weak=1,
         weak_directions=["f and b2 move together."],
-        help=["Hold b2 fixed, and every direction of the others is known."],
+        help=["Hold b2 fixed: every direction of the others is then known."],
         observability=None,
         frames_sampled=40,
         frames=40,

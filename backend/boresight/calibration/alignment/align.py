@@ -108,8 +108,8 @@ def align_sides(a: Side, b: Side, options: AlignmentOptions = AlignmentOptions()
     wanted = options.choose_terms()
     if wanted and not _can_have(variation, wanted):
         raise RefusedInputError(
-            f"{len(pairs)} pairs do not tell the terms that were asked for: temperature or time is unknown or hardly changes; "
-            "leave them out, or give a longer set."
+            f"{len(pairs)} pairs cannot determine the requested terms: temperature or time is unknown or barely changes. "
+            "Omit the terms, or give a longer set."
         )
     found = estimate(pairs, variation, wanted=wanted, robust=options.robust)
     return _write(a, b, pairs, variation, which, found)
@@ -203,16 +203,17 @@ def _advice_on_clocks(a: Side, b: Side, found: Estimate) -> Iterator[Advice]:
     clock = found.clock
     if clock is not None and clock.needed:
         yield Advice(
-            f"The time stamps of {b.name} are {clock.offset_s:+.3g} ± {clock.sigma_s:.2g} s later than those of {a.name}, as pairs "
-            "differ with the rate: correct them and align again, for what a steady turn makes of it hides in the rotation.",
+            f"The time stamps of {b.name} are {clock.offset_s:+.3g} ± {clock.sigma_s:.2g} s later than those of {a.name}, because "
+            "the pairs differ in proportion to the rate. Correct them and align again: under a steady turn this offset is hidden "
+            "in the rotation.",
             "alignment_clock",
         )
     elif clock is not None and clock.steady_rad_s * min(3 * clock.sigma_s, UNSEEN_S) > 3 * max(_known_rad(found.fit)):
         rate = clock.steady_rad_s * ARCSEC_PER_RAD
         yield Advice(
-            f"The body turned steadily by {rate:.3g} arcsec/s: time stamps {UNSEEN_S:g} s apart would turn the rotation by "
-            f"{UNSEEN_S * rate:.3g} arcsec, and nothing here would show it. Make sure that both are of one clock, or include turns "
-            "about other axes.",
+            f"The body turned steadily at {rate:.3g} arcsec/s: a clock offset of {UNSEEN_S:g} s would change the rotation by "
+            f"{UNSEEN_S * rate:.3g} arcsec without being visible in the data. Make sure that both trackers use the same clock, or "
+            "include turns about other axes.",
             "alignment_clock",
         )
 
@@ -299,12 +300,12 @@ def _sentence(a: Side, b: Side, found: Estimate, P: FloatArray) -> str:
     known = ", ".join(f"{axis} ± {3 * value:.3g}" for axis, value in zip(AXES, load, strict=True))
     body = ", ".join(f"{axis} ± {3 * value:.3g}" for axis, value in zip(AXES, _sigmas(P)[:3], strict=True))
     words = (
-        f"The rotation from {a.name} to {b.name} is known to {known} arcsec (3 sigma) from {found.keep.sum():,} pairs, to be "
-        f"loaded with these parameters; between the frames themselves, whatever the cameras' error, to {body} arcsec"
+        f"The rotation from {a.name} to {b.name} is known from {found.keep.sum():,} pairs to {known} arcsec (3 sigma) if loaded "
+        f"with these parameters, and to {body} arcsec between the frames themselves, including the cameras' errors"
     )
     depends = [
         f"{'temperature' if term.kind == 'temperature' else 'time'}, {np.linalg.norm(found.fit.beta[place]) * ARCSEC_PER_RAD:.3g} "
-        f"arcsec a {'day' if term.kind == 'time' else 'degree' if term.power == 1 else f'degree to the power of {term.power}'}"
+        f"arcsec per {'day' if term.kind == 'time' else 'degree' if term.power == 1 else f'degree to the power of {term.power}'}"
         for place, term in enumerate(found.fit.terms, 1)
     ]
     with_terms = f"; it depends on {', and on '.join(depends)}" if depends else ""
@@ -316,8 +317,8 @@ def _advice(a: Side, b: Side, found: Estimate) -> Iterator[Advice]:
     for side in (a, b):
         if side.parameters == "typical":
             yield Advice(
-                f"No calibration of {side.name} was given: its camera is taken to be off by the typical spread; give one, and the "
-                "sigmas shrink.",
+                f"No calibration of {side.name} was given, so its camera is assumed to have the typical spread. Give one to "
+                "reduce the sigmas.",
                 "alignment_parameters",
             )
         if side.parameters == "none":
@@ -335,14 +336,14 @@ def _advice(a: Side, b: Side, found: Estimate) -> Iterator[Advice]:
     fit = found.fit
     if fit.dof > 0 and fit.ratio > float(chdtri(fit.dof, 0.025)) / fit.dof:
         yield Advice(
-            f"The pairs scatter {np.sqrt(fit.ratio):.3g} times as much as stars and reference say, and the sigmas were widened: "
-            "check time stamps, the reference's sigma, and jitter between the frames.",
+            f"The scatter of the pairs is {np.sqrt(fit.ratio):.3g} times that expected from the stars and the reference, so the "
+            "sigmas were widened: check time stamps, the reference's sigma, and jitter between the frames.",
             "alignment_scatter",
         )
     yield from _advice_on_clocks(a, b, found)
     names = {one.term.kind for one in found.tests}
     if "temperature" not in names and not any(one.kind == "temperature" for one in fit.terms):
         yield Advice(
-            "Temperature is unknown or hardly changed, so nothing is known of its effect: include passes at other temperatures.",
+            "Temperature is unknown or barely changed, so its effect cannot be determined: include passes at other temperatures.",
             "alignment_temperature",
         )

@@ -185,7 +185,7 @@ class Alignment:
 def parse_alignment(document: Mapping[str, Any], name: str = "This document") -> Alignment:
     """Read an alignment from its JSON."""
     if document.get("schema") != SCHEMA:
-        raise RefusedInputError(f"{name} is no alignment: give the JSON of `boresight align`.")
+        raise RefusedInputError(f"{name} is not an alignment: give the JSON file written by `boresight align`.")
     return parse_part(Alignment, document, lambda fault: RefusedInputError(f"{name}: {fault}: write it again."))
 
 
@@ -197,7 +197,7 @@ def check_loaded(found: Alignment, sensor: str, values: Mapping[str, float]) -> 
     """Refuse an alignment of another sensor or made with other parameters: its numbers would turn the attitude wrongly."""
     if found.a.name != sensor:
         raise RefusedInputError(
-            f"The alignment leads from {found.a.name}, not from {sensor}: give one whose tracker A is {sensor}."
+            f"The alignment starts at {found.a.name}, not at {sensor}: give one whose tracker A is {sensor}."
         )
     for name, value in values.items():
         known = found.a.values.get(name, np.nan)

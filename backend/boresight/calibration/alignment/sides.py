@@ -105,7 +105,7 @@ def tracker_side(
     """Solve a tracker's exposures; refuses telemetry without times, or with no exposure that can be solved."""
     if telemetry.time_utc is None or np.isnat(telemetry.time_utc).all():
         raise RefusedInputError(
-            f"The telemetry of {sensor.name} has no times: add a time_utc column, by which attitudes are paired."
+            f"The telemetry of {sensor.name} has no times, which are needed to pair attitudes: add a time_utc column."
         )
     stars = put_right(telemetry, sensor, catalogue, camera.x)
     # what matching expects of a camera must not be less than what it is off: a ground calibration's where nobody knows
@@ -115,7 +115,7 @@ def tracker_side(
     exposures = len(matches.exposure)
     if not arcs.n_exposures:
         raise RefusedInputError(
-            f"No exposure of {sensor.name} can be solved: check the sensor file and parameters, or ask `boresight diagnose`."
+            f"No exposure of {sensor.name} can be solved: check the sensor file and parameters, or run `boresight diagnose`."
         )
     sigma = angular_sigma(arcs.camera, camera.x, arcs)
     s_d = arcs.camera.directions(camera.x, arcs.row_px, arcs.col_px, arcs.pitch)
@@ -169,7 +169,7 @@ def reference_side(
     for what, value, least in (("sigma", stated, SMALLEST_ARCSEC), ("bias", bias_arcsec, 0.0)):
         if not least <= value <= LARGEST_ARCSEC:
             raise RefusedInputError(
-                f"The reference's {what} is {value:g} arcsec: choose {least:g} to {LARGEST_ARCSEC:g}."
+                f"The reference's {what} is {value:g} arcsec: choose a value from {least:g} to {LARGEST_ARCSEC:g}."
             )
     columns = SIGMAS if all(one in beside for one in SIGMAS) else (SIGMA,) * 3 if SIGMA in beside else ()
     sigma = np.column_stack([beside[one] for one in columns]) if columns else np.full((n, 3), np.nan)

@@ -57,7 +57,7 @@ from boresight.telemetry.sensors import Sensor
 
 Report = Callable[[str, float], None]
 NO_FIT = (
-    "No camera model can be fitted to these stars, the fits diverge: check the sensor file's focal length and parity, and "
+    "No camera model can be fitted to these stars because the fits diverge: check the sensor file's focal length and parity, and "
     "the identities, with `boresight check`."
 )
 
@@ -121,7 +121,7 @@ def choose(  # noqa: PLR0913 - what is chosen from, and six choices of the calle
     if least is None:
         raise RefusedInputError(NO_FIT)
     noise, chosen = least.noise, least.chosen
-    tell("holding frames out", 0.5)
+    tell("setting frames aside for validation", 0.5)
     candidates = list(fits.known.values())
     held = _score_held_out(validation, fits, candidates, richest, catalogue, settings, context, rng)
     advice += held[1]
@@ -328,7 +328,7 @@ def _score_held_out(
     """Score every candidate on a validation set, matched under the richest camera, or by cross-validation."""
     if validation is None:
         found = cross_validate(fits, candidates, rng)
-        alone = Advice("With one frame alone nothing can be held out: give a validation set.", "few_frames")
+        alone = Advice("A single frame leaves nothing to hold out: give a validation set.", "few_frames")
         return found, [] if found else [alone]
     inside, words = _read(validation, fits.sensor, catalogue, " in the validation set")
     matched = _matched_under(inside, fits, richest, catalogue, settings, context)

@@ -304,9 +304,9 @@ def _say_camera(found: Choice) -> Iterable[str]:
         if other.camera_model != own:
             continue
         if other.test is not None and other.test.needed:
-            yield f"{own} does not have them ({_say_p(other.test.log10_p_corrected)})"
+            yield f"{own} lacks these terms ({_say_p(other.test.log10_p_corrected)})"
         else:
-            fits = "less well" if other.bic_above >= ALIKE else "as well"
+            fits = "less well" if other.bic_above >= ALIKE else "equally well"
             yield f"{own} fits the stars {fits} (BIC {say_bic(other.bic_above, '.3g')})"
 
 
@@ -322,17 +322,17 @@ def _say_rest(found: Choice) -> Iterable[str]:
     if found.sufficiency is Sufficiency.SOMETHING_LEFT and found.leftover is not None:
         left = found.leftover
         yield (
-            f"but no model here suffices: {_say_spread(left.largest_px, 3 * left.sigma_px)} px (3 sigma) of smooth displacement "
-            f"remain ({_say_p(math.log10(max(left.p, 1e-300)))})"
+            "but no available model is sufficient: a smooth displacement of "
+            f"{_say_spread(left.largest_px, 3 * left.sigma_px)} px (3 sigma) remains ({_say_p(math.log10(max(left.p, 1e-300)))})"
         )
     elif missing:
         terms = join_words(sorted({name for test in missing for name in test.terms}))
         yield f"{terms} would also be needed, but these stars do not determine them"
     else:
-        yield "nothing beyond"
+        yield "no further terms are needed"
     if not found.noise_of_chosen.as_stated:
         ratio = math.sqrt(found.noise_of_chosen.variance)
-        yield f"residuals are {ratio:.3g} times what the stated noise explains, and the tests are scaled by it"
+        yield f"residuals are {ratio:.3g} times as large as the stated noise predicts; the tests are scaled accordingly"
 
 
 def _say_spread(value: float, spread: float) -> str:
@@ -358,4 +358,4 @@ def _say_saved(ratio: float | None) -> str:
     if ratio is None:
         return ""
     change = 100.0 * (ratio - 1.0)
-    return f"held-out RMS {'down' if change <= 0 else 'up'} by {abs(change):.2g} %"
+    return f"held-out RMS {'decreases' if change <= 0 else 'increases'} by {abs(change):.2g} %"

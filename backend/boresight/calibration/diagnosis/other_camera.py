@@ -175,8 +175,8 @@ def _tell_apart_by_noise(
         return None
     best, camera = min(found, key=lambda pair: pair[0])
     why = (
-        f"angles between its stars are {mine.error_measured:.1f} times their noise off the camera that was measured of "
-        f"{own.sensor.name}, and {best:.1f} times off that of {camera.sensor.name}"
+        f"angles between its stars deviate from the measured camera of {own.sensor.name} by {mine.error_measured:.1f} times their "
+        f"noise, and from that of {camera.sensor.name} by {best:.1f} times"
     )
     return OtherCameras((camera,), why)
 
@@ -185,7 +185,7 @@ def _why_not(own: KnownCamera, fit: CameraFit) -> str:
     """Say in a clause what a set has that its sensor's camera has not."""
     name, told = own.sensor.name, list[str]()
     if fit.off > MOST_OFF:
-        told.append(f"{100 * fit.off:.0f} % of its centroids lie off the detector of {name}")
+        told.append(f"{100 * fit.off:.0f} % of its centroids are outside the detector of {name}")
     if not fit.likely:
         told.append(f"its centroids fill {100 * fit.filled:.0f} % of the detector of {name}")
     if not fit.holds:

@@ -14,19 +14,19 @@ SCHEMA: Final = "boresight.diagnosis/1"
 CAUSES: Final = {
     "none": "sensor file and telemetry match",
     "parity": "the image is mirrored",
-    "swapped_axes": "rows and columns are exchanged",
+    "swapped_axes": "rows and columns are swapped",
     "flipped_rows": "rows are counted from the other edge",
     "flipped_columns": "columns are counted from the other edge",
     "half_pixel": "pixels are counted from another origin",
     "centred_origin": "pixels are counted from the middle of the detector",
     "length_unit": "centroids are lengths, not pixels",
     "focal_length": "the focal length is wrong",
-    "j2000_directions": "star directions are of another kind than declared",
+    "j2000_directions": "star directions are not of the declared kind",
     "quaternion_order": "quaternions are written in another order or sense",
     "no_time": "the telemetry has no time",
     "wrong_epoch": "times are counted from another epoch",
     "magnitude_limit": "the magnitude limit is wrong",
-    "unknown": "nothing that was tried explains it",
+    "unknown": "none of the tested causes explains it",
 }
 
 #: Share of the centroids that may lie off the detector where sensor file and telemetry are said to match.

@@ -19,7 +19,7 @@ def describe(hypothesis: Hypothesis) -> str:
     mapping = hypothesis.mapping
     said = [
         "the other parity" if hypothesis.parity else "",
-        "rows and columns exchanged" if mapping.swapped_axes else "",
+        "rows and columns swapped" if mapping.swapped_axes else "",
         "rows from the other edge" if mapping.flipped_rows else "",
         "columns from the other edge" if mapping.flipped_columns else "",
         f"origin {mapping.origin_px:g} px" if mapping.origin_px else "",
@@ -65,7 +65,10 @@ def say(found: Diagnosis, best: Trial, sensor: Sensor) -> str:
     if others:
         told += f" (or {' or '.join(others)}: stars alone cannot separate these)"
     if found.names == ("no_time",):
-        return f"{told[0].upper()}{told[1:]}; everything else matches: {found.exposures_solved:,} of {looked} match apart from it."
+        return (
+            f"{told[0].upper()}{told[1:]}. Everything else is correct: {found.exposures_solved:,} of {looked} match once this is "
+            "ignored."
+        )
     before = f"{found.exposures_solved_before:,} with the files as they are"
     return f"{told[0].upper()}{told[1:]}: corrected, {found.exposures_solved:,} of {looked} match, {before}."
 
@@ -73,20 +76,20 @@ def say(found: Diagnosis, best: Trial, sensor: Sensor) -> str:
 def _say_unknown(found: Diagnosis, looked: str) -> str:
     known = [CAUSES[name] for name in found.names if name != "unknown"]
     told = f"{'; '.join(known)}. ".capitalize() if known else ""
-    short = " (the time limit ended the search)" if found.cut_short else ""
+    short = " (the search stopped at the time limit)" if found.cut_short else ""
     if found.off_detector > MOST_OFF and not {"centred_origin", "length_unit"} & set(found.names):
         return (
-            f"{told}{100 * found.off_detector:.0f} % of the centroids lie off the detector of {found.sensor}, and nothing that was "
-            f"tried puts them on it ({found.exposures_solved_before:,} of {looked} match as they are){short}: correct the "
+            f"{told}{100 * found.off_detector:.0f} % of the centroids are outside the detector of {found.sensor}, and none of the "
+            f"tested corrections fixes this ({found.exposures_solved_before:,} of {looked} match as they are){short}: correct the "
             "detector's rows and columns, or say in a mapping profile how the file counts pixels."
         )
     told += (
-        f"Nothing that was tried makes enough of {looked} match ({found.exposures_solved_before:,} do as they are), not parity, "
-        f"exchanged or flipped axes, focal lengths from -40 to +67 %, half and double, or the magnitude limit{short}; pixels "
-        "counted from half a pixel or from 1 would not prevent stars from matching"
+        f"No tested correction makes enough of {looked} match ({found.exposures_solved_before:,} match unchanged){short}. Tested: "
+        "parity, swapped or flipped axes, focal lengths from −40 % to +67 %, half and double, and the magnitude limit. A pixel "
+        "origin of 0.5 or 1 would not prevent matching"
     )
     return (
-        f"{told}: check that the centroids are stars (at least 4 an exposure, in pixels), and that sensor and telemetry share a "
+        f"{told}: check that the centroids are stars (at least 4 per exposure, in pixels), and that sensor and telemetry share a "
         "camera, or let the stars propose a sensor file without a focal length: `boresight sensor new --telemetry FILE`."
     )
 
@@ -105,7 +108,7 @@ def _origin_clause(best: Trial, _: Sensor) -> str:
     mapping = best.hypothesis.mapping
     origin = mapping.origin_px
     if mapping.centred:
-        return f"the middle that pixels are counted from is {origin:g} px off the detector's"
+        return f"the middle from which pixels are counted is {origin:g} px off the detector's"
     return f"pixels are counted from another origin: the centre of the first one is {origin:g}, not 0"
 
 
@@ -121,7 +124,7 @@ def _unit_clause(best: Trial, sensor: Sensor) -> str:
 
 def _limit_clause(best: Trial, sensor: Sensor) -> str:
     was, shown = sensor.magnitude_limit or 0.0, best.sensor.magnitude_limit or 0.0
-    return f"the magnitude limit of {was:g} is too {'bright' if shown > was else 'faint'}: {shown:g} is what the stars show"
+    return f"the magnitude limit of {was:g} is too {'bright' if shown > was else 'faint'}; the stars indicate {shown:g}"
 
 
 def _directions_clause(best: Trial, _: Sensor) -> str:
@@ -136,8 +139,11 @@ def _quaternion_clause(best: Trial, _: Sensor) -> str:
 
 def _time_clause(best: Trial, _: Sensor) -> str:
     if best.telemetry.psf_sigma_px is not None:  # extracted from images
-        return "the images have no time, which directions of catalogue stars need: give --times FILE, CSV with image and time_utc"
-    return "the telemetry has no time, which directions of catalogue stars need: add time_utc (ISO 8601, UTC)"
+        return (
+            "the images have no time, which is needed to compute catalogue directions: give --times FILE, CSV with image and "
+            "time_utc"
+        )
+    return "the telemetry has no time, which is needed to compute catalogue directions: add time_utc (ISO 8601, UTC)"
 
 
 def _epoch_clause(best: Trial, _: Sensor) -> str:

@@ -223,16 +223,16 @@ def sentence(found: MeanRotation) -> str:
     turned = f"Loading these parameters turns the reported attitude by {size}"
     if not found.consistent:
         return (
-            f"{turned} {_about(axis)} on average, but not by the same amount in both halves of the set: "
-            "find out why before C_SD is updated."
+            f"{turned} {_about(axis)} on average, but the two halves of the set differ: find out why "
+            "before you update C_SD."
         )
     if angle * ARCSEC_PER_RAD <= 2 * by_loading:
-        return f"{turned}, no rotation that these data can show: C_SD may stay as it is."
+        return f"{turned}, which is not significant in these data: C_SD can stay unchanged."
     another = ""
     if np.isfinite(by_repeating):
-        another = f"; another such calibration would differ by {_fixed(by_repeating, by_repeating)} (one sigma)"
+        another = f"; repeated calibrations scatter by {_fixed(by_repeating, by_repeating)} arcsec (one sigma)"
     return (
-        f"{turned} {_about(axis)}{another}: multiply C_SD from the right by the update to keep the attitude unchanged."
+        f"{turned} {_about(axis)}{another}: right-multiply C_SD by the update to keep the reported attitude unchanged."
     )
 
 

@@ -297,13 +297,13 @@ def mcnemar(b: int, c: int) -> float:
 
 
 def _sentence(b: int, c: int, p: float, stars_lost: int, stars_gained: int) -> str:
-    stars = f"{stars_gained:,} sightings of stars are gained and {stars_lost:,} lost"
+    stars = f"{stars_gained:,} star sightings gained, {stars_lost:,} lost"
     if b == c == 0:
         return f"Both parameter sets solve the same frames; {stars}."
-    lost, won = f"loses {_frames(b)} that the baseline solves", f"solves {_frames(c)} that the baseline loses"
+    lost, won = f"lose {_frames(b)} that the old ones solve", f"solve {_frames(c)} that the old ones lose"
     first, second = (won, lost) if c >= b else (lost, won)
-    doubt = "" if p < 0.05 else ", which chance alone explains"
-    return f"The candidate {first} and {second} (exact test, p = {p:.2g}{doubt}); {stars}."
+    doubt = "" if p < 0.05 else ": consistent with chance"
+    return f"The new parameters {first} and {second} (exact test, p = {p:.2g}{doubt}); {stars}."
 
 
 def _frames(count: int) -> str:

@@ -152,15 +152,16 @@ def _sentence(information: list[ReferenceInformation], models: FloatArray) -> st
     share = {entry.reference: entry.share for entry in information}
     of_models = ", ".join(f"{_percent(share[f'model_{model}'])} under Model {model}" for model in STAR_MODELS)
     return (
-        f"Of the information in these centroids arcs keep {_percent(share['arcs'])}, all pairs {_percent(share['angular'])},"
-        f" and σ2 with σ3 {of_models}; {_say_first_value(share['model_4'], share['sigma_123'])}.{_say_measure(models)}"
+        f"Share of the information in these centroids that is retained: arcs {_percent(share['arcs'])}, all pairs "
+        f"{_percent(share['angular'])}, σ2 and σ3 {of_models}; "
+        f"{_say_first_value(share['model_4'], share['sigma_123'])}.{_say_measure(models)}"
     )
 
 
 def _say_first_value(without: float | None, with_it: float | None) -> str:
     if without is not None and with_it is not None and with_it - without < ADDS_NOTHING:
         return "σ1 adds nothing to them"
-    return f"σ1 beside them makes it {_percent(with_it)} under Model 4"
+    return f"with σ1 added, {_percent(with_it)} under Model 4"
 
 
 def _say_measure(models: FloatArray) -> str:
@@ -169,7 +170,8 @@ def _say_measure(models: FloatArray) -> str:
         return " No frame alone determines all free parameters."
     firsts = np.bincount(np.nanargmax(measured, axis=0), minlength=len(STAR_MODELS)) / measured.shape[1]
     first = int(np.argmax(firsts))
-    return f" In {100 * firsts[first]:.0f} % of the frames the minimum singular value is largest under Model {STAR_MODELS[first]}."
+    share = f"{100 * firsts[first]:.0f} % of the frames"
+    return f" Model {STAR_MODELS[first]} has the largest minimum singular value in {share}."
 
 
 def _percent(share: float | None) -> str:
@@ -277,7 +279,7 @@ def _advise_on_validation(scores: Evaluation) -> list[Advice]:
     if rms.final is not None and rms.initial is not None and rms.final >= rms.initial:
         sentences.append(
             f"On the validation set the new parameters are no better than the old ({rms.final * 1e6:.1f} against "
-            f"{rms.initial * 1e6:.1f} urad): find out why before you promote them."
+            f"{rms.initial * 1e6:.1f} µrad): find out why before you promote them."
         )
     if (
         availability.final is not None

@@ -184,12 +184,12 @@ def _refuse_misfit(form: ExportFormat, source: Source, misfit_px: float, allowed
     """Refuse what does not follow the camera."""
     if misfit_px <= allowed_px:
         return
-    size = f"is up to {misfit_px:.4g} px away from it" if math.isfinite(misfit_px) else "does not cover"
+    size = f"differs by up to {misfit_px:.4g} px" if math.isfinite(misfit_px) else "does not cover the whole detector"
     rule = f" ({100 * form.share:g} % of the sensor's centroid_sigma_px)" if by_rule else ""
     raise RefusedInputError(
-        f"{source.name} cannot be written as {form.name}: over the detector the nearest camera of {form.program} {size}"
-        f"{'' if math.isfinite(misfit_px) else ' all of it'}, where {allowed_px:.4g} px is allowed{rule}; choose a format "
-        "with more terms, calibrate under a camera model nearer to that program's, or allow more."
+        f"{source.name} cannot be exported as {form.name}: the closest {form.program} camera {size}, where {allowed_px:.4g} px "
+        f"is allowed{rule}; choose a format with more terms, calibrate under a camera model nearer to that program's, or allow "
+        "more."
     )
 
 
@@ -232,7 +232,7 @@ def provenance(asked: Export) -> list[str]:
     sensor, source = asked.sensor, asked.source
     lines = [
         f"Written by Boresight {boresight.__version__} from {one_line(source.name)}",
-        f"SHA-256 of that: {source.sha256 or 'none'}",
+        f"SHA-256 of the source: {source.sha256 or 'none'}",
         f"Sensor: {one_line(sensor.name)}, {sensor.rows} rows, {sensor.columns} columns; its camera model: {sensor.camera_model}",
     ]
     fitted = asked.fitted
@@ -243,12 +243,12 @@ def provenance(asked: Export) -> list[str]:
         f"(RMS {fitted.rms_px:.2g} px; {asked.allowed_px:.2g} px was allowed)"
     )
     if asked.residual is not None:
-        lines.append("It follows the residual spline of the calibration too")
+        lines.append("It also includes the residual spline of the calibration")
     if fitted.sigma is not None:
         told = ", ".join(
             f"{name} {value:.2g}" for name, value in zip(fitted.lens.parameters, fitted.sigma, strict=True)
         )
-        lines.append(f"One sigma, pixels and powers of the tangent: {told}")
+        lines.append(f"One sigma, in pixels and powers of the tangent: {told}")
     lines.append("Frame: X along columns, Y along rows, Z along the boresight")
     if fitted.mirrored:
         lines.append(

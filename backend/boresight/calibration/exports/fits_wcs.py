@@ -235,7 +235,7 @@ def _header(asked: Export, kind: str, exposure: ExposureAttitude, fit: _Fit, gri
     header["COMMENT"] = (
         "Directions are apparent: aberration is not removed, because there is no time"
         if exposure.velocity_c is None
-        else "Aberration is removed; move catalogue places by proper motion and parallax"
+        else "Aberration is removed; move catalogue positions by proper motion and parallax"
     )
     return header
 

@@ -41,10 +41,10 @@ def check_change(settings: CalibrationSettings) -> None:
     """Refuse a degree without a polynomial, and events without steps."""
     if settings.degree != "1" and settings.vary_as not in {"temperature", "drift"}:
         raise RefusedInputError(
-            "A degree is of a polynomial: choose --vary-as temperature or drift, or leave --degree out."
+            "--degree applies only to polynomials: choose --vary-as temperature or drift, or omit --degree."
         )
     if settings.events is not None and settings.vary_as != "step":
-        raise RefusedInputError("Events are dates of steps: choose --vary-as step, or leave --events out.")
+        raise RefusedInputError("--events applies only to steps: choose --vary-as step, or omit --events.")
 
 
 def fit_change(of: PassesProblem, own: IntArray) -> tuple[PassesFit, PassVariation]:
@@ -66,7 +66,8 @@ def temperatures(passes: Sequence[InputPass]) -> FloatArray:
     known = [one.temperature_c for one in passes if one.temperature_c is not None]
     if len(known) < len(passes) or np.ptp(known) == 0.0:
         raise RefusedInputError(
-            "Passes of one temperature, or without temperature_c, tell no slope: add the column, or choose --vary-as pass."
+            "A slope cannot be determined because all passes have the same temperature or no temperature_c: add the column, "
+            "or choose --vary-as pass."
         )
     return np.array(known)
 
@@ -83,7 +84,7 @@ def _fit_polynomials(of: PassesProblem, own: IntArray) -> tuple[PassesFit, PassV
     if highest > distinct - 1 or highest < 1:
         what = "temperatures" if settings.vary_as == "temperature" else "times"
         raise RefusedInputError(
-            f"{distinct} {what} tell no polynomial of degree {max(highest, 1)}: give more passes, or a lower --degree.",
+            f"{distinct} {what} cannot determine a polynomial of degree {max(highest, 1)}: give more passes, or a lower --degree.",
             code="too-few-passes",
         )
     if highest == 1:
@@ -175,7 +176,7 @@ def _fit_events(of: PassesProblem, own: IntArray, events: Sequence[str]) -> tupl
     for gap, event in zip(gaps, events, strict=True):
         if not 0 <= gap < len(days) - 1:
             raise RefusedInputError(
-                f"No pass is on both sides of the event {event}: give passes before and after it, or leave it out."
+                f"No pass is on both sides of the event {event}: give passes before and after it, or omit it."
             )
         if gaps.count(gap) > 1:
             raise RefusedInputError(
@@ -203,7 +204,9 @@ def read_events(events: Sequence[str]) -> TimeArray:
     try:
         return parse_times(events)
     except ValueError as error:
-        raise RefusedInputError(f"An event has no time ({error}): write times as 2026-11-21T03:04:05Z.") from error
+        raise RefusedInputError(
+            f"The time of an event cannot be read ({error}): write times as 2026-11-21T03:04:05Z."
+        ) from error
 
 
 def _steps(of: PassesProblem, own: IntArray, fitted: PassesFit, told: list[ParameterStep]) -> PassVariation:

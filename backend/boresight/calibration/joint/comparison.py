@@ -109,5 +109,5 @@ def say_comparison(compared: list[ComparedChange]) -> str:
     first, second = compared[0], compared[1]
     apart = second.bic - first.bic
     if apart < TOLD_APART:
-        return f"these passes do not tell {CALLED[first.kind]} from {CALLED[second.kind]}"
-    return f"these passes speak for {CALLED[first.kind]} (BIC lower by {apart:.3g} than for {CALLED[second.kind]})"
+        return f"these passes cannot distinguish {CALLED[first.kind]} from {CALLED[second.kind]}"
+    return f"these passes favour {CALLED[first.kind]} (BIC lower by {apart:.3g} than for {CALLED[second.kind]})"

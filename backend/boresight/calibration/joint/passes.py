@@ -177,11 +177,13 @@ def refuse_shared_frames(names: Sequence[str], hashes: Sequence[NDArray[np.uint6
     if len(twice := np.flatnonzero(frames[1:] == frames[:-1])):
         first, second = owner[twice[0]], owner[twice[0] + 1]
         shared = len(np.intersect1d(own[first], own[second]))
-        held = f"{names[second]} holds the centroids of {names[first]}"
+        held = f"{names[second]} contains the centroids of {names[first]}"
         if shared == len(own[second]):
-            raise RefusedInputError(f"{held}: name each set once, or its stars count twice.", code="same-centroids")
+            raise RefusedInputError(
+                f"{held}: give each set only once, or its stars are counted twice.", code="same-centroids"
+            )
         raise RefusedInputError(
-            f"{held} in {shared:,} of its frames: cut these out of one, or their stars count twice.",
+            f"{held} in {shared:,} of its frames: remove them from one set, or their stars are counted twice.",
             code="shared-frames",
         )
 
@@ -238,7 +240,7 @@ def join_sets(sets: Sequence[NamedTelemetry], large_rows: int = LARGE_ROWS) -> J
     """Take several sets of one sensor as one; refuses a file that is named twice, and more than can be meant."""
     if len(sets) > MOST_PASSES:
         raise RefusedInputError(
-            f"{len(sets):,} sets were named, at most {MOST_PASSES:,} are taken: name fewer, or put those of a day together."
+            f"{len(sets):,} sets were given, but at most {MOST_PASSES:,} are allowed: give fewer, or merge the sets of each day."
         )
     seen: dict[str, str] = {}
     for one in sets:

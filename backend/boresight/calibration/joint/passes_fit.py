@@ -202,7 +202,7 @@ def middle_days(passes: Sequence[InputPass]) -> FloatArray:
     starts, ends = (to_days(parse_times(those)) for those in times)
     if not np.isfinite(starts + ends).all():
         raise RefusedInputError(
-            "Change in time needs to know when each pass was: add time_utc, or choose --vary-as pass."
+            "A change over time requires the time of each pass: add time_utc, or choose --vary-as pass."
         )
     return np.asarray((starts + ends) / 2)
 

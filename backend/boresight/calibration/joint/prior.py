@@ -87,7 +87,7 @@ class PriorSource:
             return list(parse_times([time for time in times if time]))
         except ValueError as error:
             raise RefusedInputError(
-                f"{self.name} has a time that is none ({error}): write times as 2026-11-21T03:04:05Z."
+                f"{self.name} has an invalid time ({error}): write times as 2026-11-21T03:04:05Z."
             ) from error
 
 
@@ -129,13 +129,15 @@ class TakenPrior:
         """What a person should know: of the prior's standing, and where the data contradict it or are its own."""
         if None not in use.share.values() and self._holds(parameters, estimate):
             same = (
-                f"These data agree with {use.name} better than other stars could (chance below {SAME:g}): it was probably made of "
-                "them, under another name or format, and then they count twice. Give other telemetry, or leave --prior out."
+                f"These data agree with {use.name} better than independent data could (probability below {SAME:g}): the prior was "
+                "probably made from the same data under another name or format, which would count them twice. Give other "
+                "telemetry, "
+                "or omit --prior."
             )
             return [Advice(same, "prior"), *self.remarks]
         if use.agreement is None or use.agreement.p_value >= DISAGREE:
             return list(self.remarks)
-        size = f"chi-square {use.agreement.chi2:.3g} of {use.agreement.dof} degrees of freedom"
+        size = f"chi-square {use.agreement.chi2:.3g} for {use.agreement.dof} degrees of freedom"
         disagree = (
             f"These data contradict {use.name} ({size}): the camera changed, or one of the two is wrong; {self.remedy}."
         )
@@ -160,9 +162,12 @@ def _sentence(use: PriorUse) -> str:
     known = {name: share for name, share in use.share.items() if share is not None}
     aged = "" if use.age_days is None else f", {use.age_days:.3g} days old"
     if not known:
-        return f"Began at {use.name}{aged}; under process noise or forgetting its share fades and is not told."
+        return (
+            f"Started from {use.name}{aged}. With process noise or forgetting, its share decreases over time and is not "
+            "reported."
+        )
     listed = ", ".join(f"{name} {share:.0%}" for name, share in known.items())
-    return f"Of the variance this much came from {use.name}{aged}: {listed}; the rest from these data."
+    return f"Share of each variance that comes from {use.name}{aged}: {listed}; the rest comes from these data."
 
 
 def take_prior(
@@ -176,15 +181,16 @@ def take_prior(
     found = source.calibration
     if not found.is_usable:
         raise RefusedInputError(
-            f"{source.name} ended {found.status.replace('_', ' ')}, and knows nothing for sure: give a calibration that converged."
+            f"{source.name} ended {found.status.replace('_', ' ')}, so its result is not reliable: give a calibration that "
+            "converged."
         )
     refuse_cosine(settings)
     names = CAMERA_MODELS[sensor.camera_model].parameter_names
     wanted = [names[p] for p in parameters.free]
     if sorted(wanted) != sorted(found.covariance.names):
         raise RefusedInputError(
-            f"{source.name} knows {', '.join(found.covariance.names)} and this run frees {', '.join(wanted)}: give "
-            f"--free {','.join(found.covariance.names)}, for a covariance holds with the others where they were."
+            f"{source.name} estimated {', '.join(found.covariance.names)}, but this run frees {', '.join(wanted)}. Give "
+            f"--free {','.join(found.covariance.names)}: its covariance is valid only with the same free parameters."
         )
     if missing := [name for name in names if name not in found.parameters]:
         raise RefusedInputError(f"{source.name} has no parameter {missing[0]}: give the file as it was written.")
@@ -252,12 +258,14 @@ def _age_days(source: PriorSource, settings: CalibrationSettings, begins: np.dat
     if settings.prior_age_days is not None:
         if settings.prior_drift_sigma == 0.0:
             raise RefusedInputError(
-                "An age without a drift changes nothing: give --prior-drift-sigma too, or leave it out."
+                "An age without a drift changes nothing: give --prior-drift-sigma too, or omit the age."
             )
         return settings.prior_age_days
     if source.ended is None or begins is None or np.isnat(begins):
         if settings.prior_drift_sigma > 0.0:
-            raise RefusedInputError(f"How old {source.name} is cannot be told from its times: give --prior-age-days.")
+            raise RefusedInputError(
+                f"The age of {source.name} cannot be determined from its times: give --prior-age-days."
+            )
         return None
     before = source.ended if source.began is None else source.began
     apart = max(begins - source.ended, before - begins, np.timedelta64(0, "us"))
@@ -268,11 +276,11 @@ def _remarks(source: PriorSource, begins: np.datetime64 | None) -> list[str]:
     entry = trend_entry(source.calibration)
     said = []
     if entry is not None and entry.left_out not in {None, ON_A_PRIOR, OF_SEVERAL}:
-        said.append(f"The prior is to be read with care, for {entry.left_out}: compare with a run without --prior.")
+        said.append(f"Use the prior with caution: {entry.left_out}. Compare with a run without --prior.")
     if not source.held_sets:
         said.append(
-            "The prior does not name its telemetry, so nothing tells whether these stars are in it already: see that they are not, "
-            "or they count twice."
+            "The prior does not name its telemetry, so Boresight cannot check whether it already contains these stars. Make sure "
+            "that it does not, or they are counted twice."
         )
     if (
         begins is not None
@@ -281,8 +289,8 @@ def _remarks(source: PriorSource, begins: np.datetime64 | None) -> list[str]:
         and source.began <= begins <= source.ended
     ):
         said.append(
-            f"These data begin within the times of the prior ({source.began}Z to {source.ended}Z): see that they are other frames, "
-            "or their stars count twice."
+            f"These data begin within the times of the prior ({source.began}Z to {source.ended}Z): make sure that they are "
+            "other frames, or their stars are counted twice."
         )
     return said
 
@@ -305,14 +313,15 @@ def without_held(
     new = tuple(one for one in telemetry.sets if one.sha256 not in held)
     if not new:
         raise RefusedInputError(
-            f"{source.name} holds this telemetry already, and stars count once: give newer telemetry, or leave --prior out.",
+            f"{source.name} already contains this telemetry, and stars must not be counted twice: give newer telemetry, or omit "
+            "--prior.",
             code="prior-holds-telemetry",
         )
     left_out = [one.name for one in telemetry.sets if one.sha256 in held]
     if not left_out:
         return telemetry, []
     return replace(telemetry, sets=new), [
-        f"Left out, because the prior holds {'it' if len(left_out) == 1 else 'them'} already: {', '.join(left_out)}."
+        f"Not used, because the prior already contains {'it' if len(left_out) == 1 else 'them'}: {', '.join(left_out)}."
     ]
 
 
@@ -320,20 +329,21 @@ def refuse_without_prior(settings: CalibrationSettings) -> None:
     """Refuse settings of priors where no prior is given."""
     for name, option in OPTIONS.items():
         if option.group == OF_A_PRIOR and getattr(settings, name) != option.default:
-            raise RefusedInputError(
-                f"{option.title} is of a prior, and none was given: give --prior, or leave {option.flag} out."
-            )
+            raise RefusedInputError(f"{option.title} requires a prior: give --prior, or omit {option.flag}.")
 
 
 def refuse_vary(settings: CalibrationSettings) -> None:
     """Refuse parameters of a pass beside a prior."""
     if settings.vary:
-        raise RefusedInputError("A prior is of one camera and not of passes that vary: leave out --vary, or --prior.")
+        raise RefusedInputError(
+            "A prior describes a single camera and cannot be combined with parameters that vary between passes: omit --vary or "
+            "--prior."
+        )
 
 
 def refuse_cosine(settings: CalibrationSettings) -> None:
     """Refuse an error that no prior can stand beside."""
     if settings.error == "cosine":
         raise RefusedInputError(
-            "The cosine error has no weights that a prior could stand beside: choose error 'arclength'."
+            "The cosine error has no weights and cannot be combined with a prior: choose error 'arclength'."
         )

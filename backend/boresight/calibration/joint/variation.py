@@ -67,7 +67,7 @@ FIRST_WALK, WALK_ROUNDS, WALK_RESTS = 0.1, 4, 0.1
 def refuse_one_pass() -> NoReturn:
     """Refuse what varies from pass to pass of one set."""
     raise RefusedInputError(
-        "What varies from pass to pass needs several telemetry sets: name more, or leave --vary out.",
+        "What varies from pass to pass needs several telemetry sets: give more, or omit --vary.",
         code="one-set-cannot-vary",
     )
 
@@ -125,13 +125,13 @@ def fit_variation(
     except np.linalg.LinAlgError as error:
         few = min(range(len(of.ends)), key=lambda k: of.ends[k][1] - of.ends[k][0])
         raise RefusedInputError(
-            f"A pass does not determine {', '.join(settings.vary or ())} by itself (fewest frames: {passes[few].name}): choose "
+            f"A single pass cannot determine {', '.join(settings.vary or ())} (fewest frames: {passes[few].name}): choose "
             "--vary-as walk, leave such passes out, or vary fewer parameters.",
             code="pass-too-short",
         ) from error
     if not fitted.converged:
         raise RefusedInputError(
-            "The fit of the passes does not settle: choose --vary-as walk, or vary fewer parameters."
+            "The fit of the passes does not converge: choose --vary-as walk, or vary fewer parameters."
         )
     compared = None
     if settings.vary_as in IN_TIME:
@@ -204,19 +204,17 @@ def _write_walk(names: Sequence[str], walk: Walk | None, settings: CalibrationSe
 def _sentence(found: PassVariation) -> str:
     how = {"pass": "one value in each", "walk": "a random walk over each"}
     how |= {"temperature": "linear in the temperature", "drift": "linear in time"}
-    how |= {"walk-and-temperature": "a random walk about a line in the temperature over each"}
-    last = f"the numbers are those of the last, {found.states[-1].name}."
+    how |= {"walk-and-temperature": "a random walk around a linear temperature trend over each"}
+    last = f"values are those of the last pass, {found.states[-1].name}."
     if found.compared:
         last = f"{say_comparison(found.compared)}; {last}"
     if found.vary_as == "evidence":
-        steps = "; ".join(one.sentence for one in found.steps or ()) or "no step beyond chance"
+        steps = "; ".join(one.sentence for one in found.steps or ()) or "no significant step"
         about = [what for what, of in (("temperature", found.slope), ("time", found.rate)) if of is not None]
-        opening = (
-            f"{', '.join(found.vary)}: a random walk{' about lines in ' + ' and '.join(about) if about else ''} over"
-        )
+        opening = f"{', '.join(found.vary)}: a random walk{' around linear trends in ' + ' and '.join(about) if about else ''} over"
         return f"{opening} {len(found.states)} passes{_drifts(found)}; {steps}; {last}"
     if found.steps is not None:
-        none = f"{', '.join(found.vary)}: no step beyond chance over {len(found.states)} passes"
+        none = f"{', '.join(found.vary)}: no significant step over {len(found.states)} passes"
         return f"{'; '.join(one.sentence for one in found.steps) or none}; {last}"
     if found.degree is not None and set(found.degree.values()) != {1}:
         how[found.vary_as] = f"polynomial in {'the temperature' if found.vary_as == 'temperature' else 'time'}"
@@ -226,8 +224,8 @@ def _sentence(found: PassVariation) -> str:
         opening = f"{', '.join(found.vary)}: {how[found.vary_as]} of {len(found.states)} passes"
     if found.test is None:
         return f"{opening}{_drifts(found)}; {last}"
-    real = "beyond chance" if found.test.p_value < CHANGES else "no more than chance has it"
-    return f"{opening}, {real} (chi-square falls by {found.test.fall:.3g} for {found.test.dof} parameters); {last}"
+    real = "significant" if found.test.p_value < CHANGES else "not significant"
+    return f"{opening}, {real} (chi-square decreases by {found.test.fall:.3g} for {found.test.dof} parameters); {last}"
 
 
 def _drifts(found: PassVariation) -> str:
@@ -237,4 +235,4 @@ def _drifts(found: PassVariation) -> str:
         for name, one in (found.walk or {}).items()
         if one.interval is not None and one.interval[0] is not None and one.interval[1] is not None
     ]
-    return f" by the most likely drift, typical sigmas a square root of a day: {', '.join(said)}" if said else ""
+    return f" with the most likely drift, in typical sigmas per square root of a day: {', '.join(said)}" if said else ""

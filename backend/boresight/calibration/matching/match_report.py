@@ -316,7 +316,7 @@ def list_refused_names(telemetry: Telemetry, matches: Matches) -> list[RemovedSt
             row=telemetry.first_row + int(row),
             star_id=int(telemetry.star_id[row]),
             reason=(
-                f"HIP {matches.star_id[row]} fits better"
+                f"HIP {matches.star_id[row]} is a better match"
                 if matches.star_id[row]
                 else ROW_REASONS[matches.row_reason[row]]
             ),

@@ -295,12 +295,13 @@ def advise(proposed: int, removed: int, listed: Sequence[RemovedStar]) -> list[A
     first = listed[0]
     named = "" if first.star_id is None else f", HIP {first.star_id}"
     which = f"row {first.row:,} (frame {first.frame}{named})"
-    which = which if removed == 1 else f"the first is {which}; all are listed under Matching"
+    which = f"It is {which}" if removed == 1 else f"The first is {which}; all are listed under Matching"
     many = removed > MANY_REMOVED * proposed
     remedy = (
-        "so many mean that the identification is faulty: match the stars again (match 'rematch')"
+        "So many mean that the identification is faulty: match the stars again (match 'rematch')"
         if many
-        else "the result does not use them; correct the file, or match the stars again (match 'rematch')"
+        else f"The result does not use {'it' if removed == 1 else 'them'}: correct the file, or match the stars again "
+        "(match 'rematch')"
     )
     did = (
         "was removed: the other stars of its exposure contradict it"
@@ -308,7 +309,7 @@ def advise(proposed: int, removed: int, listed: Sequence[RemovedStar]) -> list[A
         else ("were removed: the other stars of their exposures contradict them")
     )
     sentence = (
-        f"{removed:,} of {proposed:,} proposed stars {did}, most likely because of wrong identities in the file or false images; "
-        f"{which}; {remedy}."
+        f"{removed:,} of {proposed:,} proposed stars {did}, most likely because of wrong identities in the file or false "
+        f"detections. {which}. {remedy}."
     )
     return [Advice(sentence, "removed")]

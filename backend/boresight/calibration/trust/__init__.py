@@ -94,7 +94,7 @@ OF_THE_RESIDUALS: dict[str, Callable[[FittedSet, StarResiduals], Any]] = {
 OF_THE_STARS = (*OF_THE_RESIDUALS, "stars", "residual_against")
 #: Frames that the score tests look at, in blocks spread over the set: a pass over many stars a departure.
 MOST_TESTED = 1_792
-SINGULAR = "The numbers of this fit are too close to singular: free fewer parameters."
+SINGULAR = "This fit is nearly singular: free fewer parameters."
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ def _advise_on_geometry(trust: Trust) -> Iterator[Advice]:
 def _advise_on_causes(trust: Trust, causes: Sequence[Cause]) -> Iterator[Advice]:
     """What explains the tests that noticed something, the likeliest first."""
     for place, cause in enumerate(causes):
-        opening = "Besides: " if place else _opening(cause.likelihood)
+        opening = "Also: " if place else _opening(cause.likelihood)
         yield Advice(f"{opening}{cause.sentence} {cause.remedy}", f"{CAUSE}{cause.name}")
         if cause.name in OF_THE_LENS and trust.residual_spline is not None and trust.residual_spline.structure:
             yield Advice(trust.residual_spline.sentence, "residual_spline")
@@ -56,7 +56,7 @@ def _advise_on_causes(trust: Trust, causes: Sequence[Cause]) -> Iterator[Advice]
 def _opening(likelihood: float) -> str:
     """How surely the first cause is one: at less than even odds nothing is called likely."""
     if likelihood < EVEN_ODDS:
-        return f"No cause explains well what the tests noticed; perhaps ({likelihood:.0%}): "
+        return f"No cause explains the test results well; possible cause ({likelihood:.0%}): "
     return f"Most likely cause ({likelihood:.0%}): " if likelihood < CERTAIN else ""
 
 
@@ -72,8 +72,8 @@ def _advise_on_coverage(trust: Trust, coverage: Coverage | None) -> Iterator[Adv
     if parts.mean() >= COVERED:
         return
     yield Advice(
-        f"Stars cover {int(parts.sum())} of {parts.size} parts of the detector; elsewhere the camera is extrapolated"
-        f"{_predicted(trust, coverage, parts)}: add frames with stars in the other parts, or use only the part that is covered.",
+        f"Stars cover {int(parts.sum())} of {parts.size} regions of the detector; elsewhere the camera is extrapolated"
+        f"{_predicted(trust, coverage, parts)}: add frames with stars in the other regions, or use only the part that is covered.",
         "coverage",
     )
 
@@ -93,8 +93,8 @@ def _predicted(trust: Trust, coverage: Coverage, parts: BoolArray) -> str:
     if not inside.any() or inside.all() or not np.isfinite(sigma).all():
         return ""
     return (
-        f", where an arc of {seen.arc_deg:.2g}° may be {sigma[~inside].max():.2g} arcsec off (1 sigma, if the camera model is "
-        f"valid there) and {sigma[inside].max():.2g} at most where stars are"
+        f", where an arc of {seen.arc_deg:.2g}° may be off by {sigma[~inside].max():.2g} arcsec (1 sigma, if the camera model is "
+        f"valid there), compared with at most {sigma[inside].max():.2g} arcsec where there are stars"
     )
 
 

@@ -102,15 +102,15 @@ CAUSES: dict[str, CauseKind] = {
         ),
         CauseKind(
             "affine",
-            "The image is skewed or stretched by about {size} px: lines are read out in turn while the image moves steadily, "
-            "or pixels that are not square",
+            "The image is skewed or stretched by about {size} px: lines are read out one after another while the "
+            "image moves steadily, or the pixels are not square",
             "state readout mode and line time in the sensor file, or free the aspect where the camera model has one",
             ("affine", *GENERAL),
         ),
         CauseKind(
             "lens",
             "The lens leaves a smooth residual of about {size} px that no simple term describes",
-            "try `boresight choose`; if no camera model suffices, load the correction table of the residual spline",
+            "try `boresight choose`; if no camera model is sufficient, load the correction table of the residual spline",
             ("lens", *GENERAL),
         ),
         CauseKind(
@@ -127,13 +127,14 @@ CAUSES: dict[str, CauseKind] = {
         ),
         CauseKind(
             "trail",
-            "Stars are displaced by about {size} px the more, the farther their charge was moved to be read: charge is left behind",
-            "correct the centroids for charge transfer, or calibrate warm traps out; state what is left in the centroid sigma",
+            "Stars are displaced by about {size} px, increasing with the distance over which their charge is moved for readout: "
+            "charge is left behind",
+            "correct the centroids for charge transfer, or calibrate out warm traps; include the remainder in the centroid sigma",
             ("trail", *GENERAL),
         ),
         CauseKind(
             "flaw",
-            "Something at one place displaces the stars around it by up to {size} px: a flaw of the window, a droplet, dust",
+            "A local defect displaces nearby stars by up to {size} px: for example a window flaw, a droplet or dust",
             "leave out stars near it, or load the correction table of the residual spline",
             ("flaw", *GENERAL),
         ),
@@ -158,7 +159,7 @@ CAUSES: dict[str, CauseKind] = {
         CauseKind(
             "temperature",
             "The focal length changes with temperature, which moves stars by about {size} px",
-            "calibrate at the temperatures of use, or one set for each range of temperature",
+            "calibrate at operating temperatures, or make one set per temperature range",
             ("temperature", *GENERAL),
         ),
         CauseKind(
@@ -188,19 +189,18 @@ CAUSES: dict[str, CauseKind] = {
         CauseKind(
             "phase",
             "Centroids shift towards fixed places within the pixel, by about {size} px",
-            "correct the centroiding for pixel phase or defocus more; otherwise state a larger centroid sigma",
+            "correct the centroiding for pixel phase, or defocus more; otherwise state a larger centroid sigma",
             ("phase", *GENERAL),
         ),
         CauseKind(
             "aberration",
-            "Directions do not match the satellite's velocity: {size} km/s is missing or excessive",
-            "give apparent directions, or the satellite's velocity and correct times; J2000 places are not apparent",
+            "Directions do not match the satellite's velocity: the velocity is off by {size} km/s",
+            "give apparent directions, or the satellite's velocity and correct times; J2000 positions are not apparent",
             ("aberration", *GENERAL),
         ),
         CauseKind(
             "refraction",
-            "These residuals look like refraction: stars are displaced {size} times as much as by usual air above a place on the "
-            "ground",
+            "These residuals look like refraction: stars are displaced {size} times as much as by a standard atmosphere",
             "give the site in the sensor file (`site`: latitude_deg, longitude_deg, pressure_hpa, temperature_c), or on the "
             "command line with --site, and times in UTC; if directions in the telemetry include refraction already, declare it "
             "corrected",
@@ -208,13 +208,14 @@ CAUSES: dict[str, CauseKind] = {
         ),
         CauseKind(
             "identities",
-            "Single stars are misidentified or are not stars: about {size} % of the sightings are where noise cannot put them",
+            "Single stars are misidentified or are not stars: about {size} % of the sightings are too far off to be explained by "
+            "noise",
             "match the stars again (`--match rematch`) and check the outliers",
             tuple(kind.name for kind in TRUST_TESTS),
         ),
         CauseKind(
             "places",
-            "{size} stars are off their catalogue places in all their sightings",
+            "{size} stars are off their catalogue positions in all their sightings",
             "leave them out: they are double, or their catalogue entries are wrong",
             GENERAL,
         ),
@@ -234,8 +235,8 @@ CAUSES: dict[str, CauseKind] = {
 }
 UNKNOWN = CauseKind(
     "unknown",
-    "Something contradicts the model, but it is none of the known causes",
-    "Check the tests that noticed it",
+    "The data contradict the model, but no known cause explains it",
+    "Check the tests that detected it",
     tuple(kind.name for kind in TRUST_TESTS),
 )
 

@@ -193,7 +193,7 @@ def _colour(fitted: FittedSet) -> FloatArray | str:
         return "The telemetry gives no star numbers, so colours are not known."
     place = catalogue.find_index(ids[fitted.arcs.source_row])
     if not (place >= 0).any():
-        return "None of the stars is in the catalogue, so their colours are not known."
+        return "None of the stars is in the catalogue, so their colours are unknown."
     return _about_mean(np.where(place >= 0, catalogue.colour_bv[place], np.nan), "All stars have one colour.")
 
 
@@ -243,9 +243,9 @@ def _why_no_rate(fitted: FittedSet) -> str:
     """Say why nothing tells how fast the image moves; empty where something does."""
     arcs, given = fitted.arcs, fitted.telemetry.time_utc
     if given is None:
-        return "The telemetry has no times, so it is not known how fast the image moves."
+        return "The telemetry has no times, so the rate of the image is unknown."
     if not len(_near(given[arcs.source_row[arcs.star_start[:-1]]])[0]):
-        return "No exposures follow each other closely, so it is not known how fast the image moves."
+        return "No exposures follow each other closely, so the rate of the image is unknown."
     return ""
 
 
@@ -414,7 +414,7 @@ def _find_refraction(fitted: FittedSet) -> Departure | str:
         return "The sensor declares that its images are from space."
     time = None if fitted.telemetry.time_utc is None else fitted.telemetry.time_utc[_first_row_of_exposures(fitted)]
     if time is None or np.isnat(time).any():
-        return "The telemetry has no times, so it is not known where the zenith is."
+        return "The telemetry has no times, so the zenith direction is unknown."
     if site is not None:
         zenith = view_from(site, time).zenith
         return Departure("refraction", "sky", partial(_lifted, zenith[:, None], refraction_constants(site)))

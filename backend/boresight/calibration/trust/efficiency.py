@@ -58,7 +58,7 @@ def efficiency(fitted: FittedSet) -> Efficiency:
     """Claimed sigma over bound, a parameter at a time and over all directions."""
     if not fitted.determined:
         raise Unavailable(
-            "The data do not determine one direction of the parameters, so there is no bound: hold it fixed."
+            "The data do not determine one direction of the parameters, so there is no bound: hold a parameter fixed."
         )
     arcs = fitted.thinned(MOST_FRAMES)
     held = _centroid_information(fitted, arcs)
@@ -108,7 +108,7 @@ def _efficiency_sentence(overall: float, ratio: FloatArray, fitted: FittedSet, f
         return f"The claimed sigmas are {numbers}{of}: less than the centroids allow, so they are too small{remedy}."
     if overall > 1 + NEAR:
         return f"The claimed sigmas are {numbers}{of}: these centroids contain more information than the method used."
-    return f"The claimed sigmas are {numbers}{of}: these centroids contain no more information."
+    return f"The claimed sigmas are {numbers}{of}: the method uses all the information in these centroids."
 
 
 ARC_DEG = 5.0
@@ -143,7 +143,7 @@ def arc_sigma_map(fitted: FittedSet) -> ArcSigmaMap:
     """The map, with the length of its arcs and a sentence."""
     if not fitted.determined:
         raise Unavailable(
-            "The data do not determine one direction of the parameters, so arcs have no bounded error: hold it fixed."
+            "The data do not determine one direction of the parameters, so arcs have no bounded error: hold a parameter fixed."
         )
     sensor = fitted.problem.sensor
     row, col = grid(sensor.rows, sensor.columns, ROWS, COLUMNS)
@@ -176,7 +176,8 @@ def more_data(fitted: FittedSet) -> MoreData:
     """Predicted one-sigma of each free parameter, SI."""
     if not fitted.determined:
         raise Unavailable(
-            "More frames of the same kind would not determine this direction: turn the sensor, or hold it fixed."
+            "More frames of the same kind would not determine this direction: add frames at other attitudes, or hold one of its "
+            "parameters fixed."
         )
     n = fitted.arcs.n_frames
     frames = sorted({round(share * n) for share in SHARES})
@@ -223,15 +224,15 @@ def _more_data_sentence(fitted: FittedSet, frames: list[int], sigma: FloatArray,
     gain = 1 - sigma[:, least] / sigma[0, least]
     if gain[most] < LITTLE:
         return (
-            f"A filter that forgets only uses its last frames: even {frames[most]} further frames of the same kind would "
-            f"lower the sigma of {symbol} by {gain[most]:.0%} only."
+            f"A filter that forgets uses only its last frames: even {frames[most]:,} further frames of the same kind would "
+            f"lower the sigma of {symbol} by only {gain[most]:.0%}."
         )
     unlike = (
         ""
         if doubt is None
-        else f"; judged by how much parts of the set differ, it may be {doubt[least]:.0%} off (1 sigma)"
+        else f"; judging from the differences between parts of the set, this prediction may be off by {doubt[least]:.0%} (1 sigma)"
     )
     return (
-        f"{frames[double]} further frames of the same kind would lower the sigma of {symbol}, the least known parameter "
-        f"relative to its typical sigma, by {gain[double]:.0%}, and {frames[most]} by {gain[most]:.0%}{unlike}."
+        f"{frames[double]:,} further frames of the same kind would lower the sigma of {symbol}, the least known parameter "
+        f"relative to its typical sigma, by {gain[double]:.0%}, and {frames[most]:,} by {gain[most]:.0%}{unlike}."
     )

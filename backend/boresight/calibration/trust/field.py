@@ -167,7 +167,7 @@ def _summed(values: FloatArray, of: IntArray, count: IntArray) -> FloatArray:
 
 def _field_sentence(before: FieldOfResiduals | None, after: FieldOfResiduals) -> str:
     was = "" if before is None else f"{before.rms_in_all_px:.3g} px before and "
-    size = f"Residuals are {was}{after.rms_in_all_px:.3g} px after (rms an axis)"
+    size = f"Residuals are {was}{after.rms_in_all_px:.3g} px after (RMS per axis)"
     if after.p >= UNLIKELY:
         return f"{size}; they have no pattern over the detector beyond noise ({probability(after.p)})."
     return (
@@ -241,9 +241,9 @@ def two_sided(count: int, n: int, share: float) -> float:
 
 
 def _tails_sentence(z: FloatArray, spread: float, share: float, expected: float, p: float) -> str:
-    size = f"Of {len(z)} residuals {share:.2%} are beyond {TAIL:g} times their spread of {spread:.2f} sigmas"
+    size = f"{share:.2%} of {len(z)} residuals exceed {TAIL:g} times their standard deviation of {spread:.2f} sigmas"
     if p >= UNLIKELY:
-        return f"{size}, {expected:.2%} are expected: their tails are those of the normal curve ({probability(p)})."
+        return f"{size}, {expected:.2%} are expected: the tails are normal ({probability(p)})."
     if share > expected:
         return f"{size}, {expected:.2%} are expected ({probability(p)}): some stars are wrong; check the outliers."
     return f"{size}, {expected:.2%} are expected ({probability(p)}): something removed the largest, such as a narrow match gate."
@@ -272,7 +272,7 @@ def residual_outliers(fitted: FittedSet, found: StarResiduals) -> ResidualOutlie
         in_all=len(out),
         expected=expected,
         sentence=(
-            f"{len(out)} of {int(found.known.sum())} matched stars are beyond {OUTLIER:g} sigmas of their residual; "
+            f"{len(out)} of {int(found.known.sum())} matched stars have residuals beyond {OUTLIER:g} sigmas; "
             f"{expected:.1f} are expected by chance."
         ),
     )
@@ -285,7 +285,7 @@ ALONG = {"row": 0, "column": 1, "row_phase": 0, "column_phase": 1}
 #: Those judged at a fifth of `UNLIKELY`.
 LOOKED_AT = ("colour", *ALONG)
 ABSENT = {
-    "colour": "The catalogue gives no B-V of these stars.",
+    "colour": "The catalogue gives no B−V of these stars.",
     "magnitude": "The telemetry gives no magnitude.",
     "temperature": "The telemetry gives no temperature.",
     "time": "The telemetry gives no time.",
@@ -309,7 +309,7 @@ def residual_against(fitted: FittedSet, found: StarResiduals) -> tuple[ResidualA
             entries[name] = entry
         else:
             missing[name] = (
-                f"The set is too small or its {_spell(name)} too uniform for two bins of {FEWEST_IN_A_BIN} stars."
+                f"The set is too small, or its {_spell(name)} varies too little, to form two bins of {FEWEST_IN_A_BIN} stars."
             )
     return ResidualAgainst(**entries), missing
 

@@ -164,7 +164,7 @@ def fit_best(
         raise Unavailable("The fit diverged, so there is no estimate to judge: free fewer parameters or start closer.")
     x, arcs = _best_fit(problem, parameters, settings, estimate, cancelled)
     if arcs.n_arcs <= len(parameters.free):
-        raise Unavailable("There are not more arcs than free parameters, so nothing can be checked: add frames.")
+        raise Unavailable("There are no more arcs than free parameters, so nothing can be checked: add frames.")
     e, H = np.empty(arcs.n_arcs), np.empty((arcs.n_arcs, len(parameters.free)))
     kernels.whitened_rows(
         arcs.camera.kind, x, arcs.pitch, arcs.star_start, arcs.row_px, arcs.col_px, arcs.known_phi, arcs.band,

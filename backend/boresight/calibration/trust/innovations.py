@@ -53,7 +53,7 @@ def whiteness(fitted: FittedSet) -> Whiteness:
     n = fitted.arcs.n_frames
     if n < FEWEST_FRAMES:
         raise Unavailable(
-            f"A series needs {FEWEST_FRAMES} frames before it can be separated from noise, and there are {n}: add frames."
+            f"At least {FEWEST_FRAMES} frames are needed to distinguish a trend from noise; there are {n}: add frames."
         )
     y = np.ascontiguousarray((fitted.sums.scores / np.sqrt(np.maximum(fitted.sums.squares, np.finfo(float).tiny))).T)
     lags = min(MOST_LAGS, n // 5)
@@ -74,13 +74,10 @@ def whiteness(fitted: FittedSet) -> Whiteness:
 
 def _whiteness_sentence(symbol: str, p: float, n: int, white: bool) -> str:
     if white:
-        return (
-            f"The residuals are white over {n} frames: no drift of a parameter is visible ({probability(p)} for the least white, "
-            f"{symbol})."
-        )
+        return f"The residuals are white over {n} frames: no parameter drift is visible (least white: {symbol}, {probability(p)})."
     return (
         f"The residuals are not white over {n} frames ({probability(p)}): those along {symbol} are correlated in time, as when "
-        "the camera drifts with temperature or stars have wrong places; the sigmas do not include this."
+        "the camera drifts with temperature or stars have wrong positions; the sigmas do not include this."
     )
 
 
@@ -140,11 +137,13 @@ def _series(fitted: FittedSet) -> tuple[NDArray[np.int64], FloatArray, FloatArra
 
 def _innovations_sentence(n: int, outside: float, bounds: tuple[float, float], runs: float, filtered: bool) -> str:
     what = "updates" if filtered else "frames"
-    share = f"{outside:.1%} of {n} {what} lie outside their 95 % bounds ({bounds[0]:.1%} to {bounds[1]:.1%} is what chance allows)"
+    share = f"{outside:.1%} of {n} {what} lie outside their 95 % bounds ({bounds[0]:.1%} to {bounds[1]:.1%} expected by chance)"
     wrong = "" if bounds[0] <= outside <= bounds[1] else ": the noise or the covariance is not as stated"
     if n < FEWEST_FOR_RUNS:
         return f"{share}{wrong}."
-    order = "are in random order" if runs >= UNLIKELY else "are not in random order: something changes"
+    order = (
+        "are in random order" if runs >= UNLIKELY else "are not in random order, so something changed during the set"
+    )
     return f"{share}{wrong}; high and low {what} {order} ({probability(runs)})."
 
 
@@ -173,7 +172,7 @@ def worst_frames(fitted: FittedSet) -> WorstFrames:
         beyond=bad,
         expected_beyond=expected,
         sentence=(
-            f"{bad} of {len(judged)} frames {'is' if bad == 1 else 'are'} explained worse than {BAD:g} sigmas allow "
+            f"{bad} of {len(judged)} frames {'deviates' if bad == 1 else 'deviate'} by more than {BAD:g} sigmas "
             f"({expected:.1f} expected by chance); the worst is frame {fitted.arcs.frame[shown[0]]}."
         ),
     )

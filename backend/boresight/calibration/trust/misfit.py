@@ -338,7 +338,7 @@ def _sentence(fitted: FittedSet, found: Widening, factor: FloatArray) -> str:
     """Say by how much the sigmas widen, why, and what to do."""
     most = int(np.argmax(factor))
     if factor[most] < SAME:
-        return "Nothing in these data calls for wider sigmas than noise alone gives."
+        return "These data give no reason to widen the sigmas beyond noise alone."
     reasons = []
     seen, unlikely = (
         ", ".join(one.replace("_", " ") for one in found.departures if (one in found.suspected) == wanted)
@@ -346,26 +346,28 @@ def _sentence(fitted: FittedSet, found: Widening, factor: FloatArray) -> str:
     )
     if seen:
         reasons.append(
-            f"what was noticed ({seen}) changes the parameters if it is real: remove its cause, or choose a camera "
-            "model that describes it"
+            f"the detected deviations ({seen}) affect the parameters if they are real: remove their cause, or choose a camera "
+            "model that describes them"
         )
     if unlikely:
         reasons.append(
-            f"what the tests suspect without noticing it ({unlikely}) changes the parameters if it is real: "
-            "take more frames, or choose a camera model that describes it"
+            f"deviations that are suspected but not significant ({unlikely}) affect the parameters if they are real: "
+            "take more frames, or choose a camera model that describes them"
         )
     if found.blocks:
         reasons.append(
-            f"{found.blocks} blocks of frames disagree by more than noise: check for drift, a temperature effect or wrong matches"
+            f"{found.blocks} blocks of frames disagree by more than the noise explains: check for drift, a temperature effect or "
+            "wrong matches"
         )
     if found.selected > 1:
         reasons.append(
-            f"the filter used only arcs that agreed with its state, and ended {found.selected:.2g} of its sigmas from the fit "
+            f"the filter used only arcs that agreed with its state, and its result is {found.selected:.2g} sigmas from the fit "
             "of the whole set: choose the statistical tolerance, or the batch"
         )
     if found.bends:
         reasons.append(
-            "chi-square bends or has other minima: use the profile intervals, hold a known parameter fixed, or add frames"
+            "chi-square is not quadratic or has other minima: use the profile-likelihood intervals, hold a known parameter fixed, "
+            "or add frames"
         )
     if found.level > 1:
         reasons.append(

@@ -47,6 +47,7 @@ from boresight.estimation.minima import LOWER, CostSurface, is_within_reach
 from boresight.estimation.statistics.consistency import chi_square
 from boresight.estimation.statistics.special import chdtrc, chdtri
 from boresight.estimation.statistics.uncertainty import difference_over_detector, expected_difference
+from boresight.wording import join_words
 
 BLOCKS = 40
 ROWS, COLUMNS = 13, 17
@@ -148,7 +149,7 @@ def _sentence(value: float, dof: int, bounds: tuple[float, float], found: float,
     numbers = (
         f"chi-square {value:.3g} for {dof}, {lower:.2g} to {upper:.3g} expected, {probability(chdtrc(dof, value))}"
     )
-    over = f"over the detector they differ by {found:.2g} arcsec (rms), {expected:.2g} expected"
+    over = f"over the detector they differ by {found:.2g} arcsec (RMS), {expected:.2g} expected"
     if value > upper:
         return (
             f"Two halves of the set disagree by more than their sigmas allow ({numbers}); {over}: "
@@ -213,7 +214,9 @@ def _hand_back(ground: FittedSet, held: batch.BatchFit, name: str) -> None:
         return
     if not ground.settings.sequential and restarts < MOST_RESTARTS:
         raise LowerMinimum(ended.x, f"the fit with {name} held", fall)
-    ground.computed["lower_minimum"] = f"{fall:.3g} lower in chi-square, beyond the fit with {name} held"
+    ground.computed["lower_minimum"] = (
+        f"a minimum {fall:.3g} lower in chi-square, found by starting from the fit with {name} held fixed"
+    )
 
 
 def _refitted(ground: FittedSet, arcs: ArcSet, held: batch.BatchFit, best: Optimum) -> Optimum:
@@ -298,14 +301,22 @@ def drop_one_sentence(fitted: FittedSet, entries: list[DroppedParameter]) -> str
     symbols = dict(zip(fitted.names, fitted.symbols, strict=True))
     spare = [symbols[entry.name] for entry in entries if not entry.needed]
     weakest = min(entries, key=lambda entry: entry.chi2_increase)
-    least = f"{symbols[weakest.name]} costs least when held fixed, {weakest.chi2_increase:.3g} in chi-square"
+    rise, symbol = f"{weakest.chi2_increase:.3g}", symbols[weakest.name]
+    other = ""
     if lower := fitted.computed.get("lower_minimum"):
-        least += f"; against another minimum, {lower}: run the batch, which takes the lowest"
+        other = f"; there is {lower}: run the batch, which takes the lowest"
     if not spare:
         return (
-            f"The data need every free parameter: {least}, and beyond {NEEDED:.3g} a parameter is needed (1 % level)."
+            f"The data require every free parameter: {symbol} costs least when held fixed, {rise} in chi-square{other}; a "
+            f"parameter is required above {NEEDED:.3g} (1 % level)."
+        )
+    if len(spare) == 1:
+        return (
+            f"These data give no evidence that {spare[0]} changed: with it fixed at its initial value, chi-square increases by "
+            f"{rise}, less than {NEEDED:.3g} (1 % level){other}. It may be held fixed."
         )
     return (
-        f"These data give no evidence that {', '.join(spare)} changed: held at the start, chi-square grows by less than "
-        f"{NEEDED:.3g} (1 % level); {least}. It may be held fixed, one parameter at a time."
+        f"These data give no evidence that {join_words(spare)} changed: with any one of them fixed at its initial value, "
+        f"chi-square increases by less than {NEEDED:.3g} (1 % level), least for {symbol}, by {rise}{other}. They may be held "
+        "fixed, one at a time."
     )

@@ -195,8 +195,9 @@ def _remedy(camera: CameraModel, explained_by: tuple[SplineExplanation, ...]) ->
     if found.camera_model == camera.name:
         symbols = dict(zip(camera.parameter_names, camera.symbols, strict=True))
         return (
-            f"some of {', '.join(symbols[name] for name in found.more)}, which are held, describe it; `boresight choose` finds "
-            "the fewest that suffice."
+            f"some of {', '.join(symbols[name] for name in found.more)}, which are held fixed, describe it; `boresight choose` "
+            "finds "
+            "the fewest that are needed."
         )
     others = [one.camera_model.replace("_", " ") for one in explained_by if suffices(one) and one is not found]
     also = f", as would {' and '.join(others)}" if others else ""

@@ -24,7 +24,8 @@ MOST_SHOWN = 2000
 MIRRORED = 10.0
 #: What is said then, by the parity to try.
 OTHER_PARITY = {
-    parity: "The arcs fit, but no rotation from catalogue to detector does: the sensor's parity is probably wrong; "
+    parity: "The arcs agree with the catalogue, but no rotation maps the catalogue to the detector: the sensor's parity is "
+    "probably wrong; "
     f"try {parity:+d}."
     for parity in (-1, 1)
 }

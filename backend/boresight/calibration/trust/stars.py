@@ -60,7 +60,7 @@ def star_table(fitted: FittedSet, first: StarResiduals) -> StarTable:
     """Judge every star, taking suspects out until none is left."""
     if fitted.telemetry.star_id is None:
         raise Unavailable(
-            "The telemetry gives no star numbers, so sightings of one star cannot be combined: give star_id."
+            "The telemetry gives no star numbers, so sightings of the same star cannot be combined: give star_id."
         )
     ids = fitted.telemetry.star_id[first.arcs.source_row]
     table = _judged(ids, first)
@@ -195,7 +195,10 @@ def stars_sentence(table: StarTable, frames_used: int, frames: int, *, fits: boo
     named = table.star_id[table.suspect]
     of = "" if frames_used == frames else f" in {frames_used} frames spaced evenly over the set"
     if not len(named):
-        return f"None of {len(table.z)} stars{of} is off its catalogue place by more than chance explains (1 % over all of them)."
+        return (
+            f"None of {len(table.z)} stars{of} is off its catalogue position by more than chance explains (1 % over all of "
+            "them)."
+        )
     worst = table.star_id[table.suspect][np.argsort(-table.z[table.suspect])][:10]
     what = (
         "check their matches or leave them out"
@@ -204,6 +207,6 @@ def stars_sentence(table: StarTable, frames_used: int, frames: int, *, fits: boo
     )
     more = "" if len(named) <= len(worst) else f" and {len(named) - len(worst)} more"
     return (
-        f"{len(named)} of {len(table.z)} stars{of} {'is' if len(named) == 1 else 'are'} off the catalogue place by more than "
+        f"{len(named)} of {len(table.z)} stars{of} {'is' if len(named) == 1 else 'are'} off the catalogue position by more than "
         f"chance explains (1 % over all of them): HIP {', '.join(map(str, worst))}{more}; {what}."
     )

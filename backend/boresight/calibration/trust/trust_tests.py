@@ -199,11 +199,11 @@ def _pull(examined: Examined, far: np.ndarray) -> float | None:
 TRUST_TESTS: tuple[TrustTestKind, ...] = (
     TrustTestKind(
         "tangential", "Tangential distortion", "lens-structure",
-        "Stars are displaced as by a decentred lens", "No tangential distortion is left", _ask_score("tangential", stays=True),
+        "Star displacements indicate a decentred lens", "No residual tangential distortion", _ask_score("tangential", stays=True),
     ),
     TrustTestKind(
         "radial", "Higher radial orders", "lens-structure",
-        "Stars are displaced along the radius as by distortion of higher order", "No radial distortion is left",
+        "Radial displacements indicate higher-order distortion", "No residual radial distortion",
         _ask_score("radial", stays=True),
     ),
     TrustTestKind(
@@ -227,8 +227,9 @@ TRUST_TESTS: tuple[TrustTestKind, ...] = (
         _ask_score("seam", stays=True),
     ),
     TrustTestKind(
-        "trail", "Charge left behind", "lens-structure",
-        "Stars are displaced the more, the farther their charge is moved", "No displacement by moved charge is seen",
+        "trail", "Charge left behind in readout", "lens-structure",
+        "Displacement grows with the distance the charge is moved",
+        "Stars are not displaced with the distance their charge is moved",
         _ask_score("trail", stays=True),
     ),
     TrustTestKind(
@@ -252,8 +253,8 @@ TRUST_TESTS: tuple[TrustTestKind, ...] = (
         _ask_dependence("radius"),
     ),
     TrustTestKind(
-        "readout", "Line by line readout", "lens-structure",
-        "Stars are displaced with their line and the image's velocity", "No displacement with line and velocity is seen",
+        "readout", "Line-by-line readout", "lens-structure",
+        "Stars are displaced with their line and the image's velocity", "Stars are not displaced with line and velocity",
         _ask_score("readout", stays=False),
     ),
     TrustTestKind(
@@ -292,11 +293,11 @@ TRUST_TESTS: tuple[TrustTestKind, ...] = (
     ),
     TrustTestKind(
         "nis_over_time", "Frames over time", "stability",
-        "Frames are explained unevenly over time", "Frames are explained evenly over time", _ask_part("nis_over_time", _nis),
+        "The fit quality changes over time", "The fit quality is constant over time", _ask_part("nis_over_time", _nis),
     ),
     TrustTestKind(
         "worst_frames", "Worst frame", "identities",
-        "A frame is explained worse than chance allows", "No frame is explained worse than chance allows",
+        "A frame fits worse than chance allows", "No frame fits worse than chance allows",
         _ask_worst_frame,
     ),
     TrustTestKind(
@@ -339,12 +340,12 @@ TRUST_TESTS: tuple[TrustTestKind, ...] = (
     ),
     TrustTestKind(
         "outliers", "Single sightings", "identities",
-        "Single centroids are farther off than noise can put them", "No centroid is farther off than noise can put it",
+        "Single centroids are further off than noise explains", "No centroid is further off than noise explains",
         _ask_outliers,
     ),
     TrustTestKind(
-        "stars", "Places of stars", "identities",
-        "Stars are off their catalogue places", "No star is off its catalogue place", _ask_stars,
+        "stars", "Star positions", "identities",
+        "Stars are off their catalogue positions", "No star is off its catalogue position", _ask_stars,
     ),
     TrustTestKind(
         "aberration", "Aberration", "identities",
@@ -353,7 +354,7 @@ TRUST_TESTS: tuple[TrustTestKind, ...] = (
     ),
     TrustTestKind(
         "refraction", "Refraction", "identities",
-        "Stars are displaced as by the air above a place on the ground", "No refraction is left",
+        "Stars are displaced as by atmospheric refraction", "No residual refraction",
         _ask_score("refraction", stays=False),
     ),
 )  # fmt: skip

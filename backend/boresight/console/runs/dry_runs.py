@@ -301,7 +301,9 @@ def _warnings(request: RunRequest, free: Sequence[str], pairs: int | None) -> li
     """What to know before a run; `pairs` is None where names do not tell how many arcs there are."""
     warnings = []
     if (held := [one.name for one in request.left_out]) and request.start is not None:
-        warnings.append(f"Left out, because {request.start.name} holds it already: {', '.join(held)}.")
+        warnings.append(
+            f"Not used, because {request.start.name} already contains {'it' if len(held) == 1 else 'them'}: {', '.join(held)}."
+        )
     if pairs is not None and request.start is None and pairs < 10 * len(free):
         warnings.append(f"About {pairs} arcs are few for {len(free)} parameters; free fewer or use a longer set.")
     if request.validation is None:

@@ -61,7 +61,7 @@ def find_start(session: Session, sensor: Sensor, prior_run_id: int | None, prior
     if (status := parse_run_summary(run.summary).status) != USABLE:
         ended = (status or "without an estimate").replace("_", " ")
         raise RefusedInputError(
-            f"{name} ended {ended}, and knows nothing for sure; start from one that converged.", code="not-converged"
+            f"{name} ended {ended}, so its result is not reliable; start from one that converged.", code="not-converged"
         )
     return Start(run, named, frozenset(queries.list_held_sets(session, run)))
 
@@ -113,8 +113,8 @@ def check_start(
         )
     if all(one.id in start.held for one in sets):
         raise RefusedInputError(
-            f"{start.name} holds {', '.join(one.name for one in sets)} already, and stars count once; choose newer telemetry, or "
-            "start from another calibration.",
+            f"{start.name} already contains {', '.join(one.name for one in sets)}, and stars must not be counted twice; choose "
+            "newer telemetry, or start from another calibration.",
             code="prior-holds-telemetry",
         )
 
@@ -131,6 +131,6 @@ def _check_same_parameters(sensor: Sensor, free: Sequence[str], start: Start) ->
     known = list(start.run.stated_settings.free or before.free)
     if sorted(free) != sorted(known):
         raise RefusedInputError(
-            f"{start.name} knows {', '.join(known)} and this run frees {', '.join(free)}; free the same parameters, for a "
-            "covariance holds with the others where they were."
+            f"{start.name} estimated {', '.join(known)}, but this run frees {', '.join(free)}; free the same parameters, because "
+            "its covariance is valid only with these."
         )

@@ -112,9 +112,13 @@ class Observability:
         if len(self.names) == 1:
             return f"{self.symbols[0]} is the only free parameter: it {known}."
         if len(named) == 1:
-            return f"{named[0][0]} moves nearly alone: it {known}."
-        ratio = ", ".join(f"{value:+.2f} {symbol}" for symbol, value in named)
-        return f"{join_words([symbol for symbol, _ in named])} move together: the combination {ratio} (typical sigmas) {known}."
+            return f"{named[0][0]} is nearly independent of the others: it {known}."
+        first, *rest = named
+        ratio = f"{first[1]:.2f} {first[0]}" + "".join(
+            f" {'+' if v > 0 else '−'} {abs(v):.2f} {name}" for name, v in rest
+        )
+        together = join_words([symbol for symbol, _ in named])
+        return f"{together} move together: the combination {ratio} (in typical sigmas) {known}."
 
 
 def observability(A: FloatArray, names: tuple[str, ...], symbols: tuple[str, ...]) -> Observability:

@@ -77,7 +77,7 @@ def _headline(drawn: Sequence[Trace]) -> str:
     if len(drawn) > 1:
         return f"Change since the initial parameters, {len(drawn)} runs, bands ±3σ"
     smoothed = drawn[0].result.smoothed
-    unsettled = "" if smoothed is None or smoothed.settled else ": the smoother does not settle, so do not use it"
+    unsettled = "" if smoothed is None or smoothed.settled else ": the smoother did not converge, so do not use it"
     return f"Change since the initial parameters, at the time and given all frames, bands ±3σ{unsettled}"
 
 

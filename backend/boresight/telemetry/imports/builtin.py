@@ -96,7 +96,7 @@ _PROFILES = (
     ),
     Profile(
         name="packets",
-        description="Centroids and quaternions in separate packets: rows have one or the other, and are joined by their times.",
+        description="Centroids and quaternions in separate packets: each row has one or the other; they are joined by time.",
         frames=Frames(by="time"),
         row=Axis(column="row_px"),
         col=Axis(column="col_px"),
@@ -129,7 +129,7 @@ _PROFILES = (
     ),
     Profile(
         name="astrometry-corr",
-        description="Stars that astrometry.net matched in one image (.corr): FITS pixels, places of its index (J2000).",
+        description="Stars that astrometry.net matched in one image (.corr): FITS pixels, positions of its index (J2000).",
         frames=Frames(by="file"),
         row=Axis(column="field_y", origin=1.0),
         col=Axis(column="field_x", origin=1.0),
@@ -143,7 +143,7 @@ _PROFILES = (
         "X_IMAGE", "Y_IMAGE", ("ERRX2_IMAGE", "ERRY2_IMAGE"),
     ),
     _sextractor(
-        "sextractor-win", "A SExtractor catalogue by its windowed positions, which are better.",
+        "sextractor-win", "A SExtractor catalogue, using windowed positions (more accurate).",
         "XWIN_IMAGE", "YWIN_IMAGE", ("ERRX2WIN_IMAGE", "ERRY2WIN_IMAGE"),
     ),
     Profile(
@@ -171,7 +171,8 @@ _PROFILES = (
     ),
     Profile(
         name="tetra3rs",
-        description="Centroids and solutions of tetra3rs as JSON: x and y from the image's middle; give the sensor for its size.",
+        description="Centroids and solutions of tetra3rs as JSON: x and y measured from the image centre; give the sensor for its "
+        "size.",
         layout=Layout(format="json", explode=("centroids",), indexed={"matched_catalog_ids": "matched_centroids"}),
         frames=Frames(by="record"),
         row=Axis(column="centroids.2|centroids.y", origin="centre"),
@@ -185,7 +186,8 @@ _PROFILES = (
     ),
     Profile(
         name="openstartracker",
-        description="Lines of openstartracker: x, y and magnitude of every star of an image, from the corner's pixel centre.",
+        description="Lines of openstartracker: x, y and magnitude of every star of an image, measured from the centre of the "
+        "corner pixel.",
         layout=Layout(format="ragged", cells_per_star=3),
         frames=Frames(by="record"),
         row=Axis(column="2"),

@@ -165,8 +165,8 @@ def _read_elements(name: str, first: str, second: str) -> Orbit:
         return found, near
 
     note = (
-        f"Velocity by SGP4 from elements of {str(epoch)[:19]}Z; it loses about {LOST_M_S_PER_DAY:g} m/s for each day between them "
-        "and the stars, 2 milliarcseconds of aberration."
+        f"Velocity by SGP4 from elements of {str(epoch)[:19]}Z; its error grows by about {LOST_M_S_PER_DAY:g} m/s per day "
+        "between the elements and the observations (2 mas of aberration)."
     )
     return Orbit(name, (epoch - reach, epoch + reach), velocity, (note,))
 

@@ -172,7 +172,8 @@ def import_files(
         raise RefusedInputError(f"{len(files):,} files were given: import 1 to {MOST_FILES:,} at a time.")
     if profile.row is None:
         raise RefusedInputError(
-            f"The profile {profile.name} has no centroids: give it as the attitude of another file, or choose one that has."
+            f"The profile {profile.name} contains no centroids: use it as the attitude file of another import, or choose a "
+            "profile with centroids."
         )
     wanted = profile if time is None else replace(profile, time=_constant_time(profile, time))
     added = _Added(
@@ -514,7 +515,7 @@ class _Reading:
         """Return (n_entries,) rows and columns, and find which cells are stars."""
         row, col = self.profile.row, self.profile.col
         if row is None or col is None:
-            raise RefusedInputError(f"The profile {self.profile.name} has no centroids: give it row and col.")
+            raise RefusedInputError(f"The profile {self.profile.name} contains no centroids: give it row and col.")
         rows, cols = self.numbers(row.column), self.numbers(col.column)
         if rows.shape != cols.shape:
             raise RefusedInputError("The profile has {n} in one of row and col: write it in both, or in neither.")
@@ -607,7 +608,7 @@ class _Reading:
             text = self.table.keywords.get(time.keyword)
             if not text:
                 self.notes.append(
-                    f"The header has no {time.keyword}, so no time is known: give the time, or aberration is left out."
+                    f"The header has no {time.keyword}, so no time is known: give the time, otherwise aberration is not included."
                 )
                 return None
         moment = read_constant(str(text), time, self.table.name)
@@ -704,7 +705,7 @@ class _Reading:
         none = ~(found > 0)
         if np.any(none):
             self.notes.append(
-                f"{int(np.count_nonzero(none)):,} noises are not positive; the sensor's own is used for those stars."
+                f"{int(np.count_nonzero(none)):,} noise values are not positive; the sensor's value is used for those stars."
             )
         return np.asarray(np.where(none, np.nan, found))
 
@@ -772,7 +773,7 @@ class _Reading:
             return found
         if moments is None:
             raise RefusedInputError(
-                f"{self.table.name} has no times, by which attitudes are found: name them in the profile."
+                f"{self.table.name} has no times, which are needed to look up attitudes: define them in the profile."
             )
         between = attitude.at(moments)
         found = between if found is None else np.where(np.isnan(found), between, found)
@@ -801,7 +802,7 @@ class _Reading:
             return found
         if moments is None:
             raise RefusedInputError(
-                f"{self.table.name} has no times, by which velocities are found: name them in the profile."
+                f"{self.table.name} has no times, which are needed to look up velocities: define them in the profile."
             )
         from_orbit, covered = orbit.velocity(moments)
         beyond = np.zeros(len(self.table), dtype=np.bool_)
@@ -830,8 +831,8 @@ class _Reading:
             return np.asarray(ra), np.asarray(dec), {}
         if moments is None or np.any(np.isnat(moments)):
             self.notes.append(
-                "The directions are places of a catalogue, and without a time they cannot be made apparent: they are kept as "
-                "catalogue_ra_deg and catalogue_dec_deg, and the stars must be matched again."
+                "The directions are catalogue positions and cannot be converted to apparent directions without a time. They are "
+                "stored as catalogue_ra_deg and catalogue_dec_deg, and the stars must be matched again."
             )
             beside = {"catalogue_ra_deg": np.degrees(ra), "catalogue_dec_deg": np.degrees(dec)}
             return (
@@ -934,8 +935,8 @@ def import_by_likeliest(
         size = place.stat().st_size
     if size > MOST_BYTES_RECOGNISED:
         raise RefusedInputError(
-            f"{file.name} has more than {MOST_BYTES_RECOGNISED / 1e6:.0f} MB, too many to try every mapping profile on: choose its "
-            "profile yourself."
+            f"{file.name} has more than {MOST_BYTES_RECOGNISED / 1e6:.0f} MB, too large to try every mapping profile: choose "
+            "its profile yourself."
         )
     found = recognise_table(file.path, file.name)
     likely = [] if found is None else found.rank(profiles)

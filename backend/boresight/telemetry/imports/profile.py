@@ -60,17 +60,17 @@ class Layout(_Part):
     ----------
     format
         `auto` tells it by the file; `text` is a table with another separator or without a header, `ragged` has lines of any
-        length, `cells_per_star` cells a star.
+        length, `cells_per_star` cells per star.
     separator, header, comment
         Of text tables; lines that begin with `comment` are skipped.
     decimal
         Decimal mark of a text table's numbers. With `auto`, semicolons or tabs in the header and decimal commas are recognised.
     extension
-        Name or number of the table in a FITS file or VOTable; the first one with rows if left out.
+        Name or number of the table in a FITS file or VOTable; the first one with rows if omitted.
     cells_per_star
         Of `ragged`: so many cells are one star, and a line is one exposure.
     explode
-        Of `json`: members of an object that are lists, one entry a star; `stars` with objects or lists inside gives columns
+        Of `json`: members of an object that are lists, one entry per star; `stars` with objects or lists inside gives columns
         `stars.x` or `stars.1`.
     indexed
         Of `json`: lists whose entries belong to the stars that another list names by number from 0.
@@ -257,7 +257,7 @@ class Temperature(_Part):
 class Profile(_Part):
     """A mapping profile.
 
-    `optional`: quantities that are left out, and told so, where the file has not their columns. `keep`: columns that go along
+    `optional`: quantities that are left out, with a note, where the file lacks their columns. `keep`: columns that go along
     under their own names, or `all`.
     """
 
@@ -376,7 +376,7 @@ def _troubles(profile: Profile) -> list[tuple[bool, str]]:
     columns, detector = () if turned is None else turned.columns, profile.detector
     texts = _texts(_list_stated(profile))
     return [
-        (not NAME.fullmatch(profile.name), "its name must be of small letters, digits, dots and dashes, at most 64"),
+        (not NAME.fullmatch(profile.name), "its name must be of lower-case letters, digits, dots and dashes, at most 64 in all"),
         (any(abs(number) > MOST_WHOLE for number in _wholes(_list_stated(profile))), f"a number is over {MOST_WHOLE:,}"),
         (not 1 <= profile.version <= MOST_VERSION, "its version must be a number from 1"),
         (any(len(text) > LONGEST_TEXT or "\0" in text for text in texts), f"a text is over {LONGEST_TEXT:,} characters"),

@@ -229,7 +229,7 @@ def leading_to_import(path: Path, name: str) -> Iterator[None]:
             raise
         remedy, fitting = found.say(), found.profile
         faults = () if fitting is None else (Fault(None, "profile", f"send {fitting.name} with the file"),)
-        raise RefusedInputError(f"{name} is not telemetry as it stands: {remedy}.", faults) from error
+        raise RefusedInputError(f"{name} is not in telemetry format: {remedy}.", faults) from error
 
 
 def _recognise(path: Path, name: str) -> Recognised | None:  # noqa: PLR0911 - one a form
@@ -402,10 +402,9 @@ def draft_profile(found: Recognised) -> Draft:
     named, wide = (dict(found.guess), None) if found.guess else _find_names(tuple(columns))
     names = {quantity: columns.get(name, name) for quantity, name in named.items()}
     if "row" not in names or "col" not in names:
-        like = "is named" if found.layout.header else "looks"
         raise RefusedInputError(
-            f"{found.name} is {found.kind} with {', '.join(found.columns[:_SHOWN]) or 'no columns'}, none of which {like} like "
-            "the row and column of a star: name them in a mapping profile, as docs/how-to/map-my-telemetry.md shows.",
+            f"{found.name} is {found.kind} with {', '.join(found.columns[:_SHOWN]) or 'no columns'}; no column looks like "
+            "a star's row or column: define them in a mapping profile (see docs/how-to/map-my-telemetry.md).",
             code="columns-not-recognised",
         )
     still: list[str] = []
@@ -413,9 +412,9 @@ def draft_profile(found: Recognised) -> Draft:
         kinds = {"col": "x", "row": "y", "frame": "the frame", "time": "the time"}
         taken = join_words([f"column {names[kind]} for {what}" for kind, what in kinds.items() if kind in names])
         taken = taken.replace(" for x", " is taken for x", 1)
-        still.append(f"what each column is: the file names none, and by their numbers {taken}")
+        still.append(f"which column is which: the file has no column names; from the values, {taken}")
     if found.told:
-        still.append(f"that its comment names the columns rightly: {', '.join(found.told)}")
+        still.append(f"whether its comment names the columns correctly: {', '.join(found.told)}")
     time = None if "time" not in names else _drafted_time(names["time"], found.example, still)
     profile = Profile(
         name="mine",
@@ -437,13 +436,13 @@ def draft_profile(found: Recognised) -> Draft:
         0, "row.origin and col.origin: what the file calls the centre of the first pixel (0 is assumed, FITS says 1)"
     )
     if found.guess or {_plain(named[axis].rpartition(".")[2]) for axis in ("row", "col")} & set(_OF_AN_IMAGE):
-        still.insert(1, "row and col: that y counts rows downwards (row.reversed where it grows upwards)")
+        still.insert(1, "row and col: whether y counts rows downwards (row.reversed where it grows upwards)")
     if time is None and "day" in names:
         still.append(
             f"time: column {names['day']} has only days; write day and time of day in one cell, or give --time"
         )
     elif time is None:
-        still.append("time: the file has none; give it with the file (--time, Taken at), or its column")
+        still.append("time: not in the file; give it on import (--time, Taken at), or its column")
     return Draft(profile, tuple(still))
 
 
@@ -551,6 +550,6 @@ def recognise_for_import(path: Path, name: str) -> Recognised:
         with expanded(path, name, LIMITS) as place:
             format_at(place, name)
         raise RefusedInputError(
-            f"{name} is no table that can be imported: give a table of stars, or images to `boresight extract`."
+            f"{name} is not a table that can be imported: give a table of stars, or images to `boresight extract`."
         )
     return found

@@ -264,9 +264,7 @@ def read_head(path: Path) -> bytes:
 def _refuse_size(path: Path, name: str, most: int, what: str) -> None:
     """Refuse a file of too many bytes."""
     if path.exists() and path.stat().st_size > most:
-        raise RefusedInputError(
-            f"{name} is over {most / 1e6:,.0f} MB, the most that is read from {what}: split it by time."
-        )
+        raise RefusedInputError(f"{name} exceeds the limit of {most / 1e6:,.0f} MB for {what}: split it by time.")
 
 
 def _refuse_cells(name: str, rows: int, columns: int, limits: Limits) -> None:
@@ -389,7 +387,11 @@ def _by_astropy(
     except (ValueError, IndexError, TypeError, OverflowError) as error:
         place = _BAD_LINE.search(str(error))
         row = data[min(max(int(place.group(1)) - 1, 0), len(data) - 1)] if place else None
-        fault = Fault(row, None, "has not as many cells as the header, or none that can be read: check the separator")
+        fault = Fault(
+            row,
+            None,
+            "does not have as many cells as the header, or has cells that cannot be read: check the separator",
+        )
         raise RefusedInputError(f"{name}: {fault}.", (fault,)) from error
     columns = {column: _convert_masked(found[column]) for column in found.colnames}
     if not has_header and names is None:
@@ -455,15 +457,15 @@ def _read_objects(path: Path, name: str, layout: Layout, limits: Limits) -> Sour
         held += len(stars) * sum(8 + len(str(value)) for value in common.values())
         if held > MOST_BYTES:
             raise RefusedInputError(
-                f"{name} takes over {MOST_BYTES / 1e6:,.0f} MB in memory, for what an object says goes with each of its stars: "
-                "leave out what is not needed, or split it by time."
+                f"{name} takes over {MOST_BYTES / 1e6:,.0f} MB in memory because the fields of each object are repeated for "
+                "each of its stars: remove unneeded fields, or split it by time."
             )
         collected += [(common, star) for star in stars]
         rows += [row] * len(stars)
         records += [record] * len(stars)
         if len(rows) > MOST_OBJECTS:
             raise RefusedInputError(
-                f"{name} has over {MOST_OBJECTS:,} stars, the most that is read of nested JSON: split it by time."
+                f"{name} exceeds the limit of {MOST_OBJECTS:,} stars for nested JSON: split it by time."
             )
         _refuse_cells(name, len(rows), len(common) + len(stars[0]) if stars else 1, limits)
     faults.refuse()
@@ -553,8 +555,7 @@ def _flat(key: str, value: Any) -> Iterator[tuple[str, Any]]:
     """Yield the cells in a value, `key.x` of objects and `key.1` of short lists."""
     if len(key) > LONGEST_KEY:
         raise RefusedInputError(
-            f"{key[:40]}... is the name of a member, over {LONGEST_KEY} characters with those of the objects that it is in: "
-            "give it a short name."
+            f"The member name {key[:40]}… is over {LONGEST_KEY} characters long including its parent objects: use a shorter name."
         )
     if isinstance(value, Mapping):
         for name, item in value.items():

@@ -68,7 +68,9 @@ def read_times(cells: pa.Array, week: pa.Array | None, time: Time, faults: Fault
         faults.add_entries(
             late,
             name,
-            lambda entry: f"means {found[entry]}: not between the years 1900 and 2100: check unit, system and epoch",
+            lambda entry: (
+                f"gives {found[entry]}, which is not between the years 1900 and 2100: check unit, system and epoch"
+            ),
         )
     return found
 

@@ -93,7 +93,7 @@ class OffDetector:
             off = beyond & ((values < -0.5 - _CUT_STAR_PX) | (values > size - 0.5 + _CUT_STAR_PX))
             for entry in np.flatnonzero(off)[:MOST_FAULTS].tolist():
                 detail = (
-                    f"{values[entry]:g} is off the detector (-0.5 to {size - 0.5:g}): exchange rows and columns, "
+                    f"{values[entry]:g} is outside the detector (−0.5 to {size - 0.5:g}): swap rows and columns, "
                     "correct the sensor's rows and columns, or delete the row"
                 )
                 self._faults.add(detail, column=column, row=int(number[entry]))
@@ -112,8 +112,8 @@ class OffDetector:
         """Raise when too many stars lie off the detector."""
         if self.too_many:
             self._faults.subject = (
-                f"The telemetry does not match the sensor, {self.beyond_cut:,} of its {self.matched:,} matched stars lie off the "
-                f"detector where at most {self.most:,} may be left out"
+                f"The telemetry does not match the sensor: {self.beyond_cut:,} of its {self.matched:,} matched stars are outside "
+                f"the detector; at most {self.most:,} may be"
             )
             raise OffDetectorError(str(refusal := self._faults.refusal()), refusal.faults)
 
@@ -133,12 +133,11 @@ class OffDetector:
         """Say what was left out, of at least one star."""
         listed = ", ".join(f"{star.row} by {star.off_px:.3g} px" for star in self.first[:_ROWS_IN_SENTENCE])
         more = ", ..." if self.stars > _ROWS_IN_SENTENCE else ""
-        what, rows = ("star lies", "the row") if self.stars == 1 else ("stars lie", "these rows")
-        is_ = "is" if self.stars == 1 else "are"
-        told = f"{self.stars:,} matched {what} off the detector and {is_} left out of use{subject} (row {listed}{more})"
+        what, rows = ("star is", "the row") if self.stars == 1 else ("stars are", "these rows")
+        told = f"{self.stars:,} matched {what} outside the detector and not used{subject} (row {listed}{more})"
         if not self.beyond_cut:
             return f"{told}: the edge cuts such an image and shifts its centroid."
-        return f"{told}: correct or delete {rows}, and check the pixel origin where they lie off one edge."
+        return f"{told}: correct or delete {rows}, and check the pixel origin if they are beyond one edge."
 
 
 def check_against_sensor(telemetry: Telemetry, sensor: Sensor) -> OffDetector:

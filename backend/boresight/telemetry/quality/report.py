@@ -394,8 +394,8 @@ class QualityParts:
         """Say of how much of the set the findings are."""
         frames, of = len(np.unique(looked_at.frame)), 0 if self._totals is None else self._totals["frames"]
         sentence = (
-            f"Findings come from {frames:,} of {of:,} frames, in stretches spread evenly over the set, and count "
-            "rows of these; totals, times and coverage use all frames."
+            f"Findings are based on {frames:,} of {of:,} frames, in stretches spread evenly over the set, and counts refer to "
+            "these frames; totals, times and coverage use all frames."
         )
         return Finding("PART_OF_THE_SET", "NORMAL", sentence, frames)
 

@@ -79,10 +79,10 @@ _SIGNATURES = {
     b"CDF\x02": FileKind("a NetCDF file", _EXPORT),
     b"MATLAB 5.0 MAT-file": FileKind("a MATLAB file", _EXPORT),
     b"\x93NUMPY": FileKind("a NumPy array", _EXPORT),
-    b"ARROW1\0\0": FileKind("an Arrow (Feather) file", "write it as Parquet"),
-    b"FEA1": FileKind("a Feather file", "write it as Parquet"),
-    b"ORC": FileKind("an ORC file", "write it as Parquet"),
-    b"Obj\x01": FileKind("an Avro file", "write it as Parquet"),
+    b"ARROW1\0\0": FileKind("an Arrow (Feather) file", "save it as Parquet"),
+    b"FEA1": FileKind("a Feather file", "save it as Parquet"),
+    b"ORC": FileKind("an ORC file", "save it as Parquet"),
+    b"Obj\x01": FileKind("an Avro file", "save it as Parquet"),
     b"SQLite format 3\0": FileKind("an SQLite database", _EXPORT),
     b"\x7fELF": FileKind("a program (ELF)", _OTHER_FILE),
 }
@@ -374,7 +374,8 @@ def _refuse_long_rows(name: str, first_row: int, text: bytes, limits: Limits) ->
         if end < 0:
             row = first_row + text.count(b"\n", 0, begins)
             raise RefusedInputError(
-                f"{name}: row {row}: is over {limits.line_bytes:,} bytes long: write one star a row, of at most {limits.columns:,} "
+                f"{name}: row {row}: is over {limits.line_bytes:,} bytes long: write one star per row, of at most "
+                f"{limits.columns:,} "
                 "columns."
             )
         begins = end + 1

@@ -174,7 +174,7 @@ class _Thrift:
         elif kind in {_BYTE, _DOUBLE}:
             self._skip(1 if kind == _BYTE else 8)
         elif kind not in {_TRUE, _FALSE}:
-            raise DamagedPageError("a page header holds what none has")
+            raise DamagedPageError("a page header contains invalid data")
         return None
 
     def _list(self, depth: int) -> list[object]:
@@ -376,8 +376,9 @@ class _Walk:
             together += sum(largest.values())
         if together > _OPEN_BYTES:
             raise RefusedInputError(
-                f"{self._name} has pages of {together / 1e6:,.0f} MB that must be read together, at most {_OPEN_BYTES / 1e6:,.0f} "
-                "MB are: write it in groups of 65,536 rows and pages of about a megabyte."
+                f"{self._name} has pages of {together / 1e6:,.0f} MB that must be read together, but at most "
+                f"{_OPEN_BYTES / 1e6:,.0f} "
+                "MB are allowed: write it in groups of 65,536 rows and pages of about a megabyte."
             )
 
     def _count(self, page: PageHeader) -> None:

@@ -76,7 +76,7 @@ def make_prior_view(run: Run, result: Calibration, use: PriorUse) -> PriorView:
     """Lay out what a calibration began with."""
     shares = [share for share in use.share.values() if share is not None]
     aged = "" if use.age_days is None else f", {use.age_days:.3g} days old"
-    answer = f"Began at {use.name}{aged}; under process noise or forgetting its share fades and is not told."
+    answer = f"Started from {use.name}{aged}. With process noise or forgetting, its share decreases over time and is not reported."
     if shares:
         spread = percent(min(shares), 0)
         if percent(max(shares), 0) != spread:
@@ -85,7 +85,7 @@ def make_prior_view(run: Run, result: Calibration, use: PriorUse) -> PriorView:
     rows = [PriorRow(name, share, use.sigma.get(name), result.sigma.get(name)) for name, share in use.share.items()]
     source = use.name if result.variation is None else "the other passes"
     who = "Prior and data" if result.variation is None else "The other passes and the last"
-    level, agreement = "standby", "The data determine no direction that the prior could be held against."
+    level, agreement = "standby", "The data determine no direction that could be compared with the prior."
     if use.agreement is not None:
         told = use.agreement
         agrees = told.p_value >= DISAGREE
@@ -108,8 +108,11 @@ def say_passes(result: Calibration) -> str:
     worse = [one.name for one in passes if _judge(one)[0] == "caution"]
     if worse:
         few = ", ".join(worse[:3]) + (f" and {len(worse) - 3} more" if len(worse) > 3 else "")
-        return f"{len(passes)} passes as one camera; {few} fits worse than chance has it: let one vary, or look at it alone."
-    return f"{len(passes)} passes as one camera; none fits worse than chance has it."
+        which = "fits significantly worse: let a parameter vary, or examine that pass alone"
+        if len(worse) > 1:
+            which = "fit significantly worse: let a parameter vary, or examine those passes alone"
+        return f"{len(passes)} passes as one camera; {few} {which}."
+    return f"{len(passes)} passes as one camera; no pass fits significantly worse."
 
 
 def list_pass_rows(sets: Sequence[TelemetrySet], result: Calibration) -> list[PassRow]:

@@ -38,8 +38,8 @@ def off_detector_finding(off: OffDetector, sensor: Sensor) -> Finding | None:
     if not off.too_many:
         return Finding("OFF_DETECTOR", "CAUTION" if off.beyond_cut else "NORMAL", off.sentence(), off.stars, rows)
     sentence = (
-        f"{counted(off.stars, 'matched star lies', 'matched stars lie')} off the detector of {sensor.name} by up to "
-        f"{off.farthest_px:.3g} px, where at most {off.most:,} may be left out, so no calibration accepts the set: exchange "
+        f"{counted(off.stars, 'matched star is', 'matched stars are')} up to {off.farthest_px:.3g} px outside the detector of "
+        f"{sensor.name}. Calibrations allow at most {off.most:,}, so the set would be refused: swap "
         "rows and columns, correct the sensor's, or delete the rows."
     )
     return Finding("OFF_DETECTOR", "SERIOUS", sentence, off.stars, rows)
@@ -49,7 +49,7 @@ def detections_off_detector(inputs: QualityInputs) -> Finding | None:
     """Find unmatched detections off the detector."""
     off = ~inputs.matched & ~inputs.on_detector
     nouns = ("unmatched detection is", "unmatched detections are")
-    said = f"left out of use, off the detector of {inputs.sensor.name}: check row_px and col_px."
+    said = f"outside the detector of {inputs.sensor.name} and not used: check row_px and col_px."
     return marked_rows(inputs, "OFF_DETECTOR_UNMATCHED", "CAUTION", off, nouns, said)
 
 
@@ -97,7 +97,7 @@ def stuck_detections(inputs: QualityInputs) -> Finding | None:
     if staying_stars.sum() > 0.5 * inputs.matched.sum():
         return None
     nouns = ("unmatched detection returns", "unmatched detections return")
-    said = "on the same pixels while the stars move, as hot pixels do: left out of use."
+    said = "on the same pixels while the stars move, as hot pixels do, and not used."
     return marked_rows(inputs, "HOT_PIXELS", "NORMAL", stuck, nouns, said)
 
 
@@ -108,7 +108,7 @@ def poor_coverage(inputs: QualityInputs) -> Finding | None:
     if not filled or filled >= _POOR_CELLS * counts.size:
         return None
     sentence = (
-        f"Usable stars fill {filled} of {counts.size} cells of the detector: results are valid only there, add frames in other "
+        f"Usable stars fill {filled} of {counts.size} cells of the detector: results are valid only there: add frames at other "
         "attitudes."
     )
     return Finding("POOR_COVERAGE", "CAUTION", sentence, counts.size - filled)
@@ -120,7 +120,10 @@ def poor_radius(inputs: QualityInputs) -> Finding | None:
     largest, corner = radial["largest_radius_px"], radial["corner_radius_px"]
     if largest is None or largest >= _POOR_RADIUS * corner:
         return None
-    sentence = f"Usable stars reach {largest:.0f} px from the centre, the corner is at {corner:.0f}: distortion beyond is a guess."
+    sentence = (
+        f"Usable stars reach {largest:.0f} px from the centre, the corner is at {corner:.0f}: distortion beyond that is "
+        "extrapolated."
+    )
     return Finding("POOR_RADIUS", "CAUTION", sentence, int(inputs.usable.sum()))
 
 

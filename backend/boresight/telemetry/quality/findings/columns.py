@@ -20,7 +20,7 @@ def wide_temperature(inputs: QualityInputs) -> Finding | None:
     spread = float(np.nanmax(temperature_c) - np.nanmin(temperature_c))
     if spread <= _WIDE_TEMPERATURE_C:
         return None
-    sentence = f"Temperature changes by {spread:.1f} degrees within the set, and focal length with it."
+    sentence = f"The temperature changes by {spread:.1f} °C within the set, which changes the focal length."
     return Finding("TEMPERATURE_RANGE", "CAUTION", sentence, int(np.count_nonzero(~np.isnan(temperature_c))))
 
 
@@ -51,7 +51,7 @@ def frames_descend(inputs: QualityInputs) -> Finding | None:
     frame = inputs.telemetry.frame
     descends = np.diff(frame, prepend=frame[:1]) < 0
     said = "back to an earlier frame: sort the rows by frame."
-    return marked_rows(inputs, "FRAME_ORDER", "SERIOUS", descends, ("row steps", "rows step"), said)
+    return marked_rows(inputs, "FRAME_ORDER", "SERIOUS", descends, ("row goes", "rows go"), said)
 
 
 def times_descend(inputs: QualityInputs) -> Finding | None:
@@ -65,7 +65,7 @@ def times_descend(inputs: QualityInputs) -> Finding | None:
     if not back.any():
         return None
     sentence = (
-        f"Time runs backwards at {counted(int(back.sum()), 'row', 'rows')}: check time_utc, or the order of the frames."
+        f"Time decreases at {counted(int(back.sum()), 'row', 'rows')}: check time_utc, or the order of the frames."
     )
     return Finding("TIME_ORDER", "CAUTION", sentence, int(back.sum()), row_numbers(inputs, back))
 
@@ -98,7 +98,7 @@ def clock_unset(inputs: QualityInputs) -> Finding | None:
     if not early.any():
         return None
     severity: Severity = "SERIOUS" if (early & inputs.from_catalogue).any() else "CAUTION"
-    said = "dated before 1990, as if the clock was not set: star directions for that time would be wrong, correct time_utc."
+    said = "dated before 1990; the clock was probably not set. Star directions for that time would be wrong: correct time_utc."
     return marked_rows(inputs, "CLOCK_UNSET", severity, early, ("row is", "rows are"), said)
 
 
@@ -121,7 +121,7 @@ def gaps_finding(intervals: Intervals, rows: tuple[int, ...]) -> Finding | None:
     severity: Severity = "CAUTION" if longest_s > _MOST_OF_SPAN * interval_s.sum() else "NORMAL"
     what = counted(count, "interval between frames exceeds", "intervals between frames exceed")
     sentence = (
-        f"{what} {GAP_FACTOR:g} times the median of {median_s:,g} s, the longest is {longest_s:,g} s: check that "
-        "the downlink is complete where no eclipse or slew explains it."
+        f"{what} {GAP_FACTOR:g} times the median of {median_s:,g} s; the longest is {longest_s:,g} s. If no "
+        "eclipse or slew explains this, check that the downlink is complete."
     )
     return Finding("GAPS", severity, sentence, count, rows)

@@ -21,8 +21,8 @@ def nothing_matched(inputs: QualityInputs) -> Finding | None:
     if inputs.matched.any():
         return None
     sentence = (
-        "No row gives a star number: calibrations must recognise the stars; diagnose the set to see whether it can, or give "
-        "star_id (Hipparcos numbers), or ra_deg and dec_deg."
+        "No row gives a star number, so calibrations must recognise the stars themselves. Diagnose the set to see whether that "
+        "works, or add star_id (Hipparcos numbers), or ra_deg and dec_deg."
     )
     return Finding("NO_MATCHES", "SERIOUS", sentence, len(inputs.telemetry))
 
@@ -35,14 +35,12 @@ def few_stars(inputs: QualityInputs) -> Finding | None:
         return None
     severity: Severity = "CAUTION" if count > _MANY_EXPOSURES * exposures else "NORMAL"
     has, is_ = ("has", "is") if count == 1 else ("have", "are")
-    sentence = (
-        f"{count:,} of {exposures:,} exposures {has} fewer than {MINIMUM_STARS} usable stars and {is_} left out of use."
-    )
+    sentence = f"{count:,} of {exposures:,} exposures {has} fewer than {MINIMUM_STARS} usable stars and {is_} not used."
     if count == exposures:
         severity = "SERIOUS"
         sentence = (
-            f"Every exposure has fewer than {MINIMUM_STARS} usable stars with a number: a calibration must recognise the "
-            "stars itself; diagnose the set to see whether it can."
+            f"Every exposure has fewer than {MINIMUM_STARS} usable stars with a number, so a calibration must recognise the "
+            "stars itself: diagnose the set to see whether that works."
         )
     marked = np.zeros(len(inputs.telemetry), dtype=np.bool_)
     marked[inputs.exposures.start[few]] = True
@@ -58,7 +56,7 @@ def on_one_line(inputs: QualityInputs) -> Finding | None:
     if not count:
         return None
     what = counted(count, "exposure has all its usable stars", "exposures have all their usable stars")
-    sentence = f"{what} on one line and {'is' if count == 1 else 'are'} left out of use: send other fields."
+    sentence = f"{what} on one line and {'is' if count == 1 else 'are'} not used: send other fields."
     marked = np.zeros(len(inputs.telemetry), dtype=np.bool_)
     marked[inputs.exposures.start[line]] = True
     severity: Severity = "SERIOUS" if count == exposures else "CAUTION"
@@ -71,9 +69,7 @@ def many_unmatched(inputs: QualityInputs) -> Finding | None:
     count, rows = int(unmatched.sum()), len(unmatched)
     if count <= _MANY_UNMATCHED * rows or count == rows:
         return None
-    sentence = (
-        f"{count:,} of {rows:,} detections ({count / rows:.0%}) are unmatched and left out of use: check the matching."
-    )
+    sentence = f"{count:,} of {rows:,} detections ({count / rows:.0%}) are unmatched and not used: check the matching."
     return Finding("UNMATCHED", "CAUTION", sentence, count, row_numbers(inputs, unmatched))
 
 
