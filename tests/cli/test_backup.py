@@ -50,7 +50,7 @@ def test_what_was_backed_up_comes_back_and_its_audit_log_holds(filled, monkeypat
     boresight, archive, sha256 = filled
     folder = _into(monkeypatch, tmp_path / "second")
     done = accepted(boresight("restore", archive))
-    assert "are as they were written" in done.stdout
+    assert "sealed rows are intact" in done.stdout
     assert FolderBlobStore(folder / "blobs").read(sha256) == b"telemetry"
     assert on_postgresql() or stat.S_IMODE((folder / "boresight.sqlite3").stat().st_mode) == 0o600
     accepted(boresight("audit", "verify"))

@@ -280,7 +280,7 @@ def _refuse_bad(corrupt: set[str], missing: set[str], count: int) -> None:
     parts = [f"{len(bad)} of {count} stored files are {what}: {named(sorted(bad))}" for bad, what in told if bad]
     if parts:
         raise CorruptFileError(
-            f"Nothing was backed up, for {' and '.join(parts)}. Restore them from an older backup, or save the rest with "
+            f"No backup was made: {' and '.join(parts)}. Restore them from an older backup, or save the rest with "
             "--keep-going.",
             min(corrupt | missing),
         )
@@ -383,13 +383,9 @@ def _try_restore(archive: Archive, folder: Path, keys: KeyFile | None) -> Restor
         copy = Path(scratch) / DATABASE
         _refuse_too_large([backup.getinfo(DATABASE)], copy)
         if _extracted(backup, DATABASE, copy) != manifest.database_sha256:
-            raise ConflictError(
-                "The database in the backup is not as it was backed up; use another backup.", code="altered-backup"
-            )
+            raise ConflictError("The database in the backup was altered; use another backup.", code="altered-backup")
         registered = _registered(copy)
-        faults = [
-            f"the file {sha256[:12]} is not as it was" for name, sha256 in found if _digest(backup, name) != sha256
-        ]
+        faults = [f"the file {sha256[:12]} was altered" for name, sha256 in found if _digest(backup, name) != sha256]
         if manifest.blobs_at is None:
             there = {sha256 for _, sha256 in found} | {*manifest.left_out, *manifest.missing}
             faults += [f"the file {sha256[:12]} is not in it" for sha256 in sorted(registered.keys() - there)]
@@ -501,7 +497,7 @@ def _manifest(backup: zipfile.ZipFile) -> BackupManifest:
         if member.flag_bits & 1 or not packed:
             raise RefusedInputError(
                 f"This file is not a backup of Boresight: its member {member.filename[:80]!r} is encrypted or compressed. "
-                "Use the file as it was written.",
+                "Use the original file.",
                 code="no-backup",
             )
     if MANIFEST not in names:
@@ -567,14 +563,12 @@ def _lay_down_database(backup: zipfile.ZipFile, sha256: str, database: Path | No
     with tempfile.TemporaryDirectory(prefix=".restore-", dir=database and database.parent) as folder:
         written = Path(folder) / DATABASE
         if _extracted(backup, DATABASE, written) != sha256:
-            raise ConflictError(
-                "The database in the backup is not as it was backed up; use another backup.", code="altered-backup"
-            )
+            raise ConflictError("The database in the backup was altered; use another backup.", code="altered-backup")
         try:
             _registered(written)
         except sqlite3.Error as error:
             raise RefusedInputError(
-                f"The database in the backup is none of Boresight ({error}); use another backup."
+                f"The database in the backup is not a Boresight database ({error}); use another backup."
             ) from error
         written.chmod(0o600)
         if database is None:
