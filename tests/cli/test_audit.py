@@ -91,7 +91,9 @@ def test_a_blob_edited_by_hand_is_found_by_the_row_that_named_it(store, tmp_path
     accepted(store("audit", "verify", "--no-blobs"))
     _edit_by_hand(tmp_path, "UPDATE blobs SET sha256 = 'b' || substr(sha256, 2)")
     found = store("audit", "verify")
-    assert_refused(found, "The seal in record 2 does not match: telemetry_sets/1 was parted from a row that it refers to")
+    assert_refused(
+        found, "The seal in record 2 does not match: telemetry_sets/1 was parted from a row that it refers to"
+    )
 
 
 def _telemetry():

@@ -239,7 +239,7 @@ def where(bit: int) -> str:
 def test_what_was_sent_matches_itself_and_without_a_stored_crc_a_difference_has_no_cause() -> None:
     comparison = compare(DEFINITION, SENT, SENT)
     assert comparison.matches
-    assert comparison.sentence == "All 32 bytes are as they were sent."
+    assert comparison.sentence == "All 32 bytes match what was sent."
     assert comparison.document()["fields"] == []
     plain = parse_definition({key: value for key, value in DEFINITION.document.items() if key != "crc"}, SENSOR)
     sent = encode(plain, VALUES)
