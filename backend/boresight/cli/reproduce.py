@@ -64,7 +64,7 @@ QUICK = {"enright": (100, 40, 2), "wu": (1200, 100, 4)}
 @click.option("--quick", is_flag=True, help="Fewer frames and sets: under two minutes.")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for report, JSON and CSV.")
 @click.option("--sensors", metavar="LIST", help="For enright: sensors to run, such as 3,4; all if omitted.")
-@click.option("--frames", type=click.IntRange(10, 10_000), help="Frames of a calibration set.")
+@click.option("--frames", type=click.IntRange(10, 10_000), help="Number of frames in a calibration set.")
 @click.option(
     "--sets",
     type=click.IntRange(1, 1000),

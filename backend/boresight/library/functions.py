@@ -837,7 +837,7 @@ def plan(
     progress: Wanted = None,
     **constraints: float,
 ) -> PointingPlan:
-    """Plan what to observe next: the pointings and rolls that shrink what is known least, by the minute.
+    """Plan the next observations: pointings and rolls that reduce the largest uncertainties most per minute.
 
     Parameters
     ----------

@@ -320,7 +320,7 @@ def encode(
     """
     if definition.is_aligned and alignment is None:
         raise RefusedInputError(
-            f"The table {definition.table_id} holds an alignment: give one of `boresight align`, made with these parameters."
+            f"The table {definition.table_id} contains an alignment: give one from `boresight align`, made with these parameters."
         )
     image = int.from_bytes(bytes([definition.fill]) * definition.length_bytes, "big")
     for field in definition.fields:

@@ -77,7 +77,7 @@ def read_anchors(lines: bytes, public_keys: bytes) -> Heads:
             statement = canonical({name: anchor[name] for name in SIGNED}).encode()
             signature, record, head = base64.b64decode(anchor["signature"]), int(anchor["record"]), str(anchor["head"])
         except (ValueError, KeyError, TypeError) as error:
-            raise ValueError(f"Line {number} of the anchors is not as it was exported.") from error
+            raise ValueError(f"Line {number} of the anchors was altered.") from error
         for key in keys:
             try:
                 key.verify(signature, statement)

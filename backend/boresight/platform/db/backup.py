@@ -337,9 +337,9 @@ def read_backup(archive: Archive, url: str, blobs: BlobStore, keys: KeyFile | No
         _refuse_too_large(backup.infolist(), blobs.folder)
         bad = [sha256 for name, sha256 in found if not _lay_down_blob(backup, name, sha256, blobs)]
         if bad:
-            what = "is not as it was" if len(bad) == 1 else "are not as they were"
+            what = "was altered" if len(bad) == 1 else "were altered"
             raise ConflictError(
-                f"{len(bad)} of {len(found)} files in the backup {what} backed up, so no database was made: {named(bad)}. Use "
+                f"{len(bad)} of {len(found)} files in the backup {what}, so no database was created: {named(bad)}. Use "
                 "another backup.",
                 code="altered-backup",
             )
@@ -408,13 +408,13 @@ def _try_restore(archive: Archive, folder: Path, keys: KeyFile | None) -> Restor
     ]
     kept = "" if manifest.blobs_at is None else f" The stored files are not in it: they stay in {manifest.blobs_at}."
     sentence = (
-        f"Restored and verified: {schema}, {report.records} audit records, {report.rows} rows that they sealed, "
+        f"Restored and verified: {schema}, {report.records} audit records, {report.rows} sealed rows, "
         f"{len(found)} files.{kept}"
     )
     if faults:
         more = f", and {len(faults) - 1} more" if len(faults) > 1 else ""
         sentence = (
-            f"The backup cannot be restored as it was: {faults[0]}{more}. Use another backup, and check the disks."
+            f"The backup cannot be restored completely: {faults[0]}{more}. Use another backup, and check the disks."
         )
     return RestoreFindings(not faults, sentence, report.records, report.rows, len(found))
 

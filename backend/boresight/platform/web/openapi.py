@@ -111,17 +111,17 @@ SENTENCES = {
     400: "This is not an HTTP request, or its body cannot be read.",
     401: "Nobody is logged in, or the key is not valid.",
     403: "This person or key may not do this, or the CSRF token is missing.",
-    404: "It does not exist.",
+    404: "The resource does not exist.",
     408: "The request did not arrive completely in time.",
-    409: "It is not in a state that allows this.",
-    412: "Somebody changed it since you read it.",
+    409: "The resource is not in a state that allows this.",
+    412: "The resource was changed since you read it.",
     413: "The body is over the size limit.",
     415: "Only text in UTF-8 is read.",
     422: "The input is refused; `errors` says where.",
     428: "`If-Match` is missing.",
     429: "Too many wrong passwords; `Retry-After` says how many seconds to wait.",
-    431: "The head of the request is too large.",
-    503: "Too many requests at once, or the store does not answer; `Retry-After` says when to try again.",
+    431: "The request headers are too large.",
+    503: "Too many requests at once, or the store does not respond; `Retry-After` says when to try again.",
 }
 
 
