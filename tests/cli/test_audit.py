@@ -92,7 +92,7 @@ def test_a_blob_edited_by_hand_is_found_by_the_row_that_named_it(store, tmp_path
     _edit_by_hand(tmp_path, "UPDATE blobs SET sha256 = 'b' || substr(sha256, 2)")
     found = store("audit", "verify")
     assert_refused(
-        found, "The seal in record 2 does not match: telemetry_sets/1 was parted from a row that it refers to"
+        found, "The seal in record 2 does not match: telemetry_sets/1 was separated from a row that it refers to"
     )
 
 
@@ -144,7 +144,7 @@ def test_a_stored_file_that_was_altered_or_is_missing_is_named(store, tmp_path, 
     accepted(store("migrate"))
     path = _store_a_file(tmp_path)
     found = store("audit", "verify")
-    assert (found.exit_code, "the 1 stored files" in found.stdout) == (0, True)
+    assert (found.exit_code, "1 stored file " in found.stdout) == (0, True)
     spoil(path)
     assert_refused(store("audit", "verify"), f"The stored file {path.name[:12]} (of no row): {what}")
     accepted(store("audit", "verify", "--no-blobs"))

@@ -159,7 +159,7 @@ def test_a_backup_holds_no_secret_of_a_webhook_and_without_the_key_a_restore_say
     assert "paused: Mission chat. Copy the key file" in restored.stderr
     folder.joinpath("webhooks.key").write_bytes(tmp_path.joinpath("first", "webhooks.key").read_bytes())
     rotated = accepted(boresight("webhook", "rotate-key", "--forget-old"))
-    assert "1 older " in rotated.stdout
+    assert "old keys removed: 1" in rotated.stdout
     assert rotated.stderr == ""
 
 

@@ -452,7 +452,7 @@ def test_sizes_the_projection_and_exponents_are_written_as_ros_and_yaml_read_the
     ("model", "parity", "reason"),
     [
         ("inverted_wang", -1, "distorts from the detector to the sky"),
-        ("inverted_wang", 1, "an approximation would be another camera"),
+        ("inverted_wang", 1, "an approximation would be a different camera"),
         ("pinhole_radial", 1, "would be left-handed"),
     ],
 )

@@ -118,8 +118,8 @@ def rotate_key(*, forget_old: bool) -> None:
             addresses = encrypt_addresses(session, box)
     forgotten = box.forget_old_keys() if forget_old else 0
     click.echo(
-        f"{box.file}: {count} webhook secrets, {factors} authenticator apps and {addresses} message addresses were encrypted "
-        f"with a new key; {forgotten} old keys were removed."
+        f"{box.file}: encrypted with a new key: {count} webhook secret{'s' * (count != 1)}, {factors} authenticator "
+        f"app{'s' * (factors != 1)}, {addresses} message address{'es' * (addresses != 1)}; old keys removed: {forgotten}."
     )
     if kept.sentence is not None:
         click.echo(kept.sentence, err=True)

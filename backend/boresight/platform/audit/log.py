@@ -234,7 +234,7 @@ def _sentence(found: VerificationFindings, kept: ExternalHead | None, looked_at:
             f"The stored file {bad[0]}{more}: restore it from a backup. All {count} records and {found.rows} sealed rows are "
             "intact."
         )
-    stored = "" if looked_at is None else f", {looked_at} stored files"
+    stored = "" if looked_at is None else f", {looked_at} stored file{'s' * (looked_at != 1)}"
     return f"All {count} records{stored} and {found.rows} sealed rows are intact."
 
 
