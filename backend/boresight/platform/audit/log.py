@@ -223,7 +223,7 @@ def _sentence(found: VerificationFindings, kept: ExternalHead | None, looked_at:
         )
     if (misfit := found.misfit or next(iter(found.guards), None)) is not None:
         others = max(0, found.misfits - 1) + len(found.guards[0 if found.misfit else 1 :])
-        more = f", and {others} more {'rows do' if others > 1 else 'row does'} not match the log" if others else ""
+        more = f", and {others} more do{'' if others > 1 else 'es'} not match the log" if others else ""
         return (
             f"{_capital(_where(misfit))}{misfit.row} was {misfit.what} outside Boresight{more}; "
             f"the chain of {count} records itself is intact."
