@@ -109,26 +109,15 @@ IN_CSV: dict[int | str, dict[str, Any]] = {200: {"description": "One row a pair,
 
 
 class GivenOptions(Shape):
-    """The options of an alignment, as in `boresight align --help`."""
+    """The choices of an alignment, as `boresight align --help` tells them."""
 
     tolerance_s: float = Field(USUAL.tolerance_s, description="How far an attitude is carried beyond its neighbours.")
     longest_gap_s: float = Field(USUAL.longest_gap_s, description="Between attitudes that are interpolated.")
-    rate_deg_s: float = Field(
-        USUAL.rate_deg_s,
-        description="One-sigma uncertainty of a rate that cannot be derived from neighbouring attitudes.",
-    )
-    temperature_of: Literal["a", "b", "difference"] | None = Field(
-        None, description="Which temperature to use; A's if available, otherwise B's."
-    )
-    reference_temperature_c: float | None = Field(
-        None, description="Temperature at which the rotation is given; null for the mean."
-    )
-    temperature: int | None = Field(
-        None, description="Highest power of the temperature, 0 to 3; null to choose it from the data."
-    )
-    drift: bool | None = Field(
-        None, description="Whether there is a linear change per day; null to decide from the data."
-    )
+    rate_deg_s: float = Field(USUAL.rate_deg_s, description="One sigma of a rate that no neighbour tells.")
+    temperature_of: Literal["a", "b", "difference"] | None = Field(None, description="Whose counts; A's, else B's.")
+    reference_temperature_c: float | None = Field(None, description="Where the rotation is told; null for the mean.")
+    temperature: int | None = Field(None, description="Highest power of the temperature, 0 to 3; null for evidence.")
+    drift: bool | None = Field(None, description="Whether it has a change a day; null for evidence.")
     robust: bool = Field(USUAL.robust, description="Leave out pairs that are too far off.")
 
 

@@ -112,7 +112,7 @@ def get_sensor_at(
     return {"at": at, "baseline": baseline, "onboard": _on_board(onboard)}
 
 
-Time = Annotated[str | None, Query(description="ISO 8601, UTC; now if omitted.", examples=["2026-11-21T03:04:05Z"])]
+Time = Annotated[str | None, Query(description="ISO 8601, UTC; now when left out.", examples=["2026-11-21T03:04:05Z"])]
 
 
 @router.get(
@@ -159,7 +159,7 @@ def list_sensor_timeline(
 trend_router = operations("/sensors/{sensor_id}/trend", tags=["sensors"])
 
 MODELS = ", ".join(CAMERA_MODELS)
-Model = Annotated[str | None, Query(description=f"A camera model; the baseline's if omitted. One of {MODELS}.")]
+Model = Annotated[str | None, Query(description=f"A camera model; the baseline's when left out. One of {MODELS}.")]
 IN_CSV: dict[int | str, dict[str, Any]] = {200: {"description": "One row per calibration, numbers in SI."}}
 
 
@@ -203,47 +203,46 @@ class OrbitMeasures(console_schemas.Shape):
 
 
 class PlanConditions(console_schemas.Shape):
-    """When a plan begins, what it starts from, and its constraints; if omitted, as the defaults of `boresight plan`."""
+    """When, from what, and what a plan has to keep; left out, as `boresight plan` has it."""
 
     start_utc: str = Field(description="ISO 8601, UTC.", examples=["2026-10-01T00:00:00Z"])
     minutes: float = Field(
-        description=f"Maximum duration; with room for at most {pointings.MOST_DWELLS} dwells.", examples=[10.0]
+        description=f"How long it may take; with room for at most {pointings.MOST_DWELLS} dwells.", examples=[10.0]
     )
     criterion: Criterion = Field(
-        "A", description="A: minimum sum of variances in typical sigmas. D: minimum volume of the confidence region."
+        "A", description="A: least sum of variances in typical sigmas. D: least volume of the confidence region."
     )
     prior_set_id: Id | None = Field(
-        None,
-        description="Approved or active parameter set that gives the prior covariance; no prior knowledge is assumed if omitted.",
+        None, description="A parameter set, approved or active, whose covariance is known before; left out, nothing is."
     )
     prior_run_id: Id | None = Field(None, description="The same by a run that has ended; give at most one of the two.")
     candidates: list[Annotated[list[float], Field(min_length=3, max_length=3)]] | None = Field(
         None,
         min_length=1,
         max_length=pointings.MOST_CANDIDATES,
-        description="Candidate attitudes, each as ra_deg, dec_deg, roll_deg; the whole sky if omitted.",
+        description="Attitudes that may be chosen, each as ra_deg, dec_deg, roll_deg; left out, the whole sky.",
     )
-    orbit: OrbitMeasures | None = Field(None, description="If omitted, the Earth is not considered.")
-    dwell_s: float = Field(Constraints.dwell_s, description="Duration of a pointing.")
+    orbit: OrbitMeasures | None = Field(None, description="Left out, the Earth is in nobody's way.")
+    dwell_s: float = Field(Constraints.dwell_s, description="How long a pointing is held.")
     exposure_s: float = Field(Constraints.exposure_s, description="From one exposure to the next.")
-    slew_deg_s: float = Field(Constraints.slew_deg_s, description="Slew rate.")
-    settle_s: float = Field(Constraints.settle_s, description="Settling time after a slew.")
-    sun_deg: float = Field(Constraints.sun_deg, description="Minimum angle from the Sun.")
-    moon_deg: float = Field(Constraints.moon_deg, description="Minimum angle from the Moon.")
-    earth_deg: float = Field(Constraints.earth_deg, description="Minimum angle from the Earth's limb.")
-    visits: int = Field(Constraints.visits, description="Maximum number of visits to one pointing.")
+    slew_deg_s: float = Field(Constraints.slew_deg_s, description="Rate of a turn.")
+    settle_s: float = Field(Constraints.settle_s, description="Wait after a turn.")
+    sun_deg: float = Field(Constraints.sun_deg, description="Least angle from the Sun.")
+    moon_deg: float = Field(Constraints.moon_deg, description="Least angle from the Moon.")
+    earth_deg: float = Field(Constraints.earth_deg, description="Least angle from the Earth's limb.")
+    visits: int = Field(Constraints.visits, description="How often one pointing may be held.")
 
 
 #: Of the conditions, those that are constraints as they stand.
 KEPT = {one.name for one in fields(Constraints)} - {"start_utc", "orbit"}
 
 
-@router.post("/{sensor_id}:plan", summary="Plan the next observations", response_model=PointingPlan)
+@router.post("/{sensor_id}:plan", summary="Plan what to observe next", response_model=PointingPlan)
 @refuses(404, 409, 503)
 def plan_pointings(
     sensor_id: Id, conditions: PlanConditions, asked: IsDryRun, engine: Database, blobs: Blobs, stars: Stars
 ) -> Response:
-    """Choose pointings and rolls that reduce the largest uncertainties most per minute, clear of Sun, Moon and Earth.
+    """Choose the pointings and rolls that shrink what is known least, by the minute, clear of Sun, Moon and Earth.
 
     The answer has them in order, with the sigmas before and after and when the gate of observability is passed. Nothing is stored
     in any case; plans are computed one at a time, and who comes while others wait is told to come back (503).
