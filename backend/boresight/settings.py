@@ -126,7 +126,9 @@ class Settings:
     )
     database_url: str = _setting("", "URL", "SQLAlchemy address of the store; empty = SQLite in the data folder.")
     blobs: str = _setting("", "path or URL", "Folder of files, or s3://bucket/prefix; empty = in the data folder.")
-    blob_cache_mb: float = _setting("10240", "MB", "Files of an object store cached here; the least used are removed.")
+    blob_cache_mb: float = _setting(
+        "10240", "MB", "Size of the local cache for an object store; the least recently used files are removed."
+    )
     host: str = _setting("127.0.0.1", "address", "Address the server listens on.")
     port: int = _setting("8000", "", "Port the server listens on.")
     trusted_proxies: str = _setting("127.0.0.1", "addresses", "Proxies whose X-Forwarded-For and -Proto are trusted.")
@@ -136,7 +138,8 @@ class Settings:
     drain_s: float = _setting(
         "0",
         "s",
-        "Told to stop, the server goes on for so long while /readyz answers 503, so that a proxy turns to another server first.",
+        "After a stop request, the server keeps running for this time while /readyz returns 503, so that a proxy can switch to "
+        "another server.",
     )
     mode: str = _setting("OPS", "", "Tag in the top bar: OPS, SIM or TRAINING.")
     scheduler: str = _setting(
@@ -153,26 +156,28 @@ class Settings:
     threads: int = _setting(
         "0", "threads", "Threads that a command computes on, 0 = one per core; worker processes use one each."
     )
-    lease_s: float = _setting("10", "s", "How long a server keeps a run that it claimed, unless it renews the claim.")
-    max_attempts: int = _setting("3", "", "Lost attempts after which a run is FAILED.")
+    lease_s: float = _setting("10", "s", "Time after which a run's lease lapses unless it is renewed.")
+    max_attempts: int = _setting("3", "", "Number of lost attempts after which a run is set to FAILED.")
     upload_limit_mb: float = _setting("512", "MB", "Largest telemetry file that is accepted.")
-    telemetry_rows: int = _setting("50000000", "rows", "Most detections of a telemetry file, compressed or not.")
-    telemetry_columns: int = _setting("1000", "columns", "Most columns of a telemetry file.")
-    images: int = _setting("2000", "images", "Most images in one set.")
+    telemetry_rows: int = _setting(
+        "50000000", "rows", "Maximum number of detections in a telemetry file, compressed or not."
+    )
+    telemetry_columns: int = _setting("1000", "columns", "Maximum number of columns in a telemetry file.")
+    images: int = _setting("2000", "images", "Maximum number of images in one set.")
     image_mb: float = _setting(
         "512", "MB", "Largest image file; BORESIGHT_UPLOAD_LIMIT_MB applies to all images of an upload together."
     )
-    image_seconds: float = _setting("600", "s", "How long a server works on the images of one upload.")
-    image_megapixels: float = _setting("150", "megapixels", "Most pixels of an image, checked before it is expanded.")
+    image_seconds: float = _setting("600", "s", "Maximum time that a server works on the images of one upload.")
+    image_megapixels: float = _setting("150", "megapixels", "Largest image, checked before it is expanded.")
     session_hours: float = _setting("12", "h", "A log-in ends after this time.")
     session_idle_minutes: float = _setting("60", "min", "A log-in that is unused for this time ends; 0 = never.")
     login_attempts: int = _setting(
-        "5", "", "Wrong passwords for a name from one place before each further try must wait."
+        "5", "", "Number of wrong passwords per name and address before further attempts are delayed."
     )
     second_factor: str = _setting(
         "optional",
         "",
-        "off, optional, or required-to-sign: approvers and administrators must enrol one before anything else.",
+        "off, optional, or required-to-sign (approvers and administrators must enrol one before they can do anything else).",
         read=_make_word_reader("off", "optional", "required-to-sign"),
     )
     security_log: str = _setting(
@@ -220,13 +225,13 @@ class Settings:
         read=_mail_server,
     )
     watch_folder: str = _setting(
-        "", "path", "Folder watched for new telemetry, with a sub-folder for each sensor, named as it; empty = none."
+        "", "path", "Folder watched for new telemetry, with a subfolder per sensor, named after it; empty = none."
     )
-    watch_settle_s: float = _setting("10", "s", "A file there is taken once it has not changed for this time.")
+    watch_settle_s: float = _setting("10", "s", "A file is ingested once it has been unchanged for this time.")
     watch_bucket: str = _setting(
         "",
         "URL",
-        "Bucket watched for new telemetry, s3://bucket/prefix, with a folder for each sensor, named as it; empty = none.",
+        "Bucket watched for new telemetry, s3://bucket/prefix, with a folder per sensor, named after it; empty = none.",
         read=_bucket,
     )
     watch_bucket_s: float = _setting("30", "s", "How often the watched bucket is listed.")
@@ -238,8 +243,10 @@ class Settings:
     yamcs_authority: str = _setting(
         "", "path", "Authority (PEM) that signed the certificate of Yamcs; empty = public ones."
     )
-    yamcs_bucket: str = _setting("", "", "Bucket of Yamcs that a person hands tables over to; empty = none.")
-    yamcs_events: int = _setting("0", "0 or 1", "1 = requests that wait, promotions and alarms become events of Yamcs.")
+    yamcs_bucket: str = _setting("", "", "Yamcs bucket to which tables are handed over; empty = none.")
+    yamcs_events: int = _setting(
+        "0", "0 or 1", "1 = waiting requests, promotions and alarms are sent to Yamcs as events."
+    )
     openc3_url: str = _setting(
         "", "URL", "OpenC3 COSMOS server that telemetry is pulled from; empty = none.", read=_site
     )
@@ -250,29 +257,31 @@ class Settings:
     openc3_authority: str = _setting(
         "", "path", "Authority (PEM) that signed the certificate of OpenC3; empty = public ones."
     )
-    openc3_target: str = _setting("", "", "Target of OpenC3 whose tables a person hands over; empty = none.")
-    four_eyes: int = _setting("1", "0 or 1", "0 = one person works alone here and can sign what they submitted.")
+    openc3_target: str = _setting("", "", "OpenC3 target whose tables are handed over; empty = none.")
+    four_eyes: int = _setting("1", "0 or 1", "0 = four-eyes rule off: one person can submit and sign alone.")
     second_person: int = _setting(
-        "1", "0 or 1", "1 = a second person must confirm new gate limits and table layouts, unless four eyes are off."
+        "1",
+        "0 or 1",
+        "1 = a second person must confirm new gate limits and table definitions, unless the four-eyes rule is off.",
     )
-    approvals: int = _setting("1", "people", "Approvals that a request needs; two at least where a gate is waived.")
+    approvals: int = _setting("1", "people", "Number of approvals a request needs; at least two if a gate is waived.")
     rest_review: int = _setting(
         "0",
         "0 or 1",
-        "1 = over REST too an approval must answer every point of the request and a promotion give its reason.",
+        "1 = approvals over REST must also answer every point of the request, and promotions must give a reason.",
     )
-    approval_days: float = _setting("30", "d", "A request that nobody decided on expires after this time.")
-    rollback_days: float = _setting("3", "d", "The same for a request to roll back to a former baseline.")
+    approval_days: float = _setting("30", "d", "Time after which an undecided request expires.")
+    rollback_days: float = _setting("3", "d", "Time after which an undecided roll-back request expires.")
     promotion_password: int = _setting("1", "0 or 1", "1 = promoting a set on a page needs the password again.")
     promotion_reason: int = _setting(
-        "0", "0 or 1", "1 = a promotion over the REST API needs a reason too; on a page it always does."
+        "0", "0 or 1", "1 = promotions over REST also need a reason (always required on the page)."
     )
     audit_head_file: str = _setting(
         "", "path", "File that gets each new head of the audit log, one per line; outside the data folder."
     )
     audit_head_minutes: float = _setting("5", "min", "How often the head is written there, and sent to webhooks.")
     anchor_minutes: float = _setting(
-        "60", "min", "How often the head of the audit log is signed, where it has moved; 0 = on request only."
+        "60", "min", "Interval at which the audit log head is signed if it has changed; 0 = only on request."
     )
     signing_key: str = _setting(
         "", "path or PEM", "Ed25519 key that signs heads and uplink packages; empty = a file in the data folder."
@@ -286,14 +295,14 @@ class Settings:
     log_format: str = _setting(
         "text",
         "text or json",
-        "json = one JSON object a line, with request, person, run and trace.",
+        "json = one JSON object per line, with request, person, run and trace.",
         read=_make_word_reader(*FORMATS),
     )
     otlp_endpoint: str = _setting(
         "", "URL", "Collector of traces by OTLP over HTTP, without /v1/traces; empty = no traces.", read=_site
     )
     telemetry_keep_days: float = _setting(
-        "0", "d", "Files of telemetry that nothing needs are removed after this time; 0 = they are kept forever."
+        "0", "d", "Telemetry files that are no longer needed are removed after this time; 0 = kept forever."
     )
     backup_key: str = _setting(
         "",
@@ -307,7 +316,7 @@ class Settings:
         reached = self.host not in {"127.0.0.1", "::1", "localhost"} or bool(self.public_url)
         found = {
             "four_eyes": (not self.four_eyes, "one person can submit and sign alone"),
-            "second_person": (not self.second_person, "one person changes gate limits and table layouts alone"),
+            "second_person": (not self.second_person, "one person changes gate limits and table definitions alone"),
             "second_factor": (self.second_factor == "off", "a password alone logs in and signs"),
             "promotion_password": (not self.promotion_password, "a log-in that was left open can promote"),
             "secure_cookies": (reached and not self.secure_cookies, "the cookie is sent over plain HTTP too"),
@@ -510,7 +519,7 @@ def read_settings(environment: Mapping[str, str] | None = None) -> Settings:
             values[setting.name] = setting.read(text)
         except ValueError as error:
             raise RefusedInputError(
-                f"{setting.variable}={text!r} cannot be read: correct it, or leave it out. {setting.sentence}"
+                f"{setting.variable}={text!r} is not valid: correct or remove it. {setting.sentence}"
             ) from error
     folder = Path(str(values["data_folder"])) if values["data_folder"] else default_data_folder(environment)
     values["data_folder"] = folder.expanduser().resolve()

@@ -320,7 +320,7 @@ def test_trust_appears_by_itself_when_the_run_that_is_watched_ends(people, batch
         expect(examination.locator("plot-figure")).to_have_count(len(CHAPTERS["trust"]))
         window.figures_drawn()
         assert len(window.drawn("efficiency")[0]["y"]) == len(window.result(run_id)["free"])
-        expect(window.page.locator("#parts")).to_contain_text("doubt")
+        expect(window.page.locator("#parts")).to_contain_text("warning")
 
 
 LAUNCHED = ("joint", "cancelled", *(name for name in CAMERA_MODELS if name != "inverted_wang"), "real sky")

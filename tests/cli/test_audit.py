@@ -44,18 +44,18 @@ def test_a_program_of_its_own_knows_every_table_that_the_log_seals(store, monkey
 @pytest.mark.parametrize(
     ("edit", "said"),
     [
-        ("UPDATE users SET roles = '[\"administrator\"]'", "Record 1 sealed it otherwise: users/1 was changed"),
-        ("UPDATE users SET password_hash = 'x'", "Record 1 sealed it otherwise: users/1 was changed"),
+        ("UPDATE users SET roles = '[\"administrator\"]'", "The seal in record 1 does not match: users/1 was changed"),
+        ("UPDATE users SET password_hash = 'x'", "The seal in record 1 does not match: users/1 was changed"),
         ("DELETE FROM users", "users/1 was removed outside Boresight"),
         (
             "INSERT INTO users SELECT 2, 'eve', printed_name, password_hash, roles, created_utc, NULL, 0, 0, NULL, NULL FROM users",
-            "No record put it there: users/2 was inserted",
+            "No record created it: users/2 was inserted",
         ),
         (
             "UPDATE audit SET id = id + 1000",
-            "Record 1001 is not as it was written, or it was renumbered",
+            "Record 1001 was altered or renumbered",
         ),
-        ("UPDATE audit SET actor = 'Mallory'", "Record 1 is not as it was written"),
+        ("UPDATE audit SET actor = 'Mallory'", "Record 1 was altered"),
     ],
 )
 def test_an_edit_by_hand_is_found_and_named(store, tmp_path, edit, said):
@@ -91,7 +91,9 @@ def test_a_blob_edited_by_hand_is_found_by_the_row_that_named_it(store, tmp_path
     accepted(store("audit", "verify", "--no-blobs"))
     _edit_by_hand(tmp_path, "UPDATE blobs SET sha256 = 'b' || substr(sha256, 2)")
     found = store("audit", "verify")
-    assert_refused(found, "Record 2 sealed it otherwise: telemetry_sets/1 was parted from a row that it refers to")
+    assert_refused(
+        found, "The seal in record 2 does not match: telemetry_sets/1 was separated from a row that it refers to"
+    )
 
 
 def _telemetry():
@@ -142,7 +144,7 @@ def test_a_stored_file_that_was_altered_or_is_missing_is_named(store, tmp_path, 
     accepted(store("migrate"))
     path = _store_a_file(tmp_path)
     found = store("audit", "verify")
-    assert (found.exit_code, "the 1 stored files" in found.stdout) == (0, True)
+    assert (found.exit_code, "1 stored file " in found.stdout) == (0, True)
     spoil(path)
     assert_refused(store("audit", "verify"), f"The stored file {path.name[:12]} (of no row): {what}")
     accepted(store("audit", "verify", "--no-blobs"))

@@ -319,7 +319,7 @@ def test_json_is_not_written_under_the_name_of_another_format(boresight, simulat
         "--json",
         tmp_path / f"result{ending}",
     )
-    assert_refused(done, "end the name with .json")
+    assert_refused(done, "use the extension .json")
     assert list(tmp_path.iterdir()) == []
 
 

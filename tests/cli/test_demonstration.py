@@ -160,7 +160,7 @@ def test_making_it_again_changes_nothing_and_gives_the_same_log_ins(filled):
     assert filled.create() == list(LOG_INS)
     assert filled.content() == before
     assert not any("queued" in sentence for sentence in filled.said[already:])
-    assert sum("its batch run is there already" in sentence for sentence in filled.said[already:]) == 6
+    assert sum("batch run already in the store" in sentence for sentence in filled.said[already:]) == 6
 
 
 @pytest.mark.full
@@ -194,7 +194,7 @@ def test_a_demonstration_that_was_interrupted_is_completed(tmp_path, monkeypatch
 
 def test_each_step_is_reported(filled):
     assert sum("telemetry" in sentence for sentence in filled.said[:9]) == 6
-    assert sum("its batch run is queued" in sentence for sentence in filled.said[:9]) == 6
+    assert sum("batch run queued" in sentence for sentence in filled.said[:9]) == 6
     assert "ready after" in filled.said[8]
 
 

@@ -357,7 +357,7 @@ def test_certificates_are_made_for_their_owner_only_and_never_replaced(boresight
     assert all(path.stat().st_mode & 0o077 == 0 for path in (tmp_path / "made", *(tmp_path / "made").iterdir()))
     assert "PRIVATE KEY" in files["boresight.pem"]
     assert "PRIVATE KEY" not in files["authority.pem"] + done.output
-    assert_refused(boresight("certificates", tmp_path / "made"), "exists already")
+    assert_refused(boresight("certificates", tmp_path / "made"), "already exists")
     assert {path.name: path.read_text() for path in (tmp_path / "made").iterdir()} == files
 
 

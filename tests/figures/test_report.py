@@ -53,7 +53,7 @@ def test_the_report_stands_alone_with_every_figure_and_its_guide(report):
 def test_the_report_has_verdict_advice_parameters_trust_matching_provenance_and_the_command(report, sequential_result):
     trust = sequential_result.trust
     for said in (
-        "CAUTION · converged, with reservations",
+        "CAUTION · converged with warnings",
         trust.drop_one_sentence,
         trust.whiteness.sentence,
         sequential_result.advice[0],
@@ -149,12 +149,12 @@ def test_a_part_that_is_missing_is_no_data_and_never_passes(part, sequential_res
     assert (lost.level, lost.word) == ("off", "NOT TESTED")
 
 
-def test_doubts_are_the_sentences_of_the_cautions_and_reservations_of_the_verdict(sequential_result):
+def test_doubts_are_the_sentences_of_the_cautions_and_warnings_of_the_verdict(sequential_result):
     trust, judged = sequential_result.trust, make_verdict(sequential_result)
     assert trust_doubts(sequential_result) == [trust.drop_one_sentence, trust.stars_sentence]
     assert trust_level(sequential_result) == "caution"
     assert prospects(sequential_result) == [trust.more_data.sentence]
-    assert (judged.level, judged.word) == ("caution", "converged, with reservations")
+    assert (judged.level, judged.word) == ("caution", "converged with warnings")
     assert set(judged.reasons) == set(trust_doubts(sequential_result))
     nothing = replace(sequential_result, trust=None)
     assert (trust_marks(nothing), trust_level(nothing)) == ([], "off")

@@ -131,7 +131,7 @@ def test_a_reason_names_the_cause_of_every_number_that_is_not_reproduced():
     apart = Cell("RMS", "µrad", 100.0, 200.0, cause="erratum", because="a sign is wrong")
     row = judge("1", [cell(1.0, 1.0), apart], FAILS)
     assert row.reason == (
-        "1 of 2 numbers agree. Erratum (RMS): a sign is wrong. Conclusion fails: it does not. "
+        "1 of 2 numbers agree. Erratum (RMS): a sign is wrong. Conclusion not confirmed: it does not. "
         "Erratum (conclusion): the text is wrong."
     )
 

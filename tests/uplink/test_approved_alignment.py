@@ -38,11 +38,11 @@ def test_a_package_lays_the_approved_alignment_into_the_table_and_is_refused_wit
     assert "backout/table.bin" not in files
     assert b"PS-FM1-1" in files["backout/table_missing.txt"]
     sheet, of_backout = (files[f"{place}verification_sheet.html"].decode() for place in ("", "backout/"))
-    assert sheet.index("Keep the image on board") < sheet.index("inactive image")  # before anything is loaded
-    assert "kept in step 2" in sheet
+    assert sheet.index("Save the on-board image") < sheet.index("inactive image")  # before anything is loaded
+    assert "saved in step 2" in sheet
     assert "table_missing.txt" in of_backout
     assert NO_DEFINITION not in of_backout
     inputs["backout"]["alignment"] = APPROVED
     files = make_files(inputs, signed=False)
     assert "backout/table.bin" in files
-    assert b"Keep the image" not in files["verification_sheet.html"]
+    assert b"Save the on-board image" not in files["verification_sheet.html"]

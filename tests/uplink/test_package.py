@@ -106,7 +106,7 @@ def test_what_is_active_on_board_is_there_too_where_it_is_neither():
     files = _files(make_inputs() | {"active": make_set("pinhole_radial", 0, -1e-6)})
     manifest = json.loads(files["MANIFEST.json"])
     assert json.loads(files["on_board/parameters.json"])["parameter_set"]["name"] == "PS-FM1-0"
-    assert "PS-FM1-0 is recorded as active" in manifest["backout"]["sentence"]
+    assert "The set recorded as active on board is PS-FM1-0" in manifest["backout"]["sentence"]
 
 
 def test_parameters_json_says_what_its_numbers_mean_and_parameters_csv_has_their_arithmetic(files):
@@ -239,7 +239,7 @@ def where(bit: int) -> str:
 def test_what_was_sent_matches_itself_and_without_a_stored_crc_a_difference_has_no_cause() -> None:
     comparison = compare(DEFINITION, SENT, SENT)
     assert comparison.matches
-    assert comparison.sentence == "All 32 bytes are as they were sent."
+    assert comparison.sentence == "All 32 bytes match what was sent."
     assert comparison.document()["fields"] == []
     plain = parse_definition({key: value for key, value in DEFINITION.document.items() if key != "crc"}, SENSOR)
     sent = encode(plain, VALUES)

@@ -255,7 +255,7 @@ def test_what_is_no_object_another_camera_s_table_or_a_type_without_a_pus_code_i
     document["fields"][1] |= {"type": "uint20", "scale": 1e-3}
     parse_definition(document, make_sensor())
     refused = [(None, "one JSON object"), ([], "one JSON object"), ("x", "one JSON object"), (3, "one JSON object")]
-    whole = r"TC\[20,3\] cannot be made of whole bytes"
+    whole = r"not a whole number of bytes as TC\[20,3\] requires"
     for given_document, sentence in (*refused, (document | {"pus": {"parameter_ids": IDS}}, whole)):
         with pytest.raises(RefusedInputError, match=sentence):
             parse_definition(given_document, make_sensor())
@@ -452,7 +452,7 @@ def test_sizes_the_projection_and_exponents_are_written_as_ros_and_yaml_read_the
     ("model", "parity", "reason"),
     [
         ("inverted_wang", -1, "distorts from the detector to the sky"),
-        ("inverted_wang", 1, "an approximation would be another camera"),
+        ("inverted_wang", 1, "an approximation would be a different camera"),
         ("pinhole_radial", 1, "would be left-handed"),
     ],
 )

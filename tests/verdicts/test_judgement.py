@@ -211,7 +211,7 @@ def test_a_critical_gate_cannot_be_softened(name, key, value):
         ({"name": "validation-rms", "limit": 2, "marginal": 3}, "validation-rms: marginal is 3 and the limit 2"),
         ({"name": "availability", "limit": 0.9, "marginal": 0.5}, "give a marginal of at least the limit"),
         ({"name": "finite", "limit": 1.0}, "finite: this gate has no limit or marginal"),
-        ({"name": "coverage", "direction": "below"}, "coverage: direction is 'below', and always 'above'"),
+        ({"name": "coverage", "direction": "below"}, "coverage: direction is 'below', but it is always 'above'"),
         ({"name": "coverage", "waivable": "yes"}, "coverage: waivable is 'yes'; give true or false"),
         ({"name": "coverage", "critical": True}, "coverage: it is not critical"),
         ({"name": "coverage", "lowest": 3}, "Gate coverage has no key 'lowest'"),

@@ -184,7 +184,7 @@ def test_residuals_are_judged_by_the_runs_own_bounds_and_arcs_beside_the_incumbe
     assert once.incumbent == pytest.approx(50 * once.value, rel=0.05)
     assert found("chi-square").bounds == (0.91, 1.09)
     assert "A batch has no innovations" in found("nis").sentence
-    assert found("nis", result=a_result(method="sqrf")).sentence.startswith("Innovations are")
+    assert found("nis", result=a_result(method="sqrf")).sentence.startswith("The innovations are")
 
 
 def test_observability_is_told_with_its_weakest_direction_and_coverage_counts_regions_with_stars():

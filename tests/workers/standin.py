@@ -72,7 +72,7 @@ def endless(report, cancelled, _attempt, seconds=1000.0):
     for step in range(steps):
         report(Progress(step / steps, f"step {step}", Calibration(status="running", history=history)))
         if cancelled():
-            raise CancelledError("Stopped on request.")
+            raise CancelledError("Cancelled.")
         time.sleep(0.05)
 
 

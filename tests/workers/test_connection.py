@@ -104,7 +104,7 @@ def test_another_version_and_a_folder_out_of_sight_are_said_in_one_sentence_each
     here = socket.gethostname()
 
     assert find_worker_fault("2.0", str(tmp_path), "1.0") == (
-        f"The worker on {here} is Boresight 1.0 and the server is 2.0: "
+        f"The worker on {here} runs Boresight 1.0, but the server runs 2.0: "
         "install the same version on both; until then this worker gets no runs."
     )
     assert find_worker_fault("1.0", "/nowhere/blobs", "1.0") == (
@@ -132,7 +132,7 @@ def test_a_worker_of_another_version_tells_both_sides_and_leaves_and_joins_when_
         client.register_plugin(WorkerCheck("99.0", ""))
         wait_for(lambda: not client.nthreads())
         wait_for(lambda: heard)
-        assert f"is Boresight {boresight.__version__} and the server is 99.0" in heard[0]
+        assert f"runs Boresight {boresight.__version__}, but the server runs 99.0" in heard[0]
         assert heard[0] in worker.log.read_text()
         client.register_plugin(WorkerCheck(boresight.__version__, ""))
         client.wait_for_workers(1, timeout=120)

@@ -66,7 +66,8 @@ def add(name: str, roles: tuple[str, ...], printed_name: str, *, password_stdin:
 def reset_second_factor(name: str) -> None:
     """Remove every second factor of the person with the log-in NAME, and end their log-ins.
 
-    For the only administrator who lost theirs; else another administrator does it on the page Users and keys.
+    Use this if the only administrator has lost their second factor. Otherwise another administrator can do it on the page Users
+    and keys.
     """
     from boresight.console.access import queries, second_factors
     from boresight.platform.actors import COMMAND_LINE
@@ -77,7 +78,7 @@ def reset_second_factor(name: str) -> None:
         found = queries.find_user(session, name, comparison_key(name))
         if found is None:
             raise RefusedInputError(f"Nobody has the log-in name {name!r}; check how it is written.")
-        click.echo(f"{second_factors.reset(session, COMMAND_LINE, found.id).name} has no second factor any more.")
+        click.echo(f"The second factors of {second_factors.reset(session, COMMAND_LINE, found.id).name} were removed.")
 
 
 def _password(*, from_stdin: bool) -> str:
@@ -95,9 +96,9 @@ def webhook() -> None:
 
 
 @webhook.command(name="rotate-key")
-@click.option("--forget-old", is_flag=True, help="Then remove the former keys; older backups need them.")
+@click.option("--forget-old", is_flag=True, help="Also remove the previous keys (older backups need them).")
 def rotate_key(*, forget_old: bool) -> None:
-    """Make a new key and encrypt every secret of webhooks, authenticator apps and message addresses with it.
+    """Create a new key and encrypt every secret of webhooks, authenticator apps and message addresses with it.
 
     Servers that share the file keep working. Secrets that no key here can decrypt stay as they are.
     """
@@ -117,8 +118,8 @@ def rotate_key(*, forget_old: bool) -> None:
             addresses = encrypt_addresses(session, box)
     forgotten = box.forget_old_keys() if forget_old else 0
     click.echo(
-        f"{box.file}: a new key encrypts the secrets of {count} webhooks and {factors} authenticator apps, and {addresses} "
-        f"addresses for messages; {forgotten} older keys were removed."
+        f"{box.file}: encrypted with a new key: {count} webhook secret{'s' * (count != 1)}, {factors} authenticator "
+        f"app{'s' * (factors != 1)}, {addresses} message address{'es' * (addresses != 1)}; old keys removed: {forgotten}."
     )
     if kept.sentence is not None:
         click.echo(kept.sentence, err=True)
@@ -147,7 +148,7 @@ def certificates(folder: Path, days: int) -> None:
         _write(folder / CERTIFICATE, made.certificate + made.key)
     except FileExistsError as error:
         raise RefusedInputError(
-            f"{error.filename} exists already, and links that use it would break: name another folder, or remove it first."
+            f"{error.filename} already exists, and links that use it would break: name another folder, or remove it first."
         ) from error
     except OSError as error:
         raise RefusedInputError(
@@ -215,18 +216,20 @@ def _refuse_loss(engine: Engine, revision: str, backup: str | None, keys: KeyFil
         )
     if not backups.is_of_now(Path(backup), engine, keys):
         raise ConflictError(
-            f"Nothing was changed: {backup} is older than the last change of the database, or of another one; make a new backup."
+            f"Nothing was changed: {backup} is older than the last change to the database, or belongs to another database; make a "
+            "new backup."
         )
 
 
 @click.command()
-@click.option("--days", type=click.FloatRange(0, min_open=True), help="Days to try instead of those of the policy.")
-@click.option("--apply", "is_applied", is_flag=True, help="Remove the files; without it nothing is changed.")
+@click.option("--days", type=click.FloatRange(0, min_open=True), help="Number of days to use instead of the policy's.")
+@click.option("--apply", "is_applied", is_flag=True, help="Remove the files; if omitted, nothing is changed.")
 def retention(days: float | None, *, is_applied: bool) -> None:
-    """List the telemetry whose files nothing needs after BORESIGHT_TELEMETRY_KEEP_DAYS, and say why the rest stays.
+    """List telemetry whose files are no longer needed after BORESIGHT_TELEMETRY_KEEP_DAYS, and say why the rest is kept.
 
-    What a baseline, a parameter set, a request, a run with a result that is not archived, a gate's held-out frames, an alignment or
-    a later run's prior rests on always stays. Rows and results stay in any case; a removal is on the audit log.
+    Telemetry is always kept if it is used by a baseline, a parameter set, a request, an unarchived run with a result, a gate's
+    held-out frames, an alignment or the prior of a later run. Database rows and results are always kept; removals are recorded
+    in the audit log.
     """
     import boresight.console  # noqa: F401 - the tables of all nouns, whose rows the log seals
     from boresight.console.retention import service
@@ -243,11 +246,12 @@ def retention(days: float | None, *, is_applied: bool) -> None:
             found = service.preview(session, keep_days)
         for one in found.sets:
             click.echo(
-                f"{'stays' if one.reason else 'goes ':5}  {one.row.id:>6}  {one.row.name}  {one.reason or ''}".rstrip()
+                f"{'keep' if one.reason else 'remove':6}  {one.row.id:>6}  {one.row.name}  {one.reason or ''}".rstrip()
             )
         if not is_applied:
             click.echo(
-                f"{len(found.going)} sets would go, {found.going_bytes / MB:.1f} MB; nothing was changed.", err=True
+                f"{len(found.going)} sets would be removed, {found.going_bytes / MB:.1f} MB; nothing was changed.",
+                err=True,
             )
             return
         blobs, freed, gone = open_blobs(settings.blob_location), 0, 0

@@ -18,36 +18,55 @@ from boresight.library.progress import progress
 @click.argument("b", type=INPUT_FILE, required=False)
 @click.option("--sensor-a", type=INPUT_FILE, required=True, help="Sensor file of A, JSON.")
 @click.option("--sensor-b", type=INPUT_FILE, help="Sensor file of B, JSON.")
-@click.option(
-    "--parameters-a", type=INPUT_FILE, help="Calibration JSON of A; the sensor file's parameters if left out."
-)
-@click.option("--parameters-b", type=INPUT_FILE, help="The same of B.")
+@click.option("--parameters-a", type=INPUT_FILE, help="Calibration JSON of A; the sensor file's parameters if omitted.")
+@click.option("--parameters-b", type=INPUT_FILE, help="Calibration JSON of B; the sensor file's parameters if omitted.")
 @click.option(
     "--reference", type=INPUT_FILE, help="Attitudes in place of B: an AEM, or a table of times and quaternions."
 )
 @click.option(
     "--reference-profile", metavar="NAME|FILE", help="Mapping profile of that table's columns and conventions."
 )
-@click.option("--reference-sigma-arcsec", type=float, help="One sigma of its attitudes where it does not say it; 10.")
-@click.option("--reference-bias-arcsec", type=float, default=0.0, help="One sigma of an error that they all share; 0.")
 @click.option(
-    "--tolerance-s", type=float, help="How far an attitude is carried beyond its neighbours; 0.5 if left out."
+    "--reference-sigma-arcsec",
+    type=float,
+    help="One-sigma uncertainty of its attitudes if the file does not give it; 10 if omitted.",
 )
-@click.option("--longest-gap-s", type=float, help="Between attitudes that are interpolated; 10 if left out.")
-@click.option("--rate-deg-s", type=float, help="One sigma of a rate that no neighbour tells; 0.1 if left out.")
 @click.option(
-    "--temperature-of", type=click.Choice(["a", "b", "difference"]), help="Whose temperature counts; A's, else B's."
+    "--reference-bias-arcsec",
+    type=float,
+    default=0.0,
+    help="One sigma of an error common to all of them; 0 if omitted.",
 )
-@click.option("--reference-temperature-c", type=float, help="Where the rotation is told; the mean if left out.")
-@click.option("--temperature", type=int, help="Highest power of the temperature, 0 to 3; by evidence if left out.")
-@click.option("--drift/--no-drift", default=None, help="A change a day; by evidence if left out.")
+@click.option("--tolerance-s", type=float, help="Maximum extrapolation beyond an attitude; 0.5 if omitted.")
+@click.option("--longest-gap-s", type=float, help="Maximum interval for interpolation; 10 if omitted.")
+@click.option(
+    "--rate-deg-s",
+    type=float,
+    help="One-sigma uncertainty of a rate that cannot be derived from neighbouring attitudes; 0.1 if omitted.",
+)
+@click.option(
+    "--temperature-of",
+    type=click.Choice(["a", "b", "difference"]),
+    help="Which temperature to use; A's if available, otherwise B's.",
+)
+@click.option(
+    "--reference-temperature-c",
+    type=float,
+    help="Temperature at which the rotation is given; the mean if omitted.",
+)
+@click.option(
+    "--temperature",
+    type=int,
+    help="Highest power of the temperature, 0 to 3; chosen from the data if omitted.",
+)
+@click.option("--drift/--no-drift", default=None, help="Linear change per day; chosen from the data if omitted.")
 @click.option("--robust/--not-robust", default=None, help="Leave out pairs that are too far off, as by default.")
 @json_option
 def align(a: Path, b: Path | None, sensor_a: Path, json_file: str | None, **choices: Any) -> None:
     """Estimate the rotation from tracker A to tracker B, or to a reference (C_SD), with covariance, temperature and drift.
 
     A and B are telemetry of the same hours. Attitudes at the same times are paired, interpolated where their times differ; those
-    that are too far off are left out and listed. The gates answer PASS, MARGINAL, NO-DATA or FAIL; the exit code is 0 whatever.
+    that are too far off are left out and listed. Gates report PASS, MARGINAL, NO-DATA or FAIL; the exit code is always 0.
     """
     check_writable(json_file)
     given = {name: value for name, value in choices.items() if value is not None}

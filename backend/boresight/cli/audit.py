@@ -21,16 +21,18 @@ def audit() -> None:
 
 
 @audit.command()
-@click.option("--head", metavar="HASH", help="A head from an earlier export, which must still be in the chain.")
+@click.option(
+    "--head", metavar="HASH", help="Head from an earlier export; the command fails if it is no longer in the chain."
+)
 @click.option(
     "--public-keys",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="Public keys (PEM) that you kept; anchors by any other key count as forged. Without it the key file's own are used.",
+    help="Public keys (PEM) that you kept; anchors by any other key count as forged. If omitted, those in the key file are used.",
 )
 @click.option("--no-blobs", is_flag=True, help="Skip the stored files; otherwise every one of them is read.")
 @click.pass_context
 def verify(context: click.Context, head: str | None, public_keys: Path | None, *, no_blobs: bool) -> None:
-    """Check the chain, its anchors, every row that it seals and every stored file; exit code 1 when one is not as it was written.
+    """Check the chain, its anchors, every row that it seals and every stored file; exit code 1 if any of them was altered.
 
     The head that the server stores in BORESIGHT_AUDIT_HEAD_FILE must exist and be in the chain.
     """
@@ -73,7 +75,7 @@ def _require_schema(engine: Engine) -> None:
     found, known = current_revision(engine), head_revision()
     if found is None:
         raise ConflictError(
-            "This database has no tables yet; check its address, or make them with `boresight migrate`."
+            "This database has no tables yet; check its address, or create them with `boresight migrate`."
         )
     if found != known:
         raise ConflictError(
@@ -136,7 +138,7 @@ def anchor() -> None:
 @audit.command()
 @click.option("--out", "file", metavar="FILE", default=STANDARD_OUTPUT, help="The PEM file to write.")
 def keys(file: str) -> None:
-    """Write the public keys that verify anchors and uplink packages, the present one first; keep them where those are verified."""
+    """Write the public keys that verify anchors and uplink packages, the current one first; keep them where those are verified."""
     own = read_settings().own_key
     own.load()  # made, where nothing was signed yet: it can be given away before
     with opened_for_writing(file) as stream:
@@ -145,7 +147,10 @@ def keys(file: str) -> None:
 
 @audit.command(name="rotate-key")
 def rotate_key() -> None:
-    """Make a new signing key; of the former one only the public half is kept, so what it signed still verifies."""
+    """Create a new signing key.
+
+    Only the public part of the previous key is kept, so that its signatures can still be verified.
+    """
     import boresight.console  # noqa: F401 - the tables of all nouns, whose rows the log seals
     from boresight.platform.actors import COMMAND_LINE
     from boresight.platform.audit import log as chain
@@ -159,14 +164,17 @@ def rotate_key() -> None:
         told = {"key": made.id, "public_key": made.text}
         chain.append(session, COMMAND_LINE, "rotated", "signing-key", {"key": before}, told)
     click.echo(
-        f"{own.name}: the key {made.id} signs from now on; give its public half, from `boresight audit keys`, to who verifies."
+        f"{own.name}: from now on, key {made.id} signs. Give its public key (`boresight audit keys`) to everyone who verifies."
     )
 
 
 @audit.command()
 @click.argument("public_key")
 def trust(public_key: str) -> None:
-    """Add PUBLIC_KEY, base64 as an anchor shows it, to the key file, so that what its lost private key signed verifies."""
+    """Add PUBLIC_KEY, base64 as shown with an anchor, to the key file.
+
+    What the lost private key signed can then be verified.
+    """
     from boresight.platform.audit.signing import PublicKey
 
     own = read_settings().own_key
@@ -175,6 +183,6 @@ def trust(public_key: str) -> None:
         own.trust(key)
     except ValueError as error:
         raise RefusedInputError(
-            f"{public_key!r} is no public key: give the 44 characters that an anchor shows."
+            f"{public_key!r} is not a public key: give the 44 characters shown with an anchor."
         ) from error
-    click.echo(f"{own.name}: what {key.id} signed is trusted; it signs nothing any more.")
+    click.echo(f"{own.name}: signatures by key {key.id} are trusted; the key is no longer used to sign.")

@@ -29,9 +29,7 @@ OFF = "off"
     is_flag=True,
     help="Leave corrupt and missing files out and name them; the exit code is then 1.",
 )
-@click.option(
-    "--schedule", metavar="HH:MM|off", help="Have the servers take a backup every day from this time on, UTC."
-)
+@click.option("--schedule", metavar="HH:MM|off", help="Time of the first backup of each day, UTC, or off.")
 @click.option("--to", "place", metavar="PLACE", help="A folder, or a bucket such as s3://backups/boresight.")
 @click.option(
     "--every-hours",
@@ -40,9 +38,19 @@ OFF = "off"
     show_default=True,
     help="Hours between scheduled backups.",
 )
-@click.option("--keep-daily", type=int, default=7, show_default=True, help="Days that keep a backup.")
-@click.option("--keep-weekly", type=int, default=5, show_default=True, help="Weeks that keep a backup.")
-@click.option("--keep-monthly", type=int, default=12, show_default=True, help="Months that keep a backup.")
+@click.option(
+    "--keep-daily", type=int, default=7, show_default=True, help="Number of days for which a daily backup is kept."
+)
+@click.option(
+    "--keep-weekly", type=int, default=5, show_default=True, help="Number of weeks for which a weekly backup is kept."
+)
+@click.option(
+    "--keep-monthly",
+    type=int,
+    default=12,
+    show_default=True,
+    help="Number of months for which a monthly backup is kept.",
+)
 @click.pass_context
 def backup(  # noqa: PLR0913 - the options of a command
     context: click.Context,
@@ -57,16 +65,16 @@ def backup(  # noqa: PLR0913 - the options of a command
     encrypt: bool,
     keep_going: bool,
 ) -> None:
-    """Write database and blobs to FILE, while servers and workers keep running, or have the servers do so by a schedule.
+    """Write the database and the stored files to FILE while servers and workers keep running, or schedule backups by the servers.
 
-    A backup is refused where a stored file is corrupt or missing. The file contains password hashes: protect it like the data
+    A backup is refused if a stored file is corrupt or missing. The file contains password hashes: protect it like the data
     folder. It contains the secrets of webhooks in encrypted form; keep their key, webhooks.key in the data folder, in another
     place.
 
-    With --schedule the running servers take an encrypted backup to PLACE at these times, one of them each, and restore it in a
-    temporary store to verify it; a backup counts only when that succeeded. Old ones are removed: of each of the newest days,
-    weeks and months the newest is kept. The keys are in backup.key in the data folder, or in BORESIGHT_BACKUP_KEY: without them
-    no backup can be read, so keep a copy elsewhere.
+    With --schedule, one of the running servers writes an encrypted backup to PLACE at each scheduled time and restores it into a
+    temporary store to verify it. Only verified backups count. Old backups are removed: the newest of each recent day, week and
+    month is kept. The keys are in backup.key in the data folder, or in BORESIGHT_BACKUP_KEY: without them no backup can be read,
+    so keep a copy elsewhere.
     """
     if context.invoked_subcommand is not None:
         return
@@ -105,12 +113,12 @@ def _set_schedule(schedule: str, place: str | None, every_hours: int, kept: tupl
     with open_store(settings.database_url) as engine, open_writing(engine) as session:
         service.set_schedule(session, COMMAND_LINE, address, minute, every_hours, Generations(*kept))
     if not address:
-        click.echo("No more backups are scheduled; those that were taken stay.")
+        click.echo("No more backups are scheduled; existing ones are kept.")
         return
     daily, weekly, monthly = kept
     click.echo(
-        f"A running server takes a backup to {address} every {every_hours} h from {schedule} UTC on, encrypted with the key "
-        f"{keys.first().id}, the first one at once; kept for {daily} days, {weekly} weeks and {monthly} months."
+        f"A running server backs up to {address} every {every_hours} h, starting at {schedule} UTC, encrypted with key "
+        f"{keys.first().id}. The first backup starts now. Kept: {daily} daily, {weekly} weekly and {monthly} monthly backups."
     )
 
 
@@ -128,7 +136,7 @@ def _write_now(file: str, *, encrypt: bool, keep_going: bool) -> None:
         check_writable(file, "ZIP")
     if Path(file).exists():
         raise RefusedInputError(
-            f"{file} exists already; name another file, a backup is never overwritten.", code="backup-exists"
+            f"{file} already exists and backups are never overwritten: name another file.", code="backup-exists"
         )
     from boresight.console.webhooks.secrets import encrypt_all
     from boresight.platform.audit import log as audit
@@ -153,7 +161,7 @@ def _write_now(file: str, *, encrypt: bool, keep_going: bool) -> None:
     )
     if taken.blobs_at is not None:
         click.echo(
-            f"The stored files are not in it: they stay in {taken.blobs_at}, where each was found with its size. Let the store "
+            f"The stored files are not included: they stay in {taken.blobs_at}, where each was found with its size. Have the store "
             "keep versions or a copy of that bucket; `boresight audit verify` reads them all."
         )
     _refuse_absent(taken, "were left out of the backup", "were missing and not backed up")
@@ -195,13 +203,13 @@ def list_taken() -> None:
 @click.option(
     "--key-file",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="The key file, where it is another.",
+    help="Key file, if not the default.",
 )
 def verify(name: str, key_file: Path | None) -> None:
     """Restore a backup into a temporary store and verify it: a scheduled one by its NAME, which is recorded, or a FILE.
 
-    Schema, audit log, the rows that it seals, and every byte of the stored files are verified; exit code 1 when one is not as it
-    was.
+    Schema, audit log, the rows that it seals, and every byte of the stored files are verified; exit code 1 if any of them was
+    altered.
     """
     import boresight.console  # noqa: F401 - the tables of all nouns, whose rows the log seals
     from boresight.console.backups import service
@@ -231,11 +239,11 @@ def verify(name: str, key_file: Path | None) -> None:
 
 @backup.command(name="rotate-key")
 def rotate_key() -> None:
-    """Make a new key, or the first one; former ones stay in the file, and what they encrypted is still read."""
+    """Create a new key, or the first one; previous keys stay in the file, and what they encrypted can still be read."""
     keys = read_settings().backup_keys
     made = keys.add()
     click.echo(
-        f"{keys.file}: the key {made.id} encrypts from now on. Copy the file to another place, and to every server."
+        f"{keys.file}: from now on, key {made.id} encrypts. Copy the file to another place, and to every server."
     )
 
 
@@ -307,6 +315,6 @@ def restore(file: str, key_file: Path | None) -> None:
     _refuse_absent(taken, "were left out when the backup was taken", "were missing when the backup was taken")
     if not found.ok:
         raise ConflictError(
-            f"The whole backup was restored, but not everything is as it was written: {found.sentence} Use another backup."
+            f"The backup was restored, but its contents are not intact: {found.sentence} Use another backup."
         )
     click.echo(found.sentence)

@@ -99,7 +99,7 @@ FAILED = ("diverged", "too_few_stars")
 @click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Sensor file, JSON.")
 @site_option
 @calibration_options
-@click.option("--validate", type=INPUT_FILE, help="Telemetry that is not fitted, to check the result with.")
+@click.option("--validate", type=INPUT_FILE, help="Held-out telemetry for checking the result.")
 @click.option(
     "--prior",
     metavar="FILE",
@@ -122,12 +122,12 @@ def calibrate(
 ) -> None:
     """Calibrate a sensor from TELEMETRY (CSV, JSON Lines or Parquet), or from images (FITS, PNG, TIFF or raw numbers).
 
-    Several sets of one sensor are one joint calibration: the fit of all their stars.
+    Several telemetry sets of one sensor are calibrated jointly, in one fit of all their stars.
 
-    Prints the parameters with their sigmas, the quality of the fit, and advice. A set from which nothing could be
-    estimated, or a fit that diverged, writes its JSON and ends with exit code 1.
+    Prints the parameters with their sigmas, the quality of the fit, and advice. If nothing could be estimated from a set,
+    or the fit diverged, the JSON is still written and the exit code is 1.
 
-    With --server the files are uploaded, the calibration is a run there, and its JSON comes back; --sensor may be the name
+    With --server the files are uploaded, the calibration is a run there, and its JSON is returned; --sensor may be the name
     of a sensor of that server.
     """
     check_writable(json_file)
@@ -139,7 +139,7 @@ def calibrate(
         raise RefusedInputError("--server does not read mapping profiles: import the file first.")
     if prior is not None and server_url is not None and Path(prior).is_file():
         raise RefusedInputError(
-            "A server starts from what it has itself: give a parameter set's name or a run's number as --prior."
+            "A server starts from its own results: give a parameter set's name or a run's number as --prior."
         )
     former = None if prior is None or server_url is not None else INPUT_FILE.convert(prior, None, None)
     with (

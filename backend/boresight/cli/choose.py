@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 @click.option(
     "--validate",
     type=INPUT_FILE,
-    help="Telemetry to compare the candidates on; if left out, held-out frames of TELEMETRY.",
+    help="Telemetry to compare the candidate models on; held-out frames of TELEMETRY if omitted.",
 )
 @setting_option("match")
 @setting_option("minimum_stars")
@@ -50,9 +50,9 @@ def choose(
 ) -> None:
     """Choose the simplest camera model that suffices for TELEMETRY: every model and its terms are tested on the same stars.
 
-    Prints the choice in a sentence, each camera's simplest sufficient candidate, and the test of every term.
+    Prints the choice in a sentence, the simplest sufficient candidate of each camera model, and the test of every term.
 
-    With --server the files are uploaded and calibrated there, the choice is made for that run, and its JSON comes back; --sensor
+    With --server the files are uploaded and calibrated there, the choice is made for that run, and its JSON is returned; --sensor
     may be the name of a sensor of that server.
     """
     check_one_stream(out_file, json_file)
@@ -60,7 +60,7 @@ def choose(
         check_writable(place)
     if out_file is not None and sensor_file.exists() and Path(out_file).exists() and sensor_file.samefile(out_file):
         raise RefusedInputError(
-            f"{out_file} is the sensor file that is read and is not overwritten: choose another name.",
+            f"{out_file} is an input file and will not be overwritten: choose another name.",
             code="would-overwrite",
         )
     refuse_site_on_server(site, server_url)

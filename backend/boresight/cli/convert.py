@@ -34,7 +34,7 @@ def _complete_target(_: click.Context, __: click.Parameter, incomplete: str) -> 
 
 @click.command()
 @click.argument("parameters", type=INPUT_FILE)
-@click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Their sensor file, JSON.")
+@click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Sensor file of PARAMETERS, JSON.")
 @click.option(
     "--to",
     "target",
@@ -54,13 +54,13 @@ def _complete_target(_: click.Context, __: click.Parameter, incomplete: str) -> 
 @click.option(
     "--allow-px",
     type=click.FloatRange(min=0),
-    help="Largest misfit over the detector; if left out, of centroid_sigma_px 1 % for a camera model, 10 % for a format, and "
+    help="Maximum misfit over the detector; by default 1 % of centroid_sigma_px for a camera model, 10 % for a format, and "
     "100 % for tetra3 and cedar.",
 )
 @click.option(
     "--residual",
     is_flag=True,
-    help="Follow the camera with the residual spline of its calibration.",
+    help="Include the residual spline of the calibration.",
 )
 @json_option
 def convert(  # noqa: PLR0913 - an option each
@@ -77,9 +77,9 @@ def convert(  # noqa: PLR0913 - an option each
 ) -> None:
     """Write PARAMETERS in another camera model or in another program's format, and print the misfit.
 
-    Refused if the misfit would be larger than allowed. For a camera model it is a parameter file with covariance,
-    which `evaluate` and `match` take with the sensor file of --sensor-out. A format is chosen by the ending of FILE; its
-    comments give the misfit, the frame and the source.
+    The conversion is refused if the misfit exceeds the limit. For a camera model, the output is a parameter file with
+    covariance, accepted by `evaluate` and `match` with the sensor file of --sensor-out. For another program, the file extension
+    selects the format; comments in the file give the misfit, the frame and the source.
     """
     from boresight.calibration.exports import EXPORT_FORMATS
 
@@ -91,8 +91,8 @@ def convert(  # noqa: PLR0913 - an option each
         return
     if telemetry is not None:
         raise RefusedInputError(
-            f"{target} has nothing for single exposures: leave out --telemetry, which is for "
-            f"{' and '.join(name for name, one in EXPORT_FORMATS.items() if one.needs_attitudes)}."
+            f"--telemetry applies only to {' and '.join(name for name, one in EXPORT_FORMATS.items() if one.needs_attitudes)}: "
+            f"omit it for {target}."
         )
     written, sensor = _converted(
         parameters, sensor_file, target, allow_px, sensor_wanted=sensor_out is not None, residual=residual
@@ -114,9 +114,7 @@ def _check_places(
         check_writable(out_file)
     else:
         if sensor_out is not None:
-            raise RefusedInputError(
-                f"{form.name} is not a camera model, so it has no sensor file: leave out --sensor-out."
-            )
+            raise RefusedInputError(f"{form.name} is not a camera model, so it has no sensor file: omit --sensor-out.")
         check_writable(out_file, forms=form.suffixes, title=form.name)
     for place in (sensor_out, json_file):
         check_writable(place)
@@ -186,7 +184,7 @@ def _check_kept(place: str | None, *inputs: Path) -> None:
             and path.samefile(str(place))
         ):
             raise RefusedInputError(
-                f"{place} is the file that is converted and is not overwritten: choose another name.",
+                f"{place} is an input file and will not be overwritten: choose another name.",
                 code="would-overwrite",
             )
 
@@ -227,11 +225,11 @@ def _lines(written: dict[str, Any]) -> Iterator[str]:
     if "residual" in how:
         left = how["residual"]
         yield (
-            f"\nit follows the residual spline too: up to {left['max_px']:.2g} px, sigma up to {left['max_sigma_px']:.2g} px; "
-            "the sigmas above are of the parameters alone"
+            f"\nthe residual spline is included: up to {left['max_px']:.2g} px, sigma up to {left['max_sigma_px']:.2g} px; "
+            "the sigmas above are those of the parameters alone"
         )
     if written["covariance"] is not None:
-        yield f"\nuncertainty that {written['camera_model']} cannot express: at most {how['lost_sigma_px']:.2g} px (1 sigma)"
+        yield f"\nuncertainty that {written['camera_model']} cannot represent: at most {how['lost_sigma_px']:.2g} px (1 sigma)"
     if how["assumed"]:
         yield (
             f"not estimated: {', '.join(how['assumed'])}; each was given ten typical sigmas before the conversion, "

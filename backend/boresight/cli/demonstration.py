@@ -102,7 +102,7 @@ def create_demonstration(
     for number in SENSOR_NUMBERS:
         fleet.add_sets(number)
         is_new = fleet.launch(number, "Batch", BATCH, validation="validation")
-        report(f"{st16_sensor(number).name} has its telemetry, and {_say_runs('its batch run', 'is', is_new)}.")
+        report(f"{st16_sensor(number).name}: telemetry stored; batch run {_say_whether_new(is_new)}.")
     label = "Square-root filter, fed as frames come down"
     new = [
         fleet.launch(number, label, WATCHED_FILTER, validation="validation", unless=LIVE)
@@ -115,8 +115,8 @@ def create_demonstration(
     fleet.add_set(_make_pass(0, validation_scenario(DRIFTING_NUMBER)), validation, "validation")
     fleet.launch(DRIFTING_NUMBER, f"Pass 1 of {PASSES}", BATCH, first, validation)
     new += [fleet.launch(number, "Square-root filter", FILTER, validation="validation") for number in SENSOR_NUMBERS]
-    of_filters = _say_runs("The filters", "are", any(new))
-    report(f"{of_filters}; the demonstration is ready after {time.perf_counter() - started_s:.1f} s.")
+    of_filters = _say_whether_new(any(new))
+    report(f"Filter runs {of_filters}; the demonstration is ready after {time.perf_counter() - started_s:.1f} s.")
     return list(LOG_INS)
 
 
@@ -137,7 +137,7 @@ def continue_demonstration(
                 said = next(step, None)
             except BoresightError as refusal:  # such as of a visitor who was there first
                 steps.remove(step)
-                said = f"A part of the demonstration is left out: {refusal}"
+                said = f"A part of the demonstration was skipped: {refusal}"
             if said is None:
                 steps.remove(step)
             elif said:
@@ -145,9 +145,9 @@ def continue_demonstration(
         yield
 
 
-def _say_runs(what: str, verb: str, is_new: bool) -> str:
-    """Return a sentence on whether runs were queued or existed already."""
-    return f"{what} {verb} queued" if is_new else f"{what} {verb} there already"
+def _say_whether_new(is_new: bool) -> str:
+    """Say whether runs were queued or existed before."""
+    return "queued" if is_new else "already in the store"
 
 
 def _make_people(engine: Engine) -> Actor:
@@ -199,7 +199,7 @@ class _Fleet:
                 document = sensor_document(sensor)
                 sensor_id = sensors.register_sensor(session, self.analyst, document, simulated=True, truth=truth).id
                 table = plain_definition(sensor.camera_model)
-                reason = "The simulated flight software's."
+                reason = "Definition of the simulated flight software."
                 table_definitions.set_definition(session, self.analyst, sensor_id, table, reason, 0)
 
     def add_sets(self, number: int) -> None:
@@ -288,7 +288,7 @@ class _Fleet:
             yield ""
         for k in range(1, PASSES):  # together: the alarm's sentence changes with each group that ends
             self.launch(DRIFTING_NUMBER, f"Pass {k + 1} of {PASSES}", BATCH, _name_pass(k))
-        yield f"{PASSES} passes of {row.document['sensor']} are there, a year of them."
+        yield f"{PASSES} passes of {row.document['sensor']} stored, covering one year."
         yield from self._judge_new_pass(DRIFTING_NUMBER, _name_pass(PASSES - 1))
 
     def _judge_new_pass(self, number: int, name: str) -> Iterator[str]:

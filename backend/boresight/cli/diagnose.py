@@ -43,22 +43,22 @@ def diagnose(
 ) -> None:
     """Find why TELEMETRY does not match its sensor file.
 
-    Tries parity, exchanged and flipped axes, pixel origin, focal length, kind of directions, order and sense of quaternions, time,
-    epoch and magnitude limit, and verifies what it finds by matching with it. Prints the cause in a sentence and what was tried.
-    The exit code is 0 whatever the cause is; with --out or --out-telemetry it is 1 where nothing can be corrected.
+    Tests parity, swapped and flipped axes, pixel origin, focal length, kind of directions, order and sense of quaternions, time,
+    epoch and magnitude limit, and verifies the result by matching. Prints the cause in a sentence and what was tested. The exit
+    code is 0 whatever the cause; with --out or --out-telemetry it is 1 if nothing can be corrected.
 
     With --server the telemetry is uploaded and diagnosed there; --sensor may be the name of a sensor of that server.
     """
     check_one_stream(out_file, json_file)
     for place in (out_file, json_file):
         check_writable(place)
-    _check_kept(out_file, sensor_file, "the sensor file that is read")
+    _check_kept(out_file, sensor_file)
     if telemetry_out is not None:
         refuse_standard_output(telemetry_out, "The corrected telemetry")
         if telemetry_out.suffix.lower() not in {".csv", ".parquet"}:
             raise RefusedInputError(f"{telemetry_out.name} has no known format: end the name with .csv or .parquet.")
         check_writable(telemetry_out, "CSV" if telemetry_out.suffix.lower() == ".csv" else "Parquet")
-        _check_kept(telemetry_out, telemetry, "the telemetry itself")
+        _check_kept(telemetry_out, telemetry)
     with progress(first_message(server_url)) as report:
         if server_url is None:
             found = library.diagnose(telemetry, sensor_file, progress=report)
@@ -77,11 +77,11 @@ def diagnose(
         click.echo(str(found))
 
 
-def _check_kept(place: str | Path | None, read: Path, what: str) -> None:
+def _check_kept(place: str | Path | None, read: Path) -> None:
     """Refuse to write over a file that is read."""
     if place is None or str(place) == STANDARD_OUTPUT:
         return
     if read.exists() and Path(place).exists() and read.samefile(place):
         raise RefusedInputError(
-            f"{place} is {what} and is not overwritten: choose another name.", code="would-overwrite"
+            f"{place} is an input file and will not be overwritten: choose another name.", code="would-overwrite"
         )

@@ -40,7 +40,11 @@ if TYPE_CHECKING:
 @click.argument("telemetry", type=INPUT_FILE, nargs=-1, required=True)
 @click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Sensor file, JSON.")
 @site_option
-@click.option("--parameters", type=INPUT_FILE, help="Calibration JSON, or names and values, to match with.")
+@click.option(
+    "--parameters",
+    type=INPUT_FILE,
+    help="Parameters to match with: calibration JSON, or a JSON object of names and values.",
+)
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
@@ -100,9 +104,7 @@ def _draw(
 ) -> None:
     """Draw the images with their stars, matches and residuals; refuses a telemetry file, which has none."""
     if not is_image(images[0]):
-        raise RefusedInputError(
-            f"{images[0].name} is telemetry, which cannot be drawn as an image: leave --pictures out."
-        )
+        raise RefusedInputError(f"{images[0].name} is telemetry, which cannot be drawn as an image: omit --pictures.")
     library.draw_images(images, sensor, found, folder, parameters=parameters, raw=raw)
 
 
@@ -115,7 +117,7 @@ def _check_out(telemetry: Path, out: Path) -> None:
         raise RefusedInputError(f"{out.name} has no known format: end the name with .csv, .jsonl or .parquet.")
     if out.exists() and telemetry.exists() and out.samefile(telemetry):
         raise RefusedInputError(
-            f"{out} is the telemetry itself, which is never overwritten: choose another name.", code="would-overwrite"
+            f"{out} is an input file and will not be overwritten: choose another name.", code="would-overwrite"
         )
 
 
@@ -215,8 +217,13 @@ FRAMES_SHOWN = 40
 @click.argument("telemetry", type=INPUT_FILE)
 @click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Sensor file, JSON.")
 @site_option
-@click.option("--parameters", type=INPUT_FILE, required=True, help="Calibration JSON, or names and values.")
-@click.option("--against", type=INPUT_FILE, help="Parameters to compare with; the sensor file's if left out.")
+@click.option(
+    "--parameters",
+    type=INPUT_FILE,
+    required=True,
+    help="Calibration JSON, or a JSON object of parameter names and values.",
+)
+@click.option("--against", type=INPUT_FILE, help="Parameters to compare with; the sensor file's if omitted.")
 @setting_option("match")
 @setting_option("flight_tolerance_urad")
 @click.option("--shadow", is_flag=True, help="List the frames that one of the two parameter sets would lose.")
@@ -318,16 +325,16 @@ def _shadow_lines(shadow: dict[str, Any]) -> Iterator[str]:
         ]
         yield aligned([("frame", "time", "lost by", "stars", "reason"), *rows], left=(1, 2, 4))
     if len(differing) > FRAMES_SHOWN:
-        yield f"and {len(differing) - FRAMES_SHOWN:,} more; --json has them."
+        yield f"and {len(differing) - FRAMES_SHOWN:,} more; use --json to list all."
     yield f"\n{shadow['summary']['sentence']}"
 
 
 @click.command()
 @click.argument("calibration", metavar="CALIBRATION|PARAMETER_SET", type=INPUT_FILE)
 @click.option("--sensor", "sensor_file", type=INPUT_FILE, help="Sensor file, JSON; needed without --server.")
-@click.option("--against", type=INPUT_FILE, help="The incumbent's parameters; the sensor file's if left out.")
-@click.option("--validate", "telemetry", type=INPUT_FILE, help="Held-out telemetry; the calibration's own if left out.")
-@click.option("--profile", "profile_file", type=INPUT_FILE, help="Gate profile, JSON; the default limits if left out.")
+@click.option("--against", type=INPUT_FILE, help="The incumbent's parameters; the sensor file's if omitted.")
+@click.option("--validate", "telemetry", type=INPUT_FILE, help="Held-out telemetry; the calibration's own if omitted.")
+@click.option("--profile", "profile_file", type=INPUT_FILE, help="Gate profile, JSON; the default limits if omitted.")
 @server_option
 @json_option
 def assess(
@@ -341,8 +348,8 @@ def assess(
 ) -> None:
     """Compare CALIBRATION, a JSON of `boresight calibrate`, with limits and with the incumbent.
 
-    Every gate answers PASS, MARGINAL, NO-DATA or FAIL, and the worst is the verdict. The exit code is 0 whatever the
-    verdict is. Scripts read `verdict` and `blocking` from --json.
+    Each gate reports PASS, MARGINAL, NO-DATA or FAIL; the worst is the verdict. The exit code is 0 regardless of the
+    verdict. Scripts read `verdict` and `blocking` from --json.
 
     With --server a PARAMETER_SET of that server, PS-<sensor>-<n> or its number, is compared with the limits and the incumbent of
     its sensor, on the server's own validation frames.
@@ -353,8 +360,8 @@ def assess(
         raise click.MissingParameter(param_hint="'--sensor'", param_type="option")
     if server_url is not None and any(one is not None for one in given):
         raise RefusedInputError(
-            "A server has the sensor, its incumbent, validation frames and limits: leave --sensor, --against, --validate and "
-            "--profile out with --server."
+            "With --server, sensor, incumbent, validation frames and limits come from the server: omit --sensor, --against, "
+            "--validate and --profile."
         )
     if server_url is not None:
         from boresight.library.remote import member
@@ -377,7 +384,7 @@ def _gate_lines(found: Assessment) -> Iterator[str]:
     from boresight.verdicts.gates.judgement import gate_rows
 
     rows = gate_rows(found.gates, found.blocking)
-    head = ("gate", "answer", "measured", "95 %", "limit", "marginal from", "incumbent", "unit")
+    head = ("gate", "result", "measured", "95 %", "limit", "marginal from", "incumbent", "unit")
     table = [
         (row.title, row.status, row.value, row.interval, row.limit, row.marginal, row.incumbent, row.unit)
         for row in rows
@@ -395,7 +402,11 @@ def _gate_lines(found: Assessment) -> Iterator[str]:
 
 @click.command()
 @click.argument("parameter_set", required=False)
-@click.option("--run", type=click.IntRange(min=1), help="Submit the result of this run instead; its set is made first.")
+@click.option(
+    "--run",
+    type=click.IntRange(min=1),
+    help="Submit the result of this run instead; a parameter set is created from it first.",
+)
 @click.option("--reason", required=True, help="Why it should become the baseline; the approvers read it.")
 @required_server_option
 @json_option

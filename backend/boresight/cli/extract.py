@@ -45,7 +45,7 @@ _CHOICES: Sequence[Callable[..., Any]] = (
     click.option("--times", type=FILE, help="For images: CSV with image and time_utc, mid-exposure."),
     click.option(
         "--gain", "gain_e_per_dn", type=click.FloatRange(1e-3, 1e4),
-        help="For images: electrons per DN; from EGAIN, the sensor file or the images if left out.",
+        help="For images: electrons per DN; from EGAIN, the sensor file or the images if omitted.",
     ),
     click.option(
         "--saturation", "saturation_dn", type=click.FloatRange(1.0, 1e9), help="For images: DN from which a pixel is saturated.",
@@ -54,7 +54,7 @@ _CHOICES: Sequence[Callable[..., Any]] = (
     click.option("--raw-order", type=click.Choice(["little", "big"]), help="For raw images: byte order."),
     click.option("--raw-header", type=click.IntRange(0, 1 << 20), help="For raw images: bytes before the first number."),
     click.option(
-        "--processes", type=click.IntRange(1, 64), help="For images: processes that extract; one per core if left out."
+        "--processes", type=click.IntRange(1, 64), help="For images: number of processes; one per core if omitted."
     ),
 )  # fmt: skip
 
@@ -130,9 +130,9 @@ def extract(
 ) -> None:
     """Extract the stars of IMAGES (FITS, PNG, TIFF or raw numbers) into telemetry.
 
-    Each image is a frame. Its rows carry centroid, sigma_px, magnitude of the instrument, flux, peak, background, covariance,
-    whether the star is saturated, and the image's name and SHA-256. Hot and dead pixels are found from the set itself; trails,
-    blended and misshapen objects are left out and counted.
+    Each image is a frame. Its rows contain centroid, sigma_px, instrumental magnitude, flux, peak, background, covariance,
+    whether the star is saturated, and the image's name and SHA-256. Hot and dead pixels are detected from the set itself; trails
+    and blended or distorted objects are excluded and counted.
     """
     check_writable(json_file)
     check_one_stream(out, json_file)

@@ -80,7 +80,7 @@ def read_by_profile(telemetry: Path, profile: str | None, sensor: Path | None = 
 @click.option("--orbit", type=INPUT_FILE, help="Two-line elements or OEM for velocities.")
 @click.option("--attitude", type=INPUT_FILE, help="AEM, or table of quaternions, for attitudes.")
 @click.option("--time", metavar="UTC", help="When the files were taken, if they do not contain it (ISO 8601).")
-@click.option("--preview", is_flag=True, help="Show ten rows and what they mean, and write nothing.")
+@click.option("--preview", is_flag=True, help="Show ten rows and their meaning; write nothing.")
 @click.option("--print-profile", is_flag=True, help="Print the profile as JSON, to copy and change it.")
 @click.option("--list-profiles", is_flag=True, help="List the built-in profiles.")
 @json_option
@@ -98,9 +98,9 @@ def import_telemetry(
     """Convert FILE, which another program wrote, to telemetry by a mapping profile.
 
     FILE is CSV, JSON Lines, Parquet, FITS, a VOTable, a text table or JSON; several files are one set, in this order. Without
-    --profile the built-in profile that fits is named; --preview then reads by it, or by one drafted from the columns' names, and
-    --print-profile prints that with what is still to be told. With --json
-    the record of the import is written: hashes of files and profile, what each column means, notes; with --preview also the rows.
+    --profile, the matching built-in profile is suggested. --preview then uses it, or a draft made from the column names, and
+    --print-profile prints it with a list of what is missing. --json writes the import record: hashes of files and profile,
+    column meanings, notes; with --preview also the rows.
     """
     if list_profiles:
         click.echo(aligned(list(_profile_rows()), left=(0, 1)))
@@ -109,7 +109,7 @@ def import_telemetry(
     if profile is None:
         if not files:
             raise click.UsageError(
-                "Missing option '--profile': --list-profiles shows them; a FILE without one is looked at."
+                "Missing option '--profile': use --list-profiles to list the built-in profiles, or give FILE to have it examined."
             )
         named = _propose(files[0], told_only=not (print_profile or preview))
         if print_profile:
@@ -150,11 +150,11 @@ def _propose(path: Path, *, told_only: bool) -> Profile:
     draft = draft_profile(found)
     if told_only:
         remedy = found.say()
-        raise RefusedInputError(f"Without --profile {found.name} is not imported: {remedy}.")
+        raise RefusedInputError(f"{found.name} cannot be imported without --profile: {remedy}.")
     if found.profile is not None:
         click.echo(f"boresight: the built-in profile {draft.profile.name} fits: {found.command}", err=True)
     for sentence in draft.still:
-        click.echo(f"boresight: still to be told: {sentence}", err=True)
+        click.echo(f"boresight: still needed: {sentence}", err=True)
     return draft.profile
 
 
@@ -167,7 +167,8 @@ def _check_out(out: Path | None, json_file: str | None, inputs: tuple[Path, ...]
             for path in inputs:
                 if path.exists() and path.samefile(place):
                     raise RefusedInputError(
-                        f"{place} is read and is not overwritten: choose another name.", code="would-overwrite"
+                        f"{place} is an input file and will not be overwritten: choose another name.",
+                        code="would-overwrite",
                     )
     if out is None or str(out) == STANDARD_OUTPUT:
         return

@@ -30,7 +30,7 @@ def _read_time(_: click.Context, option: click.Parameter, text: str) -> datetime
         at = datetime.fromisoformat(text)
     except ValueError as error:
         raise RefusedInputError(
-            f"--{option.name} {text[:40]!r} is no time; write UTC as 2026-11-20T01:00:00Z."
+            f"--{option.name} {text[:40]!r} is not a valid time; write UTC as 2026-11-20T01:00:00Z."
         ) from error
     return at if at.tzinfo else at.replace(tzinfo=UTC)
 
@@ -42,17 +42,20 @@ def _make_pull(system: str, title: str, part: str) -> click.Command:
         "pull", help=f"Pull the parameters that a mapping profile names out of {title}'s archive, as telemetry."
     )
     @click.option("--start", required=True, callback=_read_time, metavar="UTC", help="First time of the range.")
-    @click.option(
-        "--stop", required=True, callback=_read_time, metavar="UTC", help="End of the range; itself left out."
-    )
+    @click.option("--stop", required=True, callback=_read_time, metavar="UTC", help="End of the range (exclusive).")
     @click.option("--profile", required=True, metavar="FILE", help="Mapping profile with the parameters' full names.")
     @click.option(
-        "--sensor", "sensor_file", type=INPUT_FILE, help="Sensor file, for lengths and the detector's middle."
+        "--sensor",
+        "sensor_file",
+        type=INPUT_FILE,
+        help="Sensor file, needed to convert lengths and coordinates counted from the detector centre.",
     )
     @click.option(
         "--out", type=click.Path(path_type=Path), help="Telemetry to write: .csv, .jsonl or .parquet; - is CSV."
     )
-    @click.option("--export", "export_file", type=click.Path(path_type=Path), help="Keep what the archive exported.")
+    @click.option(
+        "--export", "export_file", type=click.Path(path_type=Path), help="Also save the raw export of the archive."
+    )
     @json_option
     def pull(
         start: datetime,
@@ -64,7 +67,7 @@ def _make_pull(system: str, title: str, part: str) -> click.Command:
         json_file: str | None,
     ) -> None:
         if out is None and export_file is None:
-            raise click.UsageError("Missing option '--out', or --export to keep the export alone.")
+            raise click.UsageError("Missing option '--out', or --export to save only the raw export.")
         check_writable(json_file)
         check_one_stream(out, json_file)
         check_writable(
@@ -101,7 +104,7 @@ def _export(
     link = read_settings().mission_control.get(system)
     if link is None:
         raise NotFoundError(
-            f"No {title} is set: give BORESIGHT_{system.upper()}_URL and BORESIGHT_{system.upper()}_{part}."
+            f"{title} is not configured: set BORESIGHT_{system.upper()}_URL and BORESIGHT_{system.upper()}_{part}."
         )
     if stop <= start:
         raise RefusedInputError("--stop is not after --start: correct the range.")
@@ -109,14 +112,12 @@ def _export(
         rows = archive.export(read_any_profile(profile), count_us(start), count_us(stop))
     if not rows.lines:
         raise NotFoundError(
-            f"{title} has nothing of these parameters from {start:%FT%TZ} to {stop:%FT%TZ}; check the range."
+            f"{title} has no values of these parameters from {start:%FT%TZ} to {stop:%FT%TZ}; check the range."
         )
     return rows.to_bytes(), archive.suffix, len(rows.lines)
 
 
-yamcs = click.Group("yamcs", help="Work with the Yamcs server of the settings BORESIGHT_YAMCS_URL and so on.")
+yamcs = click.Group("yamcs", help="Work with the Yamcs server configured by the BORESIGHT_YAMCS_* settings.")
 yamcs.add_command(_make_pull("yamcs", "Yamcs", "INSTANCE"))
-openc3 = click.Group(
-    "openc3", help="Work with the OpenC3 COSMOS server of the settings BORESIGHT_OPENC3_URL and so on."
-)
+openc3 = click.Group("openc3", help="Work with the OpenC3 COSMOS server configured by the BORESIGHT_OPENC3_* settings.")
 openc3.add_command(_make_pull("openc3", "OpenC3", "SCOPE"))

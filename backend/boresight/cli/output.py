@@ -75,14 +75,14 @@ def check_writable(
     ending = path.suffix.lower()
     if forms and ending not in forms:
         raise RefusedInputError(
-            f"{path.name} does not end as a file of {title}: end the name with {' or '.join(forms)}."
+            f"The extension of {path.name} does not fit {title}: end the name with {' or '.join(forms)}."
         )
     promised = FORMATS.get(ending, form)
     if not forms and promised != form:
         own = " or ".join(ending for ending, name in FORMATS.items() if name == form)
         raise RefusedInputError(
-            f"{path.name} is named as {promised}, and {form or 'bytes of no such format'} is written: "
-            f"{f'end the name with {own}' if own else 'choose another name'}."
+            f"The extension of {path.name} means {promised}, but {form or 'another format'} is written: "
+            f"{f'use the extension {own}' if own else 'choose another name'}."
         )
 
 
@@ -158,7 +158,8 @@ class RefusingGroup(click.Group):
             if ctx.params.get("debug"):
                 raise
             sentence = (
-                f"unexpected {type(error).__name__}: {error}. Run it again as `boresight --debug ...` to see where."
+                f"Unexpected {type(error).__name__}: {error}. Run the command again with `boresight --debug ...` to see the "
+                "traceback."
             )
             click.echo(f"boresight: {sentence}", err=True)
             ctx.exit(REFUSED)

@@ -31,39 +31,39 @@ def _read_orbit(_: click.Context, __: click.Parameter, text: str | None) -> dict
 
 @click.command()
 @click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Sensor file, JSON.")
-@click.option("--start", required=True, metavar="UTC", help="When it begins, as 2026-10-01T00:00:00Z.")
-@click.option("--minutes", type=float, required=True, help="How long it may take.")
+@click.option("--start", required=True, metavar="UTC", help="Start time, such as 2026-10-01T00:00:00Z.")
+@click.option("--minutes", type=float, required=True, help="Maximum duration.")
 @click.option(
     "--calibration",
     metavar="FILE",
-    help="Calibration JSON: what is known before; on a server a set's name or a run's number.",
+    help="Calibration JSON with the prior knowledge; on a server a set's name or a run's number.",
 )
 @click.option(
     "--candidates",
     type=INPUT_FILE,
-    help="CSV of attitudes: ra_deg, dec_deg, roll_deg. Without it the whole sky is searched.",
+    help="CSV of candidate attitudes: ra_deg, dec_deg, roll_deg; the whole sky if omitted.",
 )
 @click.option(
     "--orbit",
     metavar="KM,DEG,HOUR",
     callback=_read_orbit,
-    help="Circular orbit: altitude, inclination, local solar hour of the ascending node. Without it the Earth is in nobody's way.",
+    help="Circular orbit: altitude, inclination, local solar hour of the ascending node. Without it, the Earth is not considered.",
 )
 @click.option(
     "--criterion",
     type=click.Choice(["A", "D"]),
     default="A",
     show_default=True,
-    help="A: least sum of variances in typical sigmas. D: least volume.",
+    help="A: minimum sum of variances in typical sigmas. D: minimum volume of the confidence region.",
 )
-@click.option("--dwell-s", type=float, help="How long a pointing is held; 60 if left out.")
-@click.option("--exposure-s", type=float, help="Seconds from one exposure to the next; 10 if left out.")
-@click.option("--slew-deg-s", type=float, help="Rate of a turn; 0.5 if left out.")
-@click.option("--settle-s", type=float, help="Wait after a turn; 10 if left out.")
-@click.option("--sun-deg", type=float, help="Least angle from the Sun; 40 if left out.")
-@click.option("--moon-deg", type=float, help="Least angle from the Moon; 15 if left out.")
-@click.option("--earth-deg", type=float, help="Least angle from the Earth's limb; 20 if left out.")
-@click.option("--visits", type=int, help="How often one pointing may be held; 3 if left out.")
+@click.option("--dwell-s", type=float, help="Duration of a pointing; 60 if omitted.")
+@click.option("--exposure-s", type=float, help="Seconds from one exposure to the next; 10 if omitted.")
+@click.option("--slew-deg-s", type=float, help="Slew rate; 0.5 if omitted.")
+@click.option("--settle-s", type=float, help="Settling time after a slew; 10 if omitted.")
+@click.option("--sun-deg", type=float, help="Minimum angle from the Sun; 40 if omitted.")
+@click.option("--moon-deg", type=float, help="Minimum angle from the Moon; 15 if omitted.")
+@click.option("--earth-deg", type=float, help="Minimum angle from the Earth's limb; 20 if omitted.")
+@click.option("--visits", type=int, help="Maximum number of visits to one pointing; 3 if omitted.")
 @click.option("--out", "out_file", metavar="FILE", help="Write the pointings as CSV; - is standard output.")
 @server_option
 @json_option
@@ -80,12 +80,12 @@ def plan(  # noqa: PLR0913, PLR0917 - an option each
     json_file: str | None,
     **constraints: Any,
 ) -> None:
-    """Plan what to observe next: the pointings and rolls that shrink what is known least, by the minute.
+    """Plan the next observations: pointings and rolls that reduce the largest uncertainties most per minute.
 
-    Each exposure's information is computed from the catalogue's stars on the detector, its attitude unknown. Chosen by gain a
-    second of slew and dwell, then improved by exchange, clear of Sun, Moon and Earth.
+    The information of each exposure is computed from the catalogue stars on the detector, with its attitude unknown. Pointings are
+    chosen by gain per second of slew and dwell, improved by exchange, and kept clear of Sun, Moon and Earth.
 
-    With --server it is computed there; --sensor may be the name of a sensor of that server.
+    With --server the plan is computed there; --sensor may be the name of a sensor of that server.
     """
     check_one_stream(out_file, json_file)
     check_writable(out_file, "CSV")

@@ -23,7 +23,7 @@ required_server_option = click.option("--server", "server_url", metavar="URL", r
 
 def first_message(url: str | None) -> str:
     """Say what a command begins with."""
-    return "reading the telemetry" if url is None else "asking the server"
+    return "reading the telemetry" if url is None else "contacting the server"
 
 
 def open_client(url: str) -> Client:
@@ -33,7 +33,7 @@ def open_client(url: str) -> Client:
     key = os.environ.get(API_KEY)
     if not key:
         raise UnauthenticatedError(
-            f"A server needs an API key: create one on its page Users and keys, and set {API_KEY} to it."
+            f"A server needs an API key: create one on the server's page Users and keys and set {API_KEY}."
         )
     return Client(url, key)
 

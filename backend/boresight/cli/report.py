@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 def report(source: str, out_file: str, server_url: str | None) -> None:
     """Write the report of a stored run, by its number, or of a calibration JSON file.
 
-    A number is a file only if one of that name exists. The report of a stored run says if one person can sign alone here.
+    A number is taken as a run unless a file of that name exists. The report of a stored run says if one person can sign alone
+    here.
     """
     from boresight.figures.report import render_report
 
@@ -58,7 +59,7 @@ def _fetch(server_url: str, source: str) -> str:
 
 
 def _check_out(out_file: str) -> None:
-    """Refuse a place that cannot be written, and a name that promises anything but HTML."""
+    """Refuse a place that cannot be written, and a name with another extension than HTML's."""
     ending = Path(out_file).suffix.lower()
     if ending == ".pdf":
         raise RefusedInputError(

@@ -31,8 +31,8 @@ def simulate(
 ) -> None:
     """Simulate SCENARIO: st16-1 to st16-6, or a scenario file (JSON).
 
-    Writes sensor.json, the calibration and the validation set, scenario.json and truth.json; with --images also what the detector
-    records of the first frames.
+    Writes sensor.json, the calibration and the validation set, scenario.json and truth.json; with --images, also FITS images of
+    the first frames.
     """
     if scenario == STANDARD_OUTPUT:
         scenario = str(keep_standard_input(None))
@@ -63,10 +63,20 @@ QUICK = {"enright": (100, 40, 2), "wu": (1200, 100, 4)}
 @click.argument("paper", type=click.Choice(PAPERS))
 @click.option("--quick", is_flag=True, help="Fewer frames and sets: under two minutes.")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for report, JSON and CSV.")
-@click.option("--sensors", metavar="LIST", help="For enright: sensors to run, such as 3,4; all when left out.")
-@click.option("--frames", type=click.IntRange(10, 10_000), help="Frames of a calibration set.")
-@click.option("--sets", type=click.IntRange(1, 1000), help="Simulated sets for the statistics; for enright per sensor.")
-@click.option("--processes", type=click.IntRange(1, 64), default=2, show_default=True, help="Sets run at a time.")
+@click.option("--sensors", metavar="LIST", help="For enright: sensors to run, such as 3,4; all if omitted.")
+@click.option("--frames", type=click.IntRange(10, 10_000), help="Number of frames in a calibration set.")
+@click.option(
+    "--sets",
+    type=click.IntRange(1, 1000),
+    help="Number of simulated sets for the statistics (per sensor for enright).",
+)
+@click.option(
+    "--processes",
+    type=click.IntRange(1, 64),
+    default=2,
+    show_default=True,
+    help="Number of sets to run in parallel.",
+)
 def reproduce(
     paper: str, quick: bool, out: Path, sensors: str | None, frames: int | None, sets: int | None, processes: int
 ) -> None:
@@ -104,7 +114,7 @@ def _wu(
     from boresight.papers import wu
 
     if sensors is not None:
-        raise RefusedInputError("Wu 2019 has one sensor: leave out --sensors.")
+        raise RefusedInputError("Wu 2019 has one sensor: omit --sensors.")
     document = wu.run(wu.StudySize(judges=judges, **sizes), catalogue, report)
     return document, wu.write(document, out)
 

@@ -82,7 +82,7 @@ def refuse_site_on_server(site: str | None, server_url: str | None) -> None:
     """Refuse --site with --server, whose sensors have their own."""
     if site is not None and server_url is not None:
         raise RefusedInputError(
-            "--site does not go with --server: give `site` in the sensor file of that server's sensor."
+            "--site cannot be combined with --server: give `site` in the sensor file of that server's sensor."
         )
 
 
@@ -119,7 +119,7 @@ FILE = click.Path(path_type=Path)
     multiple=True,
     type=FILE,
     metavar="IMAGE...",
-    help="Images of the night sky; the rest is found from their stars.",
+    help="Images of the night sky, from which the remaining values are determined.",
 )
 @click.argument("further_images", nargs=-1, type=FILE, metavar="")
 @click.option(
@@ -133,16 +133,19 @@ FILE = click.Path(path_type=Path)
     "--sheet",
     metavar="NAME",
     shell_complete=_complete_sheet,
-    help="A data sheet that gives the rest: " + ", ".join(DATA_SHEETS) + ".",
+    help="Data sheet that supplies the remaining values: " + ", ".join(DATA_SHEETS) + ".",
 )
 @click.option(
     "--model",
     "camera_model",
     metavar="NAME",
-    help="Camera model; if left out, OpenCV's, or a fisheye for a wide field.",
+    help="Camera model; by default OpenCV's, or a fisheye model for a wide field.",
 )
 @click.option(
-    "--parity", type=_number, metavar="N", help="-1 for an upright image, as on a screen (usual); 1 for a mirrored one."
+    "--parity",
+    type=_number,
+    metavar="N",
+    help="-1 for an upright image, as on a screen (usual); 1 for a mirrored image.",
 )
 @click.option("--name", default="New sensor", help="Name of the sensor.")
 @site_option
@@ -172,7 +175,7 @@ def new(
         known["site"] = split_site(site)
     if out_file != STANDARD_OUTPUT and Path(out_file).exists():
         raise RefusedInputError(
-            f"{out_file} exists and is not overwritten: choose another name, or remove it first.",
+            f"{out_file} already exists and will not be overwritten: choose another name, or remove it first.",
             code="would-overwrite",
         )
     pictures = [*images, *further_images]

@@ -126,7 +126,7 @@ def _populate(settings: Settings) -> None:
     click.echo(f"\n  Boresight demonstration: {_address(settings)}\n\n  Log in as")
     for person in LOG_INS:
         click.echo(f"    {person.name:<14} {person.password:<28} {person.printed_name}")
-    click.echo(f"\n  Telemetry dropped into {settings.watch_folder}/<sensor> is taken in, for ST16-3 and ST16-4.")
+    click.echo(f"\n  Telemetry dropped into {settings.watch_folder}/<sensor> is ingested for ST16-3 and ST16-4.")
     click.echo("\n  The fleet is being created and calibrated now. Stop with Ctrl-C.\n")
     engine = open_engine(settings.database_url)
     try:

@@ -18,16 +18,18 @@ from boresight.settings import read_settings
 @click.command()
 @click.argument("parameter_set")
 @click.option("--out", "file", metavar="FILE", required=True, help="The ZIP to write; - is standard output.")
-@click.option("--flight-software", help="Flight software version on board; a table for another version is refused.")
-@click.option("--table-id", help="Table on board; another is refused.")
+@click.option(
+    "--flight-software", help="Flight software version on board; the command fails if the table is for another version."
+)
+@click.option("--table-id", help="Table ID on board; the command fails if it differs.")
 @server_option
 def export(
     parameter_set: str, file: str, flight_software: str | None, table_id: str | None, server_url: str | None
 ) -> None:
     """Write the uplink package of PARAMETER_SET, an approved set or the baseline: PS-<sensor>-<n>, or its number.
 
-    The package contains the parameters, the table as the mission defined it, verification sheets, and the back-out. Built
-    again from the same set it is the same file.
+    The package contains the parameters, the table in the format that the mission defined, verification sheets, and the
+    back-out. Rebuilding the package of the same set gives an identical file.
     """
     check_writable(file, "ZIP")
     if server_url is not None:
@@ -72,7 +74,9 @@ def table() -> None:
 @click.argument("parameters", type=INPUT_FILE)
 @SENSOR
 @DEFINITION
-@click.option("--alignment", type=INPUT_FILE, help="Alignment JSON, for a table that holds one; made with PARAMETERS.")
+@click.option(
+    "--alignment", type=INPUT_FILE, help="Alignment JSON, for a table that contains one; made with PARAMETERS."
+)
 @click.option("--out", "file", metavar="FILE", required=True, help="The image to write; - is standard output.")
 def encode(parameters: Path, sensor_file: Path, definition_file: Path, alignment: Path | None, file: str) -> None:
     """Write PARAMETERS, a calibration JSON or names and values, into the table."""
@@ -106,7 +110,7 @@ def encode(parameters: Path, sensor_file: Path, definition_file: Path, alignment
 @DEFINITION
 @click.pass_context
 def decode(context: click.Context, image: Path, sensor_file: Path, definition_file: Path) -> None:
-    """Read IMAGE as the flight software does; exit code 1 when its CRC does not match its bytes."""
+    """Read IMAGE as the flight software does; exit code 1 if its CRC does not match its bytes."""
     from boresight.telemetry.read.formats import read_bytes
     from boresight.telemetry.sensors import read_sensor
     from boresight.uplink import cfe, table_definition

@@ -20,12 +20,17 @@ GB = 1_000_000_000
     "--scheduler", help="Address of the scheduler, instead of the setting: tls://host:port or tcp://host:port."
 )
 @click.option(
-    "--processes", type=click.IntRange(1), default=1, show_default=True, help="Worker processes, one per core."
+    "--processes",
+    type=click.IntRange(1),
+    default=1,
+    show_default=True,
+    help="Number of worker processes; one per core is recommended.",
 )
 @click.option(
     "--memory-gb",
     type=click.FloatRange(min=0, min_open=True),
-    help="A process that needs more is stopped and replaced.  [default: its core's share of four fifths of the machine]",
+    help="Memory limit per process; a process that exceeds it is restarted.  [default: one core's share of 80 % of the machine's "
+    "memory]",
 )
 @data_option
 def worker(scheduler: str | None, processes: int, memory_gb: float | None, data: Path | None) -> None:
@@ -48,8 +53,8 @@ def worker(scheduler: str | None, processes: int, memory_gb: float | None, data:
 def scheduler(host: str, port: int) -> None:
     """Connect a server with its workers, until Ctrl-C or SIGTERM.
 
-    With certificates (BORESIGHT_TLS_AUTHORITY and BORESIGHT_TLS_CERTIFICATE) its address begins with tls://. Without them whoever
-    reaches the port can run programs on the workers and the server, so it listens on this machine only, unless
+    With certificates (BORESIGHT_TLS_AUTHORITY and BORESIGHT_TLS_CERTIFICATE) its address begins with tls://. Without them, anyone
+    who can reach the port can run programs on the workers and the server, so it listens on this machine only, unless
     BORESIGHT_CLUSTER_NETWORK_CLOSED=1. If BORESIGHT_SCHEDULER is set here too, it must match.
     """
     settings = read_settings()
@@ -84,15 +89,15 @@ def _say(line: str) -> None:
 @data_option
 @click.option(
     "--camera", "cameras", multiple=True, metavar="MODEL",
-    help="Camera model to compile for, or all; repeat it. Others are compiled when they are first used. "
+    help="Camera model to compile for, or all; can be repeated. Others are compiled when they are first used. "
     " [default: those of the registered sensors]",
 )  # fmt: skip
 def warm(data: Path | None, cameras: tuple[str, ...]) -> None:
     """Compile the kernels and trim the star catalogue, once per installation.
 
-    Otherwise the first run does so, in about ten seconds on two cores. Kernels go where NUMBA_CACHE_DIR says, else
-    where `make` compiles them in its virtual environment, else into the data folder; they are valid for this version of
-    Boresight on this kind of processor.
+    Otherwise the first run does this, which takes about ten seconds on two cores. Kernels are stored in NUMBA_CACHE_DIR if
+    set, otherwise in the virtual environment created by `make`, otherwise in the data folder; they are valid for this version
+    of Boresight on this kind of processor.
     """
     settings = read_serve_settings(data)
     use_kernel_folder(settings)

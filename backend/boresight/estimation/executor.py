@@ -22,7 +22,7 @@ ProgressCallback = Callable[[int, int], None]
 def refuse_cancelled(cancelled: Callable[[], bool] | None, where: str) -> None:
     """Raise CancelledError where a computation was asked to stop; `where` says how far it was, as "after 3 of 7 pieces"."""
     if cancelled is not None and cancelled():
-        raise CancelledError(f"Stopped on request {where}")
+        raise CancelledError(f"Cancelled {where}")
 
 
 class Executor(Protocol):

@@ -310,8 +310,8 @@ def _find_width(samples: Sequence[_Sample]) -> float:
     radii = np.concatenate([sample.radius for sample in samples])
     if not len(radii):
         raise RefusedInputError(
-            "No image shows a star that could be measured: they are too faint, all saturated, or clouded out; expose longer or "
-            "shorter, or check an image."
+            "No measurable star was found in any image: they are too faint, all saturated, or hidden by clouds; change the "
+            "exposure time, or check an image."
         )
     width = float(np.median(radii)) / HALF_FLUX
     if not NARROWEST_PX <= width <= WIDEST_PX:

@@ -205,8 +205,9 @@ def _refuse_set(sources: Sequence[ImageSource], times: Mapping[str, np.datetime6
         twice = next(name for name in names if names.count(name) > 1)
         raise RefusedInputError(f"Two images are called {twice}: name each once, or give them different names.")
     if times is not None and (absent := [name for name in names if name not in times]):
+        others = f" and {len(absent) - 1:,} others" if len(absent) > 1 else ""
         raise RefusedInputError(
-            f"The list of times has no {absent[0]}, and {len(absent) - 1} others: add a row for each image.",
+            f"The list of times lacks {absent[0]}{others}: add a row for each image.",
             code="times-missing",
         )
 
@@ -294,7 +295,8 @@ def assemble(found: list[FoundStars], sensor: Sensor, common: Common) -> Extract
     images = [_describe(frame, one) for frame, one in enumerate(found)]
     if not any(image.stars for image in images):
         raise RefusedInputError(
-            "No image shows a star above the threshold: lower --threshold, or check an image (--picture) for clouds and focus."
+            "No star above the threshold was found in any image: lower --threshold, or check an image (--pictures) for clouds and "
+            "focus."
         )
     telemetry = _make_telemetry(found, sensor, common)
     return Extraction(telemetry, images, common, _sentences(found, images, common, timed))
@@ -365,7 +367,7 @@ def _sentences(found: list[FoundStars], images: list[ExtractedImage], common: Co
     few = [image.name for image in images if image.stars < FEWEST_STARS]
     if few:
         said.append(
-            f"{len(few):,} images show fewer than {FEWEST_STARS} stars and will not be recognised, {few[0]} among them."
+            f"{len(few):,} images (including {few[0]}) have fewer than {FEWEST_STARS} stars and cannot be recognised."
         )
     if common.bad.any():
         said.append(
@@ -374,9 +376,8 @@ def _sentences(found: list[FoundStars], images: list[ExtractedImage], common: Co
         )
     if not common.stars_move:
         said.append(
-            "The stars stay at one place in these images, so hot pixels are found only by their sharpness: let the "
-            "field move between "
-            "images."
+            "The stars do not move between these images, so hot pixels can be detected only by their sharpness: move the "
+            "field between images."
         )
     counts = {reason: sum(image.left_out.get(reason, 0) for image in images) for reason in REASONS}
     left_out = ", ".join(f"{count:,} {reason}" for reason, count in counts.items() if count)
@@ -388,7 +389,7 @@ def _sentences(found: list[FoundStars], images: list[ExtractedImage], common: Co
 
 def _say_gain(common: Common) -> str:
     if common.gain_e_per_dn is None:
-        return "The stars show no photon noise, so sigma_px includes only the sky's noise: give --gain if it is known."
+        return "The stars show no photon noise, so sigma_px includes only the noise of the sky: give --gain if it is known."
     if not common.gain_estimated:
         return f"The gain is {common.gain_e_per_dn:.4g} electrons per DN, as given."
     narrow = (
@@ -410,8 +411,8 @@ def _say_times(found: list[FoundStars], timed: bool) -> list[str]:
         return said
     without = sum(bool(np.isnat(one.time_utc)) for one in found)
     untimed = (
-        f"{without:,} images have no time: their frames keep the given order, and their stars the catalogue's "
-        "places without aberration and proper motion; give --times."
+        f"{without:,} images have no time: their frames keep the given order, and catalogue positions are used without "
+        "aberration and proper motion; give --times."
     )
     return [*said, untimed]
 

@@ -137,7 +137,7 @@ def _read_bytes(path: Path, name: str, limits: ImageLimits) -> bytes:
         size = path.stat().st_size
         if size > limits.file_bytes:
             raise RefusedInputError(
-                f"{name} has {size / 1e6:,.0f} MB, at most {limits.file_bytes / 1e6:,.0f} are read: bin or cut the image."
+                f"{name} is {size / 1e6:,.0f} MB; the limit is {limits.file_bytes / 1e6:,.0f} MB: bin or crop the image."
             )
         content = path.read_bytes()
     except OSError as error:
@@ -155,7 +155,7 @@ def _find_form(content: bytes, name: str) -> str:
         if content.startswith(magic):
             if form in _FOREIGN.values():
                 raise RefusedInputError(
-                    f"{name} is {form}, which is not read: save it as FITS, or as PNG or TIFF of 16 bits."
+                    f"{name} is {form}, which is not supported: save it as FITS, or as PNG or TIFF of 16 bits."
                 )
             return form
     if SUFFIXES.get(Path(name).suffix.lower()) == "raw":
@@ -186,7 +186,7 @@ def _check_size(image: Image, sensor: Sensor) -> None:
 def _refuse_pixels(name: str, pixels: int, limits: ImageLimits) -> None:
     if pixels > limits.pixels:
         raise RefusedInputError(
-            f"{name} says that it has {pixels:,} pixels, at most {limits.pixels:,} are read: bin or cut the image."
+            f"{name} has {pixels:,} pixels by its header; the limit is {limits.pixels:,}: bin or crop the image."
         )
 
 
@@ -201,7 +201,7 @@ def _read_fits(
         content = _expand(content, name, limits)
         if not content.startswith(b"SIMPLE  ="):
             raise RefusedInputError(
-                f"{name} is compressed by gzip, and what is inside is not FITS: unpack it, and give the file inside by its name."
+                f"{name} is compressed by gzip, and its content is not FITS: unpack it, and give the file inside by its name."
             )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of headers that break a rule and can be read all the same
@@ -216,8 +216,8 @@ def _read_fits(
                 planes = [length for length in part.shape[:-2] if length > 1]
                 if planes:
                     raise RefusedInputError(  # noqa: TRY301 - it passes as it is
-                        f"{name} holds {np.prod(planes)} planes: write every exposure, or the sum of the colours, as "
-                        "an image of its own."
+                        f"{name} contains {np.prod(planes)} planes: write each exposure, or the sum of the colours, as a "
+                        "separate image."
                     )
                 if isinstance(part, fits.CompImageHDU):
                     _refuse_tiles(content, name, int(np.prod(part.shape, dtype=np.int64)))
@@ -267,7 +267,9 @@ def _refuse_tiles(content: bytes, name: str, pixels: int) -> None:
             for packed in (packed for column in columns for packed in table.data[column] if left >= 0):
                 left -= len(zlib.decompressobj(31).decompress(bytes(packed), left + 1))
     if left < 0:
-        raise RefusedInputError(f"{name} contains more in its tiles than its pixels: write the image again.")
+        raise RefusedInputError(
+            f"The tiles of {name} contain more data than the image has pixels: save the image again."
+        )
 
 
 def _expand(content: bytes, name: str, limits: ImageLimits) -> bytes:
@@ -280,7 +282,7 @@ def _expand(content: bytes, name: str, limits: ImageLimits) -> bytes:
         raise RefusedInputError(f"{name} is damaged gzip ({_short(error)}): copy it again.") from error
     if len(expanded) > most:
         raise RefusedInputError(
-            f"{name} expands to over {most / 1e6:,.0f} MB, more than an image may have: bin or cut it.",
+            f"{name} expands to over {most / 1e6:,.0f} MB, more than an image may have: bin or crop it.",
             code="expands-too-far",
         )
     return expanded
@@ -310,7 +312,7 @@ def _utc(text: str, scale: str, name: str, key: str) -> np.datetime64:
             raise ValueError(text)  # noqa: TRY301 - it is told as the others are
     except Exception as error:
         raise RefusedInputError(
-            f"{name}: {key} is {text[:40]!r} in {scale[:12]!r}, which is not a time: correct the header, or give --times."
+            f"{name}: {key} = {text[:40]!r} ({scale[:12]}) is not a valid time: correct the header, or give --times."
         ) from error
     return time
 
@@ -330,7 +332,7 @@ def _middle(start: np.datetime64, exposure_s: float | None, name: str) -> np.dat
         return start
     if exposure_s > _LONGEST_EXPOSURE_S:
         raise RefusedInputError(
-            f"{name} says that it was exposed for {exposure_s:.6g} s, over a day: correct the header."
+            f"The exposure time of {name} is {exposure_s:.6g} s, more than a day: correct the header."
         )
     return start + np.timedelta64(round(exposure_s / 2.0 * 1e6), "us")
 
@@ -353,7 +355,7 @@ def _read_picture(
                     )
                 if _is_cut_to_8_bits(content, picture.mode):
                     raise RefusedInputError(  # noqa: TRY301 - it passes as it is
-                        f"{name} has colours of 16 bits, which are not read: save one channel, or grey."
+                        f"{name} has colours of 16 bits, which are not supported: save one channel, or grey."
                     )
                 mode, (time, source, exposure) = picture.mode, _exif_time(picture.getexif(), name)
                 if mode in _COLOUR:
@@ -363,13 +365,13 @@ def _read_picture(
                     dn = np.asarray(picture, dtype=np.float64)
                 else:
                     raise RefusedInputError(  # noqa: TRY301 - it passes as it is
-                        f"{name} is of the kind {mode!r}, which is not read: save it as grey of 8 or 16 bits."
+                        f"{name} is of the kind {mode!r}, which is not supported: save it as grey of 8 or 16 bits."
                     )
     except RefusedInputError:
         raise
     except Exception as error:  # Pillow raises what its parts raise on damaged files
         raise RefusedInputError(
-            f"{name} is damaged, or of a kind that is not read ({_short(error)}): save it again."
+            f"{name} is damaged, or of a kind that is not supported ({_short(error)}): save it again."
         ) from error
     dn, unknown = _filled(dn, name)
     notes += unknown

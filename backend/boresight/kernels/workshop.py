@@ -93,7 +93,7 @@ def _compile(tasks: Sequence[Task]) -> None:
             if served.stdin is None or served.stdout is None:
                 return
             for task in left:  # taking from it is one step of the interpreter
-                tell(f"compiling, once per machine: {task[1]}", next(done) / len(tasks))
+                tell(f"compiling kernels (once per machine): {task[1]}", next(done) / len(tasks))
                 pickle.dump(task, served.stdin)
                 served.stdin.flush()
                 if not served.stdout.readline():

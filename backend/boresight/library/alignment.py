@@ -89,7 +89,7 @@ class Alignment(Summarised, Tabular, result.Alignment):
             yield f"quaternion x, y, z, w from {self.a.name} to {self.b.name}, {what}: {numbers}"
         warmth = "" if self.reference_temperature_c is None else f" at {self.reference_temperature_c:.2f} °C"
         used = f"{self.pairs_used:,} of {self.pairs:,} pairs, {self.interpolated:,} interpolated"
-        yield f"told{warmth} for {self.reference_utc}; {used}"
+        yield f"reference time {self.reference_utc}{warmth}; {used}"
         for test in self.tests:
             needed = "needed" if test.needed else "not needed"
             yield f"{test.name}: {needed}, chi-square falls by {test.fall:.3g} (p = {test.p:.2g})"
@@ -101,7 +101,7 @@ class Alignment(Summarised, Tabular, result.Alignment):
             )
             yield f"left out: {one.time_utc}, {frames}: {one.angle_arcsec:.3g} arcsec off (p = {one.probability:.2g})"
         if len(self.removed) > MOST_NAMED:
-            yield f"and {len(self.removed) - MOST_NAMED:,} more; --json writes them"
+            yield f"and {len(self.removed) - MOST_NAMED:,} more; use --json to list all"
         yield from self.advice
         for gate in self.report.gates:
             if gate.status != "PASS":

@@ -63,7 +63,7 @@ TIMEOUT = httpx.Timeout(60.0, connect=10.0)
 SLOW_TIMEOUT = httpx.Timeout(60.0, connect=10.0, read=900.0)
 #: What ends a request without an answer that can be read.
 NO_ANSWER = (httpx.TransportError, httpx.DecodingError)
-CLOSED = "This client is closed and asks nothing more: open another one."
+CLOSED = "This client is closed: open a new one."
 Silence = httpx.TransportError | httpx.DecodingError
 
 
@@ -307,7 +307,7 @@ class Client(_Connection):
         `telemetry` and `validate` may be sets of the server too, `sensor` the name or number of one of its sensors, and `prior`
         is one of its parameter sets or runs.
         """
-        with reporting(progress, "asking the server") as report:
+        with reporting(progress, "contacting the server") as report:
             return self._run(remote.calibrate(telemetry, sensor, validate, label, report, settings, prior))
 
     def choose(
@@ -324,7 +324,7 @@ class Client(_Connection):
 
         Telemetry is calibrated first, with the other arguments as `calibrate`; the same run asked again has the same choice.
         """
-        with reporting(progress, "asking the server") as report:
+        with reporting(progress, "contacting the server") as report:
             return self._run(remote.choose(telemetry, sensor, validate, label, report, settings))
 
     def diagnose(
@@ -338,7 +338,7 @@ class Client(_Connection):
 
         The set keeps the answer in its quality report.
         """
-        with reporting(progress, "asking the server") as report:
+        with reporting(progress, "contacting the server") as report:
             return self._run(remote.diagnose(telemetry, sensor, report))
 
     def plan(
@@ -541,7 +541,7 @@ class AsyncClient(_Connection):
         `telemetry` and `validate` may be sets of the server too, `sensor` the name or number of one of its sensors, and `prior`
         is one of its parameter sets or runs.
         """
-        with reporting(progress, "asking the server") as report:
+        with reporting(progress, "contacting the server") as report:
             return await self._run(remote.calibrate(telemetry, sensor, validate, label, report, settings, prior))
 
     async def choose(
@@ -558,7 +558,7 @@ class AsyncClient(_Connection):
 
         Telemetry is calibrated first, with the other arguments as `calibrate`; the same run asked again has the same choice.
         """
-        with reporting(progress, "asking the server") as report:
+        with reporting(progress, "contacting the server") as report:
             return await self._run(remote.choose(telemetry, sensor, validate, label, report, settings))
 
     async def diagnose(
@@ -572,7 +572,7 @@ class AsyncClient(_Connection):
 
         The set keeps the answer in its quality report.
         """
-        with reporting(progress, "asking the server") as report:
+        with reporting(progress, "contacting the server") as report:
             return await self._run(remote.diagnose(telemetry, sensor, report))
 
     async def plan(

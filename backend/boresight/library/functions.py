@@ -120,7 +120,7 @@ def parse_choices(choices: Mapping[str, Any]) -> CalibrationSettings:
         option = OPTIONS[name]
         if not option.counts_under(chosen.method) and getattr(chosen, name) != option.default:
             raise RefusedInputError(
-                f"Setting {name!r} is not of method {chosen.method!r}: leave it out, or choose the method from "
+                f"Setting {name!r} does not apply to method {chosen.method!r}: omit it, or use one of the methods "
                 f"{', '.join(option.methods)}.",
                 code="setting-of-another-method",
             )
@@ -140,7 +140,7 @@ def _refuse_others(function: str, settings: Mapping[str, Any], taken: tuple[str,
     for name, value in settings.items():
         if value is not None and name in OPTIONS and name not in taken:
             raise RefusedInputError(
-                f"{function} takes no setting {name!r}: leave it out, or choose from {', '.join(taken)}.",
+                f"{function} takes no setting {name!r}: omit it, or choose from {', '.join(taken)}.",
                 code="unknown-setting",
             )
 
@@ -171,7 +171,8 @@ def calibrate(
     prior
         A former calibration of the sensor, which this one starts from with its covariance; telemetry that it holds counts once.
     progress
-        True shows progress, False nothing; a function is told (message, share). Left out, it is shown in terminals and notebooks.
+        True shows progress, False nothing; a function is called with (message, share). If omitted, progress is shown in terminals
+        and notebooks.
     settings
         The choices of a calibration by name, as `method="sqrf", free="f_m,b2_per_m2"`; `help(boresight.calibrate)` lists them.
 
@@ -229,7 +230,7 @@ def choose(
     """Choose the least camera model that suffices for telemetry: every model and its terms, tested on the same stars.
 
     Parameters as `calibrate`; of its settings `match` and `minimum_stars` count. `validate` is what candidates are held out
-    against; left out, frames of the telemetry are.
+    against; if omitted, frames of the telemetry are.
     """
     from boresight.library.choice import Choice
     from boresight.library.inputs import open_telemetry, read_any_sensor
@@ -295,7 +296,7 @@ def match(
     telemetry, sensor, progress
         As `calibrate`.
     parameters
-        A calibration, or parameters by name, to match with; the sensor's own where left out.
+        A calibration, or parameters by name, to match with; the sensor's own if omitted.
     leave_out_doubles
         Leave out double stars and stars with unreliable astrometry.
     blends
@@ -355,7 +356,7 @@ def evaluate(
     parameters
         A calibration, or parameters by name: `final`.
     against
-        What it is compared with: `initial`; the sensor's own parameters where left out.
+        What it is compared with: `initial`; the sensor's own parameters if omitted.
     shadow
         Also list the frames that one of the two would lose.
     settings
@@ -426,7 +427,7 @@ def extract(  # noqa: PLR0913 - each is a choice of its own
     times
         CSV with the columns `image` and `time_utc`, mid-exposure, instead of what the images say.
     processes
-        That extract at the same time; one a core where left out.
+        Number of processes that extract at the same time; one per core if omitted.
 
     Returns
     -------
@@ -693,11 +694,11 @@ def assess(
     sensor, progress
         As `calibrate`.
     validate
-        Held-out telemetry; the calibration's own validation where left out.
+        Held-out telemetry; the calibration's own validation if omitted.
     against
-        The incumbent's parameters; the sensor's where left out.
+        The incumbent's parameters; the sensor's if omitted.
     profile
-        Gate profile, as file or what one says; the default limits where left out.
+        Gate profile, as a file or its content; the default limits if omitted.
     """
     from boresight.calibration.calibration import to_plain
     from boresight.calibration.parameter_file import read_document
@@ -759,11 +760,11 @@ def align(  # noqa: PLR0913 - two sides, each with its own
     Parameters
     ----------
     a, b
-        Telemetry of the two trackers, as `calibrate`; `b` is left out where there is a reference.
+        Telemetry of the two trackers, as `calibrate`; `b` is omitted if there is a reference.
     sensor_a, sensor_b
         Their sensors.
     parameters_a, parameters_b
-        Their calibrations, with covariance; left out, the sensor's own parameters at their typical spread.
+        Their calibrations, with covariance; if omitted, the sensor's own parameters at their typical spread.
     reference
         Attitudes of a gyro, payload or body in place of `b`, ICRS to it: an AEM, a table with `time_utc`, `q_x`, `q_y`, `q_z`,
         `q_w` and perhaps `sigma_arcsec` (or one an axis, `sigma_x_arcsec` and so on) and `temperature_c`, or telemetry, whose
@@ -836,7 +837,7 @@ def plan(
     progress: Wanted = None,
     **constraints: float,
 ) -> PointingPlan:
-    """Plan what to observe next: the pointings and rolls that shrink what is known least, by the minute.
+    """Plan the next observations: pointings and rolls that reduce the largest uncertainties most per minute.
 
     Parameters
     ----------
@@ -845,14 +846,15 @@ def plan(
     start, minutes
         When it begins, UTC in ISO 8601, and how long it may take.
     calibration
-        What is known before; left out, ten typical sigmas of each free parameter of the sensor file, at a lens that has one
+        The prior knowledge; if omitted, ten typical sigmas of each free parameter of the sensor file, at a lens that has one
         typical sigma of the distortion, tilt and decentring that the file has none of.
     candidates
-        CSV of attitudes that may be chosen: ra_deg, dec_deg, roll_deg; left out, pointings over the whole sky.
+        CSV of attitudes that may be chosen: ra_deg, dec_deg, roll_deg; if omitted, pointings over the whole sky.
     criterion
         `A`, the sum of variances in typical sigmas, or `D`, the volume of the confidence region.
     orbit
-        `altitude_km`, `inclination_deg` and `node_hour` of a circular orbit, for the Earth; left out, the Earth is nowhere.
+        `altitude_km`, `inclination_deg` and `node_hour` of a circular orbit around the Earth; the Earth is not considered if
+        omitted.
     progress
         As `calibrate`.
     constraints
@@ -1023,7 +1025,7 @@ def export_camera(
     telemetry
         What a format with something for each exposure takes the attitudes from, by matching its stars again.
     allow_px
-        Largest misfit; the format's share of the sensor's `centroid_sigma_px` where left out.
+        Maximum misfit; the format's share of the sensor's `centroid_sigma_px` if omitted.
     residual
         Follow the residual spline of the calibration too.
     suffix

@@ -85,14 +85,14 @@ ParameterSource = str | os.PathLike[str] | Mapping[str, Any] | Calibration
 def as_path(source: Any, what: str) -> Path:
     """Return the path that a source is; `what`: the forms that a refusal says are taken."""
     if not isinstance(source, str | os.PathLike):
-        raise RefusedInputError(f"{type(source).__name__} is none of what is taken: give {what}.", code="other-form")
+        raise RefusedInputError(f"{type(source).__name__} is not supported: give {what}.", code="other-form")
     return Path(source)
 
 
 #: Forms that are taken, as refusals say them.
-SENSOR_FORMS = "a sensor file, what one says as a mapping, or a sensor of this library"
+SENSOR_FORMS = "a sensor file, its content as a mapping, or a sensor object of this library"
 PARAMETER_FORMS = "a calibration, its file or its JSON as a mapping, or an object of parameter names and values"
-SCENARIO_FORMS = "the name of a built-in scenario, a scenario file, or what one says as a mapping"
+SCENARIO_FORMS = "the name of a built-in scenario, a scenario file, or its content as a mapping"
 
 
 def open_telemetry(source: TelemetrySource, limits: Limits) -> Telemetry | TelemetryFile:

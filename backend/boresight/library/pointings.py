@@ -69,7 +69,7 @@ def read_candidates(path: str | Path) -> Candidates:
         raise RefusedInputError(f"There is no file {name}: check the name.") from error
     except (pa.ArrowException, KeyError, OSError) as error:
         raise RefusedInputError(
-            f"{name} cannot be read ({error}): write CSV with {', '.join(CANDIDATE_COLUMNS)}, once each, one attitude a row."
+            f"{name} cannot be read ({error}): write CSV with {', '.join(CANDIDATE_COLUMNS)}, once each, one attitude per row."
         ) from error
     if not 0 < len(table) <= MOST_CANDIDATES:
         raise RefusedInputError(f"{name} has {len(table):,} attitudes: give 1 to {MOST_CANDIDATES:,}.")

@@ -501,7 +501,7 @@ def _id(thing: Any) -> int:
     found = thing if isinstance(thing, int) else getattr(thing, "id", None)
     if not isinstance(found, int):
         raise RefusedInputError(
-            f"{thing!r} is no number: give the number of a run, a set or a sensor, or what the client returned."
+            f"{thing!r} is not a number: give the number of a run, a set or a sensor, or what the client returned."
         )
     return found
 
@@ -599,7 +599,7 @@ def diagnose(
     if not isinstance(telemetry, TelemetrySet | int):
         telemetry = yield from _uploaded(telemetry, sensor, report)
     elif sensor is not None:
-        raise RefusedInputError("A telemetry set has its sensor: give the set alone.")
+        raise RefusedInputError("A telemetry set already defines its sensor: give only the set.")
     report("looking for what does not match", None)
     answer = yield replace(_post(f"/telemetry-sets/{_id(telemetry)}:diagnose"), slow=True)
     found = parse_record(TelemetrySet, answer.document())
@@ -641,7 +641,7 @@ def launch_files(
         report("uploading the validation set", None)
         owner = stored[0].sensor_id if isinstance(stored[0], TelemetrySet) else sensor
         if owner is None:
-            raise RefusedInputError("A validation set is uploaded for a sensor: name it, or give its file.")
+            raise RefusedInputError("A validation set is uploaded for a sensor: name the sensor, or give its file.")
         validate = yield from upload(validate, owner, "validation")
     return (yield from launch(stored, validate, label, settings, prior))
 
@@ -651,7 +651,7 @@ def _uploaded(
 ) -> Operation[TelemetrySet]:
     """Store telemetry to calibrate from, with its sensor."""
     if sensor is None:
-        raise RefusedInputError("Telemetry is uploaded for a sensor: name it, or give its file.")
+        raise RefusedInputError("Telemetry is uploaded for a sensor: name the sensor, or give its file.")
     known = yield from find_sensor(sensor)
     report("uploading the telemetry", None)
     return (yield from upload(telemetry, known, "calibration"))

@@ -75,7 +75,7 @@ class Tabular:
     def to_frame(self, kind: FrameKind | None = None) -> Any:
         """Return a DataFrame: of a calibration a row a parameter, SI; of telemetry its rows, with `star_id` as matched.
 
-        `kind`: pandas, polars or pyarrow; left out, the first of them that is installed.
+        `kind`: pandas, polars or pyarrow; if omitted, the first of them that is installed.
         """
         return make_frame(self._columns(), kind)
 

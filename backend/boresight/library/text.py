@@ -307,14 +307,14 @@ def summarise_choice(found: Choice) -> Summary:
 
 def summarise_diagnosis(found: Diagnosis) -> Summary:
     """The sentence, and a row for all that was tried."""
-    rows: list[Sequence[str]] = [("tried", "exposures matched", "stars")]
+    rows: list[Sequence[str]] = [("tested", "exposures matched", "stars")]
     rows += [(one.what, f"{one.exposures_solved:,} of {found.exposures:,}", f"{one.stars:,}") for one in found.tried]
-    sentences = ["The time limit ended the search before all was tried."] if found.cut_short else []
+    sentences = ["The time limit was reached before all options were tested."] if found.cut_short else []
     if (mapping := found.mapping) is not None:
         from boresight.telemetry.mapping import profile_members
 
         sentences.append(
-            "Write the telemetry as it is to be read by --out-telemetry FILE, or say it in a mapping profile: "
+            "Write corrected telemetry with --out-telemetry FILE, or describe the format in a mapping profile: "
             f"{profile_members(mapping)}."
         )
     return Summary(f"{found.sensor}: {found.sentence}", rows, (0,), sentences)

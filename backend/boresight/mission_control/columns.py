@@ -41,7 +41,7 @@ def list_wanted(profile: Profile, is_full: Callable[[str], bool], example: str, 
     names = tuple(name for name in found if name not in times)
     if short := [name for name in names if not is_full(name)]:
         raise RefusedInputError(
-            f"The mapping profile {profile.name} names {short[0]!r}, which is no full name of a parameter; write it like {example}."
+            f"The mapping profile {profile.name} names {short[0]!r}, which is not a full parameter name; write it like {example}."
         )
     return WantedColumns(names, frozenset(name for name in names if found[name]))
 

@@ -107,7 +107,7 @@ class Connection:
             return orjson.loads(content)
         except ValueError as error:
             raise UnavailableError(
-                f"{self.server.name} at {self.server.url} answered something that is no JSON; check {self.server.setting}_URL."
+                f"{self.server.name} at {self.server.url} did not return JSON; check {self.server.setting}_URL."
             ) from error
 
     def ask_mapping(self, method: str, path: str, **given: Any) -> Mapping[str, Any]:
@@ -115,7 +115,7 @@ class Connection:
         document = self.ask_document(method, path, **given)
         if not isinstance(document, Mapping):
             raise UnavailableError(
-                f"{self.server.name} at {self.server.url} answered something else than it should; check its version."
+                f"{self.server.name} at {self.server.url} returned an unexpected response; check its version."
             )
         return document
 
@@ -134,11 +134,11 @@ class Connection:
                 left -= len(piece)
                 if left < 0:
                     raise TooMuchError(
-                        f"{self.server.name} answered with more than {most_bytes / 1e6:.0f} MB; ask for a shorter time."
+                        f"{self.server.name} returned more than {most_bytes / 1e6:.0f} MB; ask for a shorter time."
                     )
                 if time.monotonic() > ends_s:
                     raise TooMuchError(
-                        f"{self.server.name} took more than {LONGEST_ANSWER_S:.0f} s to answer; ask for a shorter time."
+                        f"{self.server.name} took more than {LONGEST_ANSWER_S:.0f} s to respond; ask for a shorter time."
                     )
                 yield piece
 
@@ -150,7 +150,7 @@ class Connection:
         try:
             yield
         except httpx.TimeoutException as error:
-            raise UnavailableError(f"{place} did not answer within {TIMEOUT_S:.0f} s: check {where}.") from error
+            raise UnavailableError(f"{place} did not respond within {TIMEOUT_S:.0f} s: check {where}.") from error
         except (httpx.HTTPError, httpx.InvalidURL, OSError) as error:
             said = str(error) or type(error).__name__
             if isinstance(error.__cause__ or error, ssl.SSLError) or "CERTIFICATE_VERIFY_FAILED" in said:
@@ -167,8 +167,8 @@ class Connection:
         said, status = _find_message(heard), answer.status_code
         if status in {401, 403}:
             raise UnavailableError(
-                f"{self.server.name} at {self.server.url} does not let us do this ({status}{said}): correct the credentials "
-                f"in the file of {self.server.setting}_CREDENTIALS, or have the right given there."
+                f"{self.server.name} at {self.server.url} denied access ({status}{said}): correct the credentials "
+                f"in the file of {self.server.setting}_CREDENTIALS, or have permission granted."
             )
         if 400 <= status < 500 and status not in {408, 429}:
             raise RefusedInputError(f"{self.server.name} refused the request ({status}{said}): correct it.")

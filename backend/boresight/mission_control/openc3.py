@@ -143,7 +143,7 @@ class OpenC3:
             fault = answer.get("error") if isinstance(answer, Mapping) else None
             said = str(fault.get("message", "")) if isinstance(fault, Mapping) else ""
             raise RefusedInputError(
-                f"OpenC3 refused {method} ({' '.join(said.split())[:HEARD] or 'without a cause'}): correct the names of the items."
+                f"OpenC3 refused {method} ({' '.join(said.split())[:HEARD] or 'no reason given'}): correct the names of the items."
             )
         return answer["result"]
 
@@ -158,7 +158,7 @@ def _list_rows(result: Any, columns: int) -> Sequence[Sequence[Sequence[Any]]]:
     rows = result if isinstance(result, list) and isinstance(result[0], list) and _is_pair(result[0][0]) else [result]
     for row in rows:
         if not isinstance(row, list) or len(row) != columns or not all(_is_pair(pair) for pair in row):
-            raise UnavailableError("OpenC3 answered rows of another form than version 7 does; check its version.")
+            raise UnavailableError("OpenC3 returned rows in a format that differs from version 7; check its version.")
     return rows
 
 

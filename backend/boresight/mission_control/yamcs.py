@@ -149,6 +149,8 @@ def _read_rows(content: bytes, columns: int) -> Sequence[tuple[int, str]]:
                 f"Yamcs exported a row of {len(cells)} cells where {columns + 1} were asked for; check its version."
             )
         if any("\t" in cell or "\n" in cell or '"' in cell for cell in cells):
-            raise UnavailableError("Yamcs exported a text with tabs, lines or quotes in it; leave that parameter out.")
+            raise UnavailableError(
+                "Yamcs exported text that contains tabs, line breaks or quotes; remove that parameter from the mapping profile."
+            )
         found.append((read_time_us(cells[0], "Yamcs"), "\t".join(cells)))
     return found

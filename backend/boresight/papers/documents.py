@@ -174,9 +174,9 @@ def _reason(cells: Sequence[Cell], conclusion: Conclusion) -> str:
         _sentence(f"{cause.capitalize()} ({', '.join(columns)})", because)
         for (cause, because), columns in apart.items()
     ]
-    better = [f"{cell.column} {cell.factor:.1f} times" for cell in cells if cell.verdict == BETTER]
+    better = [f"{cell.column} by a factor of {cell.factor:.1f}" for cell in cells if cell.verdict == BETTER]
     sentences += [f"Our error is smaller: {', '.join(better)}."] if better else []
-    sentences.append(f"Conclusion {'holds' if conclusion.holds else 'fails'}: {conclusion.sentence}")
+    sentences.append(f"Conclusion {'confirmed' if conclusion.holds else 'not confirmed'}: {conclusion.sentence}")
     if not conclusion.holds:
         sentences.append(_sentence(f"{conclusion.cause.capitalize()} (conclusion)", conclusion.because))
     return " ".join(sentences)
@@ -278,13 +278,16 @@ def grid_document(title: str, about: str, axes: Sequence[str], found: Sequence[F
     nearest, most = found[0], max(found, key=lambda one: int(one["within_two"]))
     by_axis = {axis: _best_by_value(found, axis) for axis in axes}
     numbers = nearest["numbers"]
-    verdict = "Some setting meets" if most["within_two"] == numbers else "None meets"
+    if most["within_two"] == numbers:
+        verdict = f"All {numbers} are reproduced within a factor of two by {_named(most, axes)}"
+    else:
+        best = f"the best is {_named(most, axes)} with {most['within_two']}"
+        verdict = f"No setting reproduces all {numbers} within a factor of two; {best}"
     values = "; ".join(f"{axis} {_listed(best)}" for axis, best in by_axis.items() if len(best) > 1)
-    met = f"the nearest {nearest['within_two']}, ours {ours['within_two']}, and the most {most['within_two']}"
     said = [
         f"Of {len(found)} settings the nearest is {_named(nearest, axes)}: typical factor {nearest['factor']:.2f} on {about}.",
         f"Ours is {_named(ours, axes)}: typical factor {ours['factor']:.2f}.",
-        f"{verdict} all {numbers} within a factor of two: {met}, by {_named(most, axes)}.",
+        f"{verdict} (the nearest {nearest['within_two']}, ours {ours['within_two']}).",
         f"Smallest factor by value: {values}.",
     ]
     return {"title": title, "about": about, "axes": by_axis, "ours": ours, "settings": found, "sentences": said}
@@ -337,7 +340,7 @@ def head_sentences(document: Mapping[str, Any]) -> list[str]:
     left = ", ".join(f"{count} {reason}" for reason, count in counted["left_out"].items())
     return [
         f"Of {sum(verdicts.values())} printed numbers, each counted once: {said}.",
-        f"Of {sum(statements.values())} statements {statements['hold']} hold and {statements['fail']} fail.",
+        f"Of {sum(statements.values())} statements, {statements['hold']} are confirmed and {statements['fail']} are not.",
         f"Left out of the numbers: {left}.",
     ]
 

@@ -36,12 +36,12 @@ def why_not(sensor: Sensor) -> str | None:
     if CAMERA_MODELS[sensor.camera_model].opencv is None:
         return (
             f"{sensor.camera_model} distorts from the detector to the sky; OpenCV and ROS distort from the sky to the detector. "
-            "No coefficients of theirs describe this camera, and an approximation would be another camera."
+            "None of their coefficients describes this camera exactly, and an approximation would be a different camera."
         )
     if sensor.parity != -1:
         return (
-            "The sensor has parity +1: with X along columns, Y along rows and Z along the boresight, OpenCV's and ROS's frame "
-            "would be left-handed, and no rotation turns the sky into it."
+            "The sensor has parity +1: with X along columns, Y along rows and Z along the boresight, the OpenCV and ROS "
+            "frame would be left-handed, and no rotation can produce it."
         )
     return None
 
@@ -78,11 +78,11 @@ def conventions(sensor: Sensor) -> dict[str, Any]:
         "z out along the boresight",
         "parity": sensor.parity,
         "handedness": f"(rows, columns, boresight) is a {hand}-handed triad"
-        + ("" if sensor.parity == 1 else "; (x, y, z) of D stands for the right-handed vector (x, -y, z)"),
+        + ("" if sensor.parity == 1 else "; (x, y, z) in D represents the right-handed vector (x, -y, z)"),
         "pixel_origin": "the centre of the top-left pixel is row 0, column 0; rows count down, columns to the right",
         "angles": "radians",
         "quaternions": "x, y, z, w; scalar last",
         "sigma": "one standard deviation from noise alone; null where it was not estimated",
-        "sigma_with_misfit": "the same, including what the camera model does not describe: decide by this one",
+        "sigma_with_misfit": "the same, including effects that the camera model does not describe; use this one for decisions",
         "numbers": "IEEE 754 double precision, written in the fewest digits that read back as the same number",
     }

@@ -98,7 +98,7 @@ class DumpComparison:
     def sentence(self) -> str:
         """Say what was found, naming the first of what differs."""
         if self.matches:
-            return f"All {self.length_bytes} bytes are as they were sent."
+            return f"All {self.length_bytes} bytes match what was sent."
         count = len(self.differing)
         named = "; ".join(one.sentence for one in self.differing[:NAMED])
         more = f"; and {count - NAMED} more" if count > NAMED else ""

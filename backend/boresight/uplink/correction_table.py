@@ -19,13 +19,13 @@ SCHEMA = "boresight.correction-table/1"
 NAMES = ("correction_table.json", "correction_table.csv")
 COLUMNS = ("row_px", "col_px", "d_row_px", "sigma_row_px", "d_col_px", "sigma_col_px")
 USE = (
-    "A star is measured at the place where the camera with these parameters puts it, plus the displacement at that place. Before "
-    "a centroid (row_px, col_px) goes into the camera's equations, subtract d_row_px and d_col_px. A rotation of all directions "
+    "A star is measured at the place that the camera model gives with these parameters, plus the displacement there. Before "
+    "a centroid (row_px, col_px) is used in the camera's equations, subtract d_row_px and d_col_px. A rotation of all directions "
     "belongs to C_SD and is not included. The table is valid only with these parameters."
 )
 INTERPOLATION = (
-    "Between the places bilinear interpolation of the grid, or exactly the spline: d = sum over i, j of c_ij B_i(row) B_j(col), B "
-    "the cubic B-splines on the knots."
+    "Between grid points, interpolate bilinearly, or evaluate the spline exactly: d = sum over i, j of c_ij B_i(row) B_j(col), "
+    "with B the cubic B-splines on the knots."
 )
 
 

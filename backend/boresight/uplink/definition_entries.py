@@ -172,7 +172,7 @@ def parse_checksum(document: Any, faults: Faults) -> tuple[Checksum, Entries]:
     else:
         crc = _parsed(entries, faults)
         if known is not None and not faults.count and crc != known:
-            faults.add(f"crc is called {known.name} but has other parameters: correct them or leave them out")
+            faults.add(f"crc is called {known.name} but has other parameters: correct or omit them")
     if entries.has("check") and not faults.count:
         check = entries.bits_word("check", crc.width)
         if check != crc.value(CHECKED):

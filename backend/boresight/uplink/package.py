@@ -112,12 +112,12 @@ def _tables(definition: TableDefinition | None, sensor: Sensor, subject: Mapping
         return _Tables({})
     parameters, name, alignment = subject["document"]["parameters"], subject["name"], subject.get("alignment")
     if definition.is_aligned and alignment is None:
-        said = f"The table {definition.table_id} holds an alignment, and none that was made with {name} is approved"
+        said = f"The table {definition.table_id} contains an alignment, but no alignment made with {name} is approved"
         if place == "":
             raise RefusedInputError(
                 f"{said}: align its run, submit the alignment and have it approved, or set a definition without alignment fields."
             )
-        missing = f"{said}: keep the image that is on board before loading, and load that one to go back."
+        missing = f"{said}: save the current on-board image before loading, and reload it to go back."
         return _Tables({"table_missing.txt": f"{missing}\n".encode()}, missing=missing)
     numbers = None if alignment is None else alignment_numbers(alignment["quaternion"])
     try:
@@ -200,7 +200,9 @@ def _way_back(inputs: Inputs) -> str:
     else:
         text = f"backout/ is {backout['name']}, the current baseline."
     if active is not None:
-        text += f" On board, {active['name']} is recorded as active, which is neither: on_board/ is that set."
+        text += (
+            f" The set recorded as active on board is {active['name']}, which is neither of these; it is in on_board/."
+        )
     return text
 
 
@@ -279,29 +281,29 @@ def _steps(definition: TableDefinition | None, tables: _Tables, *, keeps_image: 
     steps: list[Step] = [("Check the package", "sha256sum -c SHA256SUMS", "every file OK")]
     facts = tables.facts
     if definition is None or facts is None:
-        load = "by the mission's own procedure: no table definition is configured here"
+        load = "By the mission's own procedure: no table definition is configured here"
         if tables.missing is not None:
-            load = "the image that was kept before loading: table_missing.txt says why there is none here"
+            load = "The image that was saved before loading: table_missing.txt says why there is none here"
         return [
             *steps,
-            ("Load", load, "accepted"),
-            ("Check", "by the mission's own procedure, before it is used", "agrees with parameters.json"),
-            ("Activate", "command by the mission's own procedure", "accepted"),
-            ("Dump and compare", "read the parameters back and compare each", "agrees with parameters.json"),
+            ("Load", load, "Accepted"),
+            ("Check", "By the mission's own procedure, before it is used", "Agrees with parameters.json"),
+            ("Activate", "Command by the mission's own procedure", "Accepted"),
+            ("Dump and compare", "Read the parameters back and compare each", "Agrees with parameters.json"),
         ]
     name = definition.table_id if definition.cfe is None else definition.cfe.table_name
     file = "table.bin" if definition.cfe is None else "table.tbl"
     told = facts["crc_told"]
-    check = f"{told['name']} as under Expected values" if told else "agrees with the mission's own check"
+    check = f"{told['name']} as under Expected values" if told else "Agrees with the mission's own check"
     if keeps_image:
-        kept = f"dump the active image of {name} to a file: backout/ has no table to go back to"
-        steps.append(("Keep the image on board", kept, f"{facts['bytes']} bytes"))
+        kept = f"Dump the active image of {name} to a file: backout/ has no table to go back to"
+        steps.append(("Save the on-board image", kept, f"{facts['bytes']} bytes"))
     return [
         *steps,
-        ("Check the software", "flight software version in telemetry", definition.flight_software_version),
+        ("Check the software", "Flight software version in telemetry", definition.flight_software_version),
         ("Load", f"{file} into the inactive image of {name}", f"{facts['bytes']} bytes accepted"),
-        ("Check", f"validate the inactive image of {name}; its CRC in telemetry", check),
-        ("Activate", f"activate {name}; not before the check passed", "accepted"),
-        ("Dump", f"dump the active image of {name} to a file", f"{facts['bytes']} bytes"),
-        ("Compare", "upload the dump: every byte and field is compared", "VERIFIED, by bytes"),
+        ("Check", f"Validate the inactive image of {name}; its CRC in telemetry", check),
+        ("Activate", f"Activate {name}, only after the check has passed", "Accepted"),
+        ("Dump", f"Dump the active image of {name} to a file", f"{facts['bytes']} bytes"),
+        ("Compare", "Upload the dump: every byte and field is compared", "VERIFIED, by bytes"),
     ]

@@ -149,7 +149,7 @@ def alignment_json(subject: Set, before: Set | None) -> bytes:
     elif started != replaced:
         answer["sentence"] = (
             f"The rotation was found against the parameters that the run started from, which are not those of "
-            f"{answer['replaces']}: calibrate from the set that is replaced, or check C_SD after loading."
+            f"{answer['replaces']}: start the calibration from the set that is being replaced, or check C_SD after loading."
         )
     else:
         answer["alignment"] = found
@@ -166,8 +166,8 @@ def approved_alignment(subject: Set) -> dict[str, bytes]:
     if found is None:
         return {}
     use = (
-        f"q turns what {found['from']} reports with {subject['name']} into what {found['to']} reports with the parameters of run "
-        f"{found['run_b']}: load it with these two and with no others."
+        f"q rotates the attitude reported by {found['from']} with {subject['name']} into that reported by {found['to']} with the "
+        f"parameters of run {found['run_b']}. Load it only together with these two parameter sets."
     )
     answer = {"schema": "boresight.approved-alignment/1", "parameter_set": subject["name"], **found, "use": use}
     return {"approved_alignment.json": json_bytes(answer)}

@@ -34,7 +34,7 @@ ID_BITS = {"uint8": 8, "uint16": 16, "uint32": 32}
 FORMAT_CODES = {24: 13, 32: 14, 48: 15, 64: 16}
 ATOMICITY = (
     "Whether TC[20,3] sets all of these values or stops at the first one refused is decided by the on-board software: "
-    "send them only where it sets all or none, or where a separate command puts them into use; "
+    "use it only if the software sets either all values or none, or if a separate command activates them; "
     "otherwise load the table as one image."
 )
 
@@ -75,12 +75,12 @@ def parse_pus(document: Any, fields: tuple[Field, ...], faults: Faults) -> Param
             )
             if type_code(field) is None or field.bits % 8:
                 faults.add(
-                    f"{field.name} is {field.kind}, of which TC[20,3] cannot be made of whole bytes: choose another"
+                    f"{field.name} is {field.kind}, which is not a whole number of bytes as TC[20,3] requires: choose another type"
                 )
     known = {field.parameter for field in fields}
     for name in listed:
         if name not in known:
-            faults.add(f"pus.parameter_ids names {name!r}, which is in no field: leave it out")
+            faults.add(f"pus.parameter_ids names {name!r}, which is in no field: omit it")
     if len(set(ids.values())) != len(ids):
         faults.add("pus.parameter_ids gives one identifier to two parameters: correct it")
     return ParameterService(id_bits, count_bits, ids)

@@ -88,8 +88,7 @@ def quantisation_effect(
     shift = np.hypot(moved_rows - rows, moved_cols - cols)
     if not (np.isfinite(angle).all() and np.isfinite(shift).all()):
         raise RefusedInputError(
-            "With the numbers that the table can hold, a part of the detector has no directions: "
-            "give its fields more digits."
+            "With the precision of this table, part of the detector has no direction: give its fields more bits."
         )
     return {"max_px": float(shift.max()), "max_arcsec": float(angle.max() * ARCSEC_PER_RAD)}
 
@@ -157,7 +156,7 @@ def parse_definition(document: Mapping[str, Any], sensor: Sensor) -> TableDefini
     faults = Faults("The table definition")
     entries = Entries(document, "", KEYS, faults)
     if document.get("schema", SCHEMA) != SCHEMA:
-        faults.add(f"schema is {document['schema']!r}: write {SCHEMA}, or leave it out")
+        faults.add(f"schema is {document['schema']!r}: write {SCHEMA}, or omit it")
     length = entries.whole("length_bytes", 1, MOST_BYTES)
     little = entries.word("byte_order", ORDERS, "big") == "little"
     fields = _fields(document.get("fields"), little, sensor, faults)
@@ -197,7 +196,7 @@ def _field(document: Any, place: str, little: bool, sensor: Sensor, faults: Faul
     constant = entries.constant("constant") if parameter is None and alignment is None else None
     named = [f"{article} {key}" for article, key in SOURCES if entries.has(key)]
     if len(named) > 1:
-        faults.add(f"{place} names {' and '.join(named)}: leave all but one of them out")
+        faults.add(f"{place} names {' and '.join(named)}: keep one of them")
     field = Field(
         name=entries.name("name"),
         parameter=parameter,
@@ -240,7 +239,9 @@ def _crc(
     over = document.get("over", [0, length if offset is None else offset]) if isinstance(document, Mapping) else [0, 0]
     whole = isinstance(over, list) and len(over) == 2 and all(type(end) is int for end in over)
     if not whole or not 0 <= over[0] < over[1] <= length:
-        faults.add(f"crc.over is {over!r}: give the first byte and the first one after, inside {length} bytes")
+        faults.add(
+            f"crc.over is {over!r}: give the first byte and the first byte after the range, inside {length} bytes"
+        )
         over = [0, 0]
     order = entries.word("byte_order", ORDERS, "little" if little else "big")
     if offset is None:
@@ -319,7 +320,7 @@ def encode(
     """
     if definition.is_aligned and alignment is None:
         raise RefusedInputError(
-            f"The table {definition.table_id} holds an alignment: give one of `boresight align`, made with these parameters."
+            f"The table {definition.table_id} contains an alignment: give one from `boresight align`, made with these parameters."
         )
     image = int.from_bytes(bytes([definition.fill]) * definition.length_bytes, "big")
     for field in definition.fields:

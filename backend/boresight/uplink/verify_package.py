@@ -51,6 +51,7 @@ def verify(package: Path, public_keys: bytes) -> str:
 
 if __name__ == "__main__":
     try:
-        sys.stdout.write(f"as it was exported, signed by {verify(Path(sys.argv[1]), Path(sys.argv[2]).read_bytes())}\n")
+        key = verify(Path(sys.argv[1]), Path(sys.argv[2]).read_bytes())
+        sys.stdout.write(f"OK: the package is unchanged since export, signed by {key}\n")
     except (IndexError, OSError, ValueError, zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
         sys.exit(f"DO NOT LOAD: {error}" if len(sys.argv) > 2 else __doc__)

@@ -113,7 +113,7 @@ def _weakest(seen: Observability, result: Calibration) -> str:
     named = [quantity(name, result).symbol for name in ordered if abs(shares[name]) >= NAMED]
     spread = seen.sigma_of_direction[-1] if seen.sigma_of_direction else None
     known = "is not determined" if spread is None else f"is known to {number(spread, 2)} typical σ"
-    return f"the weakest{', ' + ' + '.join(named) + ',' if named else ''} {known}"
+    return f"the weakest{' (' + ', '.join(named) + ')' if named else ''} {known}"
 
 
 def answer_convergence(result: Calibration) -> ViewAnswer:
@@ -125,15 +125,17 @@ def answer_convergence(result: Calibration) -> ViewAnswer:
         return ViewAnswer("standby", f"Running: {history.axis} {count(history.x[-1])}.")
     first, free = settled_step(result), len(history.free)
     if first is None:
-        return ViewAnswer("caution", f"Not settled by the end, {history.axis} {count(history.x[-1])}.")
+        return ViewAnswer("caution", f"Not converged by the end, {history.axis} {count(history.x[-1])}.")
     whole = "The parameter" if free == 1 else f"All {count(free)} parameters"
-    settled = f"{whole} settled by {history.axis} {count(history.x[first])}"
+    settled = f"{whole} converged by {history.axis} {count(history.x[first])}"
     if history.axis == "iteration":
         return ViewAnswer("normal", f"{settled} of {count(history.x[-1])}.")
     left = count_left_bands(history)
     if not left:
-        return ViewAnswer("normal", f"{settled}; {'it' if free == 1 else 'each'} ended inside its earlier ±3σ.")
-    return ViewAnswer("caution", f"{settled}; {count(left)} of {count(free)} ended outside a ±3σ of its second half.")
+        each = "its" if free == 1 else "each"
+        return ViewAnswer("normal", f"{settled}; {each} final value is inside its earlier ±3σ bands.")
+    outside = f"{count(left)} of {count(free)} final values {'is' if left == 1 else 'are'} outside"
+    return ViewAnswer("caution", f"{settled}; {outside} a ±3σ band of the second half of the run.")
 
 
 def count_left_bands(history: History) -> int:
@@ -151,7 +153,7 @@ def answer_rms(result: Calibration) -> ViewAnswer:
         told = [urad_between(one, interval_of_fit(result, one)) for one in (tail.tail_rad, tail.aggregate_rad)]
         both = f"tail {told[0]}, aggregate {told[1]} µrad, 95 % in brackets"
         if result.status == "running":
-            return ViewAnswer("standby", f"So far {both}.")
+            return ViewAnswer("standby", f"So far: {both}.")
         meet = abs(tail.tail_rad - tail.aggregate_rad) <= 3 * (tail.sigma_rad or 0.0)
         words = "Tail and aggregate agree" if meet else "Tail and aggregate differ"
         return ViewAnswer("normal" if meet else "caution", f"{words}: {both}.")

@@ -41,11 +41,11 @@ LEVEL_OF_STATUS = {
 NOT_TESTED = "NOT TESTED"  # what nothing was computed for; NO-DATA is the word of a gate alone
 WORD_OF_LEVEL = {
     "serious": "converged, but no better",
-    "caution": "converged, with reservations",
+    "caution": "converged with warnings",
 }  # of a fit that converged
 WHY = {
     "running": "The run has not ended: everything below is provisional.",
-    "max_iterations": "The fit stopped before it settled: allow more iterations, or start closer.",
+    "max_iterations": "The fit stopped before it converged: allow more iterations, or start closer to the solution.",
     "rank_deficient": "The data do not determine every free parameter: free fewer, or add frames with other stars.",
     "diverged": "The fit diverged: do not use these numbers.",
     "too_few_stars": "No exposure has enough stars, so nothing was estimated.",
@@ -153,7 +153,14 @@ def _bounds(test: ChiSquareTest | InnovationTest) -> str:
 def _nis(result: Calibration) -> VerdictMark:
     name, question, nis = "nis", "Innovations (NIS)", result.nis
     if result.method not in FILTERS:
-        return VerdictMark(name, question, "off", "not applicable", "", "A batch has no innovations; a filter has.")
+        return VerdictMark(
+            name,
+            question,
+            "off",
+            "not applicable",
+            "",
+            "Only filters have innovations; this run used a method without a filter.",
+        )
     if nis is None:
         return _unknown(name, question, "No innovations yet.")
     value, detail = number(nis.mean), f"95 % bounds {_bounds(nis)}, per degree of freedom"
@@ -176,8 +183,8 @@ def _weakest(result: Calibration) -> VerdictMark:
         return VerdictMark(name, question, "caution", "weak", value, sentence, sentence)
     if seen.chi2_rise is not None and is_curved(seen.chi2_rise):
         curved = (
-            f"One sigma along the weakest direction chi-square rises by {number(seen.chi2_rise, 3)} where the covariance says 1: "
-            "the fit is curved there, and its sigmas are wrong."
+            f"One sigma along the weakest direction, chi-square rises by {number(seen.chi2_rise, 3)} instead of 1: "
+            "the fit is not linear there, and the sigmas are wrong."
         )
         return VerdictMark(name, question, "caution", "curved", f"{number(worst, 2)} typical σ", sentence, curved)
     if worst > WEAK:
@@ -215,7 +222,7 @@ def _validation(result: Calibration) -> VerdictMark:
     if after < before:
         return VerdictMark(name, question, "normal", "better", value, detail)
     if sigma is not None and after - before < 3 * sigma:  # a calibration that finds what is in use already
-        return VerdictMark(name, question, "normal", "as before", value, detail)
+        return VerdictMark(name, question, "normal", "unchanged", value, detail)
     reason = f"On the validation set the error went from {urad(before)} to {urad(after)} µrad."
     return VerdictMark(name, question, "serious", "worse" if after > before else "no better", value, detail, reason)
 
@@ -246,7 +253,7 @@ def judge_parts(result: Calibration | None) -> dict[str, PartVerdict]:
 
 def _judge_result(result: Calibration) -> PartVerdict:
     level = make_verdict(result).level
-    return PartVerdict(level, {"normal": "no reservation", "standby": "partial"}.get(level, "reservations"))
+    return PartVerdict(level, {"normal": "no warnings", "standby": "partial"}.get(level, "warnings"))
 
 
 def _judge_convergence(result: Calibration) -> PartVerdict:
@@ -254,7 +261,7 @@ def _judge_convergence(result: Calibration) -> PartVerdict:
     if result.status == "running":
         return PartVerdict("standby", "moving")
     settled = settled_step(result) is not None
-    verdict = PartVerdict("normal", "settled") if settled else PartVerdict("caution", "not settled")
+    verdict = PartVerdict("normal", "converged") if settled else PartVerdict("caution", "not converged")
     mark = _validation(result)
     return PartVerdict(mark.level, f"validation {mark.word}") if _is_worse(mark.level, verdict.level) else verdict
 
@@ -271,7 +278,7 @@ def _judge_evidence(result: Calibration) -> PartVerdict:
     doubts = len(trust_doubts(result)) + bool(_chi_square(result).reason)
     doubts += result.matching is not None and not result.matching.rested
     level = max(trust_level(result), _chi_square(result).level, "caution" if doubts else "off", key=LEVELS.index)
-    return PartVerdict(level, f"{doubts} doubt{'s' * (doubts != 1)}" if doubts else "nothing noticed")
+    return PartVerdict(level, f"{doubts} warning{'s' * (doubts != 1)}" if doubts else "nothing noticed")
 
 
 def _is_worse(one: str, other: str) -> bool:
@@ -328,11 +335,11 @@ def _tests(result: Calibration) -> list[VerdictMark]:
     if not result.tests:
         return []
     noticed = [test for test in result.tests if test.noticed]
-    value = f"{count(len(noticed))} of {count(len(result.tests))} noticed"
+    value = f"{count(len(noticed))} of {count(len(result.tests))} found a deviation"
     sentence = " ".join(f"{cause.sentence} {cause.remedy}" for cause in result.causes[:1])
-    sound = "No test of the model noticed anything (1 % over all of them)."
+    sound = "No test of the model found a deviation (joint false-alarm rate 1 %)."
     return [
-        _examined("tests", "Tests of the model", ("nothing noticed", "departs"), not noticed, value, sentence or sound)
+        _examined("tests", "Tests of the model", ("no deviation", "deviates"), not noticed, value, sentence or sound)
     ]
 
 

@@ -218,7 +218,7 @@ class ClusterExecutor:
 
     def _refuse_if_cancelled(self, pieces: Pieces) -> None:
         if self._cancelled():
-            raise CancelledError(f"Stopped on request after {pieces.done} of {pieces.count} pieces")
+            raise CancelledError(f"Cancelled after {pieces.done} of {pieces.count} pieces")
 
     def _lend(self, work: _MapWork, loans: dict[Slot, LentGroup]) -> None:
         """Lend groups to every idle worker, first one to each."""

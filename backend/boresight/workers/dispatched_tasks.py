@@ -131,7 +131,7 @@ def find_worker_fault(server_version: str, folder: str, worker_version: str) -> 
     here = socket.gethostname()
     if worker_version != server_version:
         return (
-            f"The worker on {here} is Boresight {worker_version} and the server is {server_version}: "
+            f"The worker on {here} runs Boresight {worker_version}, but the server runs {server_version}: "
             "install the same version on both; until then this worker gets no runs."
         )
     if folder and not Path(folder).is_dir():

@@ -597,7 +597,7 @@ class RunDispatcher:
         """Queue tasks again that wait behind one slower than predicted; another thread may be free sooner."""
         for task in self._tasks.overdue(OVERDUE_S):
             task.future.cancel()
-            self._rows.put_back(task.members, "the runs before it took longer than predicted")
+            self._rows.put_back(task.members, "earlier runs took longer than predicted")
             self._tasks.remove(task)
             self._tell_moved(task.members)
 

@@ -191,7 +191,7 @@ class Link:
     def refuse_if_cancelled(self) -> None:
         """Raise if the attempt was cancelled, before its work begins: it may have waited in its group."""
         if self._stop.is_set():
-            raise CancelledError("Stopped on request before it started.")
+            raise CancelledError("Cancelled before it started.")
 
 
 def encoded(partial: Calibration) -> bytes:

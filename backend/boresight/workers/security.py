@@ -153,8 +153,8 @@ def refuse_open_link(settings: Settings, host: str, given: str) -> None:
     if settings.cluster_network_closed or is_loopback(host):
         return
     raise RefusedInputError(
-        f"{given} is a plain link to another machine, and whoever reaches it can run programs on the server and on every worker: "
-        f"make certificates and use {PROTOCOL} (BORESIGHT_TLS_AUTHORITY and BORESIGHT_TLS_CERTIFICATE), or, where nobody else is "
+        f"{given} is a plain link to another machine; anyone who can reach it can run programs on the server and on every worker: "
+        f"create certificates and use {PROTOCOL} (BORESIGHT_TLS_AUTHORITY and BORESIGHT_TLS_CERTIFICATE), or, if nobody else is "
         "on that network, set BORESIGHT_CLUSTER_NETWORK_CLOSED=1.",
         code="plain-link",
     )

@@ -92,7 +92,7 @@ class WarmUp(WorkerPlugin):  # type: ignore[misc]  # distributed ships no types
         try:
             warm(Path(self.catalogue_folder), self.cameras)
         except Exception:
-            log.exception("This worker could not be warmed; its first run will take longer")
+            log.exception("Kernels could not be precompiled on this worker; its first run will take longer")
 
 
 def warm(catalogue_folder: Path, cameras: Sequence[str] = ()) -> None:
@@ -212,7 +212,7 @@ def _execute(
         link.refuse_if_cancelled()
         return _succeeded(inputs, calculation, link, keep)
     except CancelledError as error:
-        return RunEnd(run_id, attempt, "CANCELLED", str(error) or "Stopped on request."), None
+        return RunEnd(run_id, attempt, "CANCELLED", str(error) or "Cancelled."), None
     except CorruptFileError as error:
         return RunEnd(run_id, attempt, "FAILED", str(error), corrupt_sha256=error.sha256 or None), None
     except BoresightError as error:

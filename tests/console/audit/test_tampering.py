@@ -221,7 +221,7 @@ def test_any_lasting_column_of_a_sealed_row_edited_by_hand_is_found(store, attac
             report = _verify(store)
             assert (report.ok, report.first_broken_id) == (False, record_id), column
             assert report.first_broken_row == f"{table}/{row_id}", column
-            assert re.search(f"Record {record_id} .*: {table}/{row_id} was", report.sentence)
+            assert re.search(f"record {record_id} .*: {table}/{row_id} was", report.sentence)
             if column != "id":
                 connection.execute(write, (before, row_id))
                 assert _verify(store).first_broken_row == TRIGGERS, column  # they were out of the way all the time

@@ -109,7 +109,7 @@ WORSE = EXAMPLE["validation"] | {"rms_arc_rad": {"initial": 1e-5, "final": 2e-5}
             "caution",
             "degree of freedom is 4",
         ),
-        ({"observability": WEAK}, "caution", "with reservations"),
+        ({"observability": WEAK}, "caution", "with warnings"),
         (
             {"advice": ["Only 12 frames took part. Add some.", "More."]},
             "caution",

@@ -277,7 +277,7 @@ def test_bytes_that_are_uploaded_again_bring_a_set_back_and_its_page_says_what_i
     if not gone:  # another sensor's set of the same session holds the same bytes
         pytest.skip("the files are shared")
     answer = visitor.get(f"/api/v1/telemetry-sets/{set_id}/file")
-    assert (answer.status_code, "the retention of telemetry" in answer.text) == (404, True)
+    assert (answer.status_code, "under the retention policy" in answer.text) == (404, True)
     assert "files removed" in visitor.get(f"/telemetry/{set_id}").text
     again = house.upload(house.person("ada"), sensor_id)
     assert (again.json()["id"], again.json()["removed_utc"], again.json()["archived_utc"]) == (set_id, None, None)

@@ -343,7 +343,7 @@ def test_the_view_of_a_part_is_in_its_address_and_goes_to_its_figures(site, read
 def test_the_tabs_say_how_their_parts_stand(site, examined):
     page = site.visitor("victor").get(f"/runs/{examined[1]}")
     told = {part: strip_tags(tab) for part, tab in re.findall(r'data-tab="(\w+)"[^>]*>(.*?)</a>', page, re.DOTALL)}
-    ends = {"evidence": "2 doubts", "convergence": "settled", "observability": "known"}
+    ends = {"evidence": "2 warnings", "convergence": "converged", "observability": "known"}
     assert all(told[part].strip().endswith(end) for part, end in ends.items())
 
 
@@ -354,7 +354,7 @@ def test_a_tab_is_no_better_than_its_validation_set_however_much_better_the_fit_
     validation = results["sqrf"]["validation"]
     assert results["batch"]["rms_arc_rad"]["final"] < results["batch"]["rms_arc_rad"]["initial"]
     better, worse = ({"initial": 5e-5, "final": 3e-5}, {"initial": 3e-5, "final": 5e-5})
-    assert judged(None) == judged({**validation, "rms_arc_rad": better}) == PartVerdict("normal", "settled")
+    assert judged(None) == judged({**validation, "rms_arc_rad": better}) == PartVerdict("normal", "converged")
     assert judged({**validation, "rms_arc_rad": worse}) == PartVerdict("serious", "validation worse")
 
 
@@ -415,7 +415,7 @@ def test_every_test_of_the_model_and_every_cause_is_on_the_page_with_its_gate_an
     assert row.index("Drawn.") < row.index("Defocus.") < row.index("Pixel phase")
     assert text.index(noticed["sentence"]) < text.index(sound["sentence"])
     assert re.search(r"Pixel phase \S* ?noticed .*centroid-noise", text)
-    assert re.search("departs 1 of 2", text)
+    assert re.search("deviates 1 of 2", text)
     assert 'data-tests="2"' in page
     rows = re.findall(r'data-unseen="(\w+)">(.*?)</tr>', page, re.DOTALL)
     assert [name for name, _ in rows] == ["tangential", "lens", "seam"]
@@ -610,7 +610,7 @@ def test_a_fit_with_advice_is_a_caution_in_the_list_with_the_advice_at_hand(site
     assert "status-caution" in cell
     page = site.visitor("victor").get("/sensors/1")
     assert WORD_OF_LEVEL["caution"] in page
-    assert "reservations" not in site.visitor("victor").send("GET", "/runs.csv").text
+    assert WORD_OF_LEVEL["caution"] not in site.visitor("victor").send("GET", "/runs.csv").text
 
 
 def test_filters_leave_out_the_runs_that_do_not_fit(site, read):

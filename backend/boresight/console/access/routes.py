@@ -263,7 +263,7 @@ def list_sessions(
     settings: ServerSettings,
     page: Paged,
     user_id: Annotated[
-        Id | None, Query(description="User id; your own when left out. Others: administrators only.")
+        Id | None, Query(description="User id; your own if omitted. Others: administrators only.")
     ] = None,
     open: Annotated[bool | None, Query(description="Only those that are open, or only those that ended.")] = None,  # noqa: A002 - the name in the address
 ) -> Listing[LoginSession]:

@@ -88,7 +88,7 @@ GAUGES = {
         ),
         Gauge("webhook_deliveries", "Messages to webhooks that wait, or were given up.", ("state",)),
         Gauge("messages", "Messages to people that wait, or were given up.", ("state",)),
-        Gauge("audit_intact", "0 once the verification found that the audit log is not as it was written, else 1."),
+        Gauge("audit_intact", "0 once the verification found that the audit log was altered, else 1."),
     )
 }
 

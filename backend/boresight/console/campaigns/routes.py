@@ -111,7 +111,7 @@ class CampaignLaunch(BaseModel):
     preset: str | None = Field(None, description="Key of a preset; `settings` override its own.")
     settings: console_schemas.Settings = Field(default_factory=dict)
     sensors: list[CampaignMember] | None = Field(
-        None, max_length=MOST_SENSORS, description="Every sensor of the fleet when left out."
+        None, max_length=MOST_SENSORS, description="Every sensor of the fleet if omitted."
     )
     validate_only: bool = Field(default=False, description="Check everything, change nothing, and describe the result.")
 

@@ -185,7 +185,7 @@ def _stacked(tables: Mapping[int, Table]) -> Table:
 
 Asked = Annotated[str, Query(alias="runs", description="The runs, 2 to 20: `1,2,3`.", examples=["1,2,3"])]
 ReferenceRun = Annotated[
-    str, Query(alias="reference", description="The run that the others are compared with; the first if left out.")
+    str, Query(alias="reference", description="The run that the others are compared with; the first if omitted.")
 ]
 CSV: dict[int | str, dict[str, Any]] = {200: {"description": "One row per run and item, numbers in SI."}}
 

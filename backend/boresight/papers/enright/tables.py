@@ -236,9 +236,7 @@ def _distortion(name: str, records: dict[str, Record | None]) -> Row:
         cells.append(replace(cell, left_out=CIRCULAR if of_batch else ""))
     shifts = {key: shift_in_sigmas(found[key], found["batch"], name) for key in (*printed.ESTIMATORS[1:], "printed")}
     largest = max((shifts[key] for key in printed.ESTIMATORS[1:]), key=abs)
-    sentence = (
-        f"largest difference {largest:+.2f} σ of the batch; with one linearisation a frame {shifts['printed']:+.1f} σ."
-    )
+    sentence = f"largest difference {largest:+.2f} σ of the batch; with one linearisation per frame {shifts['printed']:+.1f} σ."
     return judge(name, cells, Conclusion(abs(largest) > 3, sentence, "erratum", PRINTED_FILTER))
 
 

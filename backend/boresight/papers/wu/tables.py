@@ -353,8 +353,8 @@ def field(pooled: Pooled) -> Table:
     ]
     spread, images = cells[1], cells[3]
     said = (
-        f"criterion B has the printed mean at {noise_px:.3f} px, the simulations have {NOISES_PX[0]:g} px; its deviation is "
-        f"then {spread.ours:.2f}″ of noise alone; all parameters have settled after {images.ours:.0f} images."
+        f"criterion B has the printed mean at {noise_px:.3f} px, the simulations have {NOISES_PX[0]:g} px; its deviation "
+        f"from noise alone is then {spread.ours:.2f}″; all parameters have converged after {images.ours:.0f} images."
     )
     holds = noise_px < NOISES_PX[0] and (images.ours or np.inf) <= printed.FIELD["images"]
     return Table(

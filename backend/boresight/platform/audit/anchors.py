@@ -120,8 +120,8 @@ def verify_anchors(session: Session, trust: TrustedKeys) -> AnchorFindings:
     if found.unknown and not found.fault:
         names = ", ".join(dict.fromkeys(found.unknown))
         found.fault = (
-            f"{len(found.unknown)} of {found.anchors} anchors are signed by keys that are not in {trust.source} ({names}): bring "
-            "those keys back by `boresight audit trust`, or find out who signed."
+            f"{len(found.unknown)} of {found.anchors} anchors are signed by keys that are not in {trust.source} ({names}): add "
+            "those keys with `boresight audit trust`, or find out who signed."
         )
     return found
 
@@ -146,9 +146,15 @@ def tell_coverage(found: AnchorFindings, last_id: int, *, some: bool = False) ->
     if found.fault:
         return found.fault
     if not found.anchors:
-        return "No anchor covers it yet."
-    count = f"{'The newest ' if some else ''}{found.anchors} anchor{'s' * (found.anchors != 1)}"
+        return "No anchor covers the log yet."
+    one = found.anchors == 1
+    count = (
+        "The newest anchor"
+        if some and one
+        else f"{'The newest ' if some else ''}{found.anchors} anchor{'s' * (not one)}"
+    )
     stamped = f", {found.stamped} of them time-stamped," if found.stamped else ""
     after = last_id - found.record_id
-    rest = f"; the {after} after it are not covered yet" if after > 0 else ", the newest"
-    return f"{count}{stamped} cover{'s' * (found.anchors == 1)} the records up to {found.record_id}{rest}."
+    later = "1 later record is" if after == 1 else f"{after} later records are"
+    rest = f"; {later} not covered yet" if after > 0 else ", the newest"
+    return f"{count}{stamped} cover{'s' * one} the records up to {found.record_id}{rest}."

@@ -77,7 +77,7 @@ def read_anchors(lines: bytes, public_keys: bytes) -> Heads:
             statement = canonical({name: anchor[name] for name in SIGNED}).encode()
             signature, record, head = base64.b64decode(anchor["signature"]), int(anchor["record"]), str(anchor["head"])
         except (ValueError, KeyError, TypeError) as error:
-            raise ValueError(f"Line {number} of the anchors is not as it was exported.") from error
+            raise ValueError(f"Line {number} of the anchors was altered.") from error
         for key in keys:
             try:
                 key.verify(signature, statement)
@@ -90,7 +90,7 @@ def read_anchors(lines: bytes, public_keys: bytes) -> Heads:
             )
         heads[record] = head
     if not heads:
-        raise ValueError("There is no anchor: nothing was signed yet, or the anchors were removed.")
+        raise ValueError("No anchors found: nothing has been signed yet, or the anchors were removed.")
     return heads
 
 
@@ -122,7 +122,7 @@ def verify(
         if document is None or not _follows(document, previous, last_id):
             return (
                 False,
-                f"Line {number} is not as it was written, or one before it is missing; the {count} before it are intact.",
+                f"Line {number} was altered, or an earlier line is missing; the {count} lines before it are intact.",
             )
         previous, last_id, count = document["hash"], document["id"], count + 1
         if anchored.get(last_id, previous) != previous:
@@ -150,9 +150,12 @@ def _end(count: int, head: str, more: bool, met: bool, anchored: Heads) -> Tuple
     if more:
         return False, "Something was added after the last line."
     if not met:
-        return False, f"The chain of {count} records is intact, but your head is not in it: it was rewritten."
+        return (
+            False,
+            f"The chain of {count} records is intact, but the head you gave is not in it: the log was rewritten.",
+        )
     signed = f" Your keys signed {len(anchored)} heads, up to record {max(anchored)}." if anchored else ""
-    return True, f"All {count} records are as they were written.{signed}\nhead {head}"
+    return True, f"All {count} records are intact.{signed}\nhead {head}"
 
 
 def main() -> int:

@@ -209,21 +209,21 @@ def _sentence(found: VerificationFindings, kept: ExternalHead | None, looked_at:
     count = found.records
     if found.broken_id is not None:
         return (
-            f"Record {found.broken_id} is not as it was written, or it was renumbered, or one before it was removed; the "
-            f"{count} before it are intact."
+            f"Record {found.broken_id} was altered or renumbered, or an earlier record was removed; the {count} records before it "
+            "are intact."
         )
     if found.misfit is None and found.unmet:
         lost = (
             f": record {kept.id}, which was written before {kept.at_utc}" if kept and kept.hash in found.unmet else ""
         )
-        what = "it was truncated, rewritten" if lost else "it was rewritten"
+        what = "truncated or rewritten" if lost else "rewritten"
         return (
-            f"The chain of {count} records is intact, but the head {found.unmet[0]} is not in it{lost}: {what}, or is of an "
-            "older state of the disk."
+            f"The chain of {count} records is intact, but the head {found.unmet[0]} is not in it{lost}: the log was {what}, or "
+            "restored from an older disk state."
         )
     if (misfit := found.misfit or next(iter(found.guards), None)) is not None:
         others = max(0, found.misfits - 1) + len(found.guards[0 if found.misfit else 1 :])
-        more = f", and {others} more are not as they were written" if others else ""
+        more = f", and {others} more do{'' if others > 1 else 'es'} not match the log" if others else ""
         return (
             f"{_capital(_where(misfit))}{misfit.row} was {misfit.what} outside Boresight{more}; "
             f"the chain of {count} records itself is intact."
@@ -231,27 +231,27 @@ def _sentence(found: VerificationFindings, kept: ExternalHead | None, looked_at:
     if bad:
         more = f", and {len(bad) - 1} more" if len(bad) > 1 else ""
         return (
-            f"The stored file {bad[0]}{more}: restore it from a backup. All {count} records and the {found.rows} rows that they "
-            "sealed are as they were written."
+            f"The stored file {bad[0]}{more}: restore it from a backup. All {count} records and {found.rows} sealed rows are "
+            "intact."
         )
-    stored = "" if looked_at is None else f", the {looked_at} stored files"
-    return f"All {count} records{stored} and the {found.rows} rows that they sealed are as they were written."
+    stored = "" if looked_at is None else f", {looked_at} stored file{'s' * (looked_at != 1)}"
+    return f"All {count} records{stored} and {found.rows} sealed rows are intact."
 
 
 def _absence(file: Path, *, is_lost: bool) -> str:
     """Return the sentence for a missing external head."""
     if not is_lost:
-        return f" No head was kept in {file} yet, so nothing tells whether newer records were lost."
+        return f" No head was stored in {file} yet, so it is not known whether newer records were lost."
     return (
-        f" But {file} contains no head although it had some before, so records may have been lost unseen: mount its disk or bring "
-        "the file back; where it is gone for good, find out why and name another file by BORESIGHT_AUDIT_HEAD_FILE."
+        f" But {file} contains no head although it had some before, so records may have been lost: mount its disk or restore the "
+        "file; if it cannot be restored, find out why and set another file in BORESIGHT_AUDIT_HEAD_FILE."
     )
 
 
 def _where(misfit: RowMismatch) -> str:
     if misfit.record_id is not None:
-        return f"record {misfit.record_id} sealed it otherwise: "
-    return "no record put it there: " if misfit.what == "inserted" and "/" in misfit.row else ""
+        return f"the seal in record {misfit.record_id} does not match: "
+    return "no record created it: " if misfit.what == "inserted" and "/" in misfit.row else ""
 
 
 def _capital(sentence: str) -> str:

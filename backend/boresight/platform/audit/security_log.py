@@ -72,10 +72,12 @@ EVENTS: Mapping[str, SecurityEvent] = {
         _E("authn_factor_enrolled", "INFO", "A second factor was enrolled.", ("user", "kind", "factor")),
         _E("authn_factor_used", "INFO", "A second factor was given.", ("user", "kind", "purpose")),
         _E("authn_factor_fail", "WARN", "A second factor was refused.", ("user", "kind", "purpose", "reason")),
-        _E("authn_factor_removed", "WARN", "A person removed a second factor of theirs.", ("user", "kind", "factor")),
+        _E("authn_factor_removed", "WARN", "A person removed one of their second factors.", ("user", "kind", "factor")),
         _E("authn_factor_reset", "WARN", "An administrator removed every second factor of a person.", ("user",)),
-        _E("authn_recovery_codes_made", "INFO", "A person had new recovery codes made.", ("user",)),
-        _E("authn_recovery_code_used", "WARN", "A recovery code stood in for a second factor.", ("user", "left")),
+        _E("authn_recovery_codes_made", "INFO", "A person generated new recovery codes.", ("user",)),
+        _E(
+            "authn_recovery_code_used", "WARN", "A recovery code was used instead of a second factor.", ("user", "left")
+        ),
         _E(
             "authn_sso_fail",
             "WARN",

@@ -158,7 +158,7 @@ class SigningKey:
     def _write(self, signer: Signer, former: Sequence[PublicKey]) -> None:
         if self.file is None:
             raise RefusedInputError(
-                "BORESIGHT_SIGNING_KEY holds the key itself: put the new keys into the setting, or let it name a file."
+                "BORESIGHT_SIGNING_KEY contains the key itself: put the new keys into the setting, or let it name a file."
             )
         write_private(self.file, "".join([_spelled(signer.private), *(key.pem for key in former)]))
 

@@ -130,7 +130,7 @@ PUT = "INSERT OR REPLACE INTO seals VALUES (?, ?, ?, ?)"
 COVERING = "SELECT record FROM seals WHERE name = ? AND id >= ? ORDER BY id LIMIT 1"
 GET = "SELECT id, digest, record FROM seals WHERE name = ? AND digest IS NOT NULL ORDER BY id"
 
-PARTED = "parted from a row that it refers to"
+PARTED = "separated from a row that it refers to"
 
 Seal = tuple[int, str, int]  # key of a row, its digest, the record that it is in
 

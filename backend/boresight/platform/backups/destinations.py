@@ -56,7 +56,7 @@ class FolderDestination(Destination):
         self.refuse_unusable()
         file, part = Path(self.address) / name, Path(self.address) / f".{name}.part"
         if file.exists():
-            raise ConflictError(f"{file} exists already, and a backup is never overwritten: try again a second later.")
+            raise ConflictError(f"{file} already exists and backups are never overwritten: try again.")
         try:
             write(part)
             with part.open("rb") as written:

@@ -78,7 +78,7 @@ class KeyFile:
             secrets_ = [b""]
         if any(len(one) != KEY_BYTES for one in secrets_):
             raise RefusedInputError(
-                f"{self.file} is no key file: give one key of 44 characters a line, as it was written."
+                f"{self.file} is not a key file: give one key of 44 characters per line, unchanged."
             )
         return [FileKey(one) for one in secrets_]
 
@@ -191,7 +191,7 @@ class DecryptedFile(SeekableFile):
         source.seek(0)
         header = bytes(source.read(HEADER_BYTES))
         if len(header) < HEADER_BYTES or not header.startswith(MAGIC):
-            raise RefusedInputError("This file is not encrypted by Boresight: use it as it was written.")
+            raise RefusedInputError("This file was not encrypted by Boresight, or was modified: use the original file.")
         self.key_id = header[len(MAGIC) :][:ID_BYTES].decode("ascii", "replace")
         self._cipher = _cipher(keys.find(self.key_id), header)
         stored = source.seek(0, os.SEEK_END) - HEADER_BYTES

@@ -152,7 +152,7 @@ class BucketBlobStore(BlobStore):
         if found != sha256:
             self.tell_corrupt(sha256)
             raise CorruptFileError(
-                f"The stored file {sha256[:12]} was altered in {self.address}; restore its former version there.",
+                f"The stored file {sha256[:12]} was altered in {self.address}; restore its previous version there.",
                 sha256,
                 code="altered-file",
             )
@@ -202,7 +202,7 @@ def asking(address: str, missing: str) -> Iterator[None]:
         raise NotFoundError(missing, code="not-in-store") from error
     except (PermissionDeniedError, UnauthenticatedError) as error:
         raise ForbiddenError(
-            f"The object store lets nobody read or write {address} with the credentials of this process; "
+            f"The object store denied access to {address} with the credentials of this process; "
             "check the key and its permissions."
         ) from error
     except BaseError as error:

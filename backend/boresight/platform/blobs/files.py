@@ -16,7 +16,7 @@ from boresight.platform.db.sessions import Engine, Session, open_reading, open_w
 
 AT_A_TIME = 500
 NAMING = {"source_sha256"}  # columns that name a file without a foreign key
-ALTERED, MISSING, RESIZED = "altered", "missing", "another size than its row says"
+ALTERED, MISSING, RESIZED = "altered", "missing", "of a different size than recorded"
 UNTOLD = "called removed, and rows need it"
 
 

@@ -65,8 +65,8 @@ class BlobStore(ABC):
         removed_utc = self.find_removed(sha256)
         if removed_utc is not None:
             raise NotFoundError(
-                f"The file {sha256[:12]} was removed on {removed_utc[:10]}, as the retention of telemetry says; what was computed "
-                "from it stays. Upload it again to use it.",
+                f"The file {sha256[:12]} was removed on {removed_utc[:10]} under the retention policy; results computed from it "
+                "are kept. Upload it again to use it.",
                 code="removed-by-retention",
             )
 

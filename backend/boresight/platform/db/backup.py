@@ -280,7 +280,7 @@ def _refuse_bad(corrupt: set[str], missing: set[str], count: int) -> None:
     parts = [f"{len(bad)} of {count} stored files are {what}: {named(sorted(bad))}" for bad, what in told if bad]
     if parts:
         raise CorruptFileError(
-            f"Nothing was backed up, for {' and '.join(parts)}. Restore them from an older backup, or save the rest with "
+            f"No backup was made: {' and '.join(parts)}. Restore them from an older backup, or save the rest with "
             "--keep-going.",
             min(corrupt | missing),
         )
@@ -337,9 +337,9 @@ def read_backup(archive: Archive, url: str, blobs: BlobStore, keys: KeyFile | No
         _refuse_too_large(backup.infolist(), blobs.folder)
         bad = [sha256 for name, sha256 in found if not _lay_down_blob(backup, name, sha256, blobs)]
         if bad:
-            what = "is not as it was" if len(bad) == 1 else "are not as they were"
+            what = "was altered" if len(bad) == 1 else "were altered"
             raise ConflictError(
-                f"{len(bad)} of {len(found)} files in the backup {what} backed up, so no database was made: {named(bad)}. Use "
+                f"{len(bad)} of {len(found)} files in the backup {what}, so no database was created: {named(bad)}. Use "
                 "another backup.",
                 code="altered-backup",
             )
@@ -383,13 +383,9 @@ def _try_restore(archive: Archive, folder: Path, keys: KeyFile | None) -> Restor
         copy = Path(scratch) / DATABASE
         _refuse_too_large([backup.getinfo(DATABASE)], copy)
         if _extracted(backup, DATABASE, copy) != manifest.database_sha256:
-            raise ConflictError(
-                "The database in the backup is not as it was backed up; use another backup.", code="altered-backup"
-            )
+            raise ConflictError("The database in the backup was altered; use another backup.", code="altered-backup")
         registered = _registered(copy)
-        faults = [
-            f"the file {sha256[:12]} is not as it was" for name, sha256 in found if _digest(backup, name) != sha256
-        ]
+        faults = [f"the file {sha256[:12]} was altered" for name, sha256 in found if _digest(backup, name) != sha256]
         if manifest.blobs_at is None:
             there = {sha256 for _, sha256 in found} | {*manifest.left_out, *manifest.missing}
             faults += [f"the file {sha256[:12]} is not in it" for sha256 in sorted(registered.keys() - there)]
@@ -412,13 +408,13 @@ def _try_restore(archive: Archive, folder: Path, keys: KeyFile | None) -> Restor
     ]
     kept = "" if manifest.blobs_at is None else f" The stored files are not in it: they stay in {manifest.blobs_at}."
     sentence = (
-        f"Restored and verified: {schema}, {report.records} audit records, {report.rows} rows that they sealed, "
+        f"Restored and verified: {schema}, {report.records} audit records, {report.rows} sealed rows, "
         f"{len(found)} files.{kept}"
     )
     if faults:
         more = f", and {len(faults) - 1} more" if len(faults) > 1 else ""
         sentence = (
-            f"The backup cannot be restored as it was: {faults[0]}{more}. Use another backup, and check the disks."
+            f"The backup cannot be restored completely: {faults[0]}{more}. Use another backup, and check the disks."
         )
     return RestoreFindings(not faults, sentence, report.records, report.rows, len(found))
 
@@ -501,7 +497,7 @@ def _manifest(backup: zipfile.ZipFile) -> BackupManifest:
         if member.flag_bits & 1 or not packed:
             raise RefusedInputError(
                 f"This file is not a backup of Boresight: its member {member.filename[:80]!r} is encrypted or compressed. "
-                "Use the file as it was written.",
+                "Use the original file.",
                 code="no-backup",
             )
     if MANIFEST not in names:
@@ -567,14 +563,12 @@ def _lay_down_database(backup: zipfile.ZipFile, sha256: str, database: Path | No
     with tempfile.TemporaryDirectory(prefix=".restore-", dir=database and database.parent) as folder:
         written = Path(folder) / DATABASE
         if _extracted(backup, DATABASE, written) != sha256:
-            raise ConflictError(
-                "The database in the backup is not as it was backed up; use another backup.", code="altered-backup"
-            )
+            raise ConflictError("The database in the backup was altered; use another backup.", code="altered-backup")
         try:
             _registered(written)
         except sqlite3.Error as error:
             raise RefusedInputError(
-                f"The database in the backup is none of Boresight ({error}); use another backup."
+                f"The database in the backup is not a Boresight database ({error}); use another backup."
             ) from error
         written.chmod(0o600)
         if database is None:

@@ -158,12 +158,12 @@ def _why_not(targets: WebhookTargets, address: object) -> str | None:
     if address is None:
         return None
     if not isinstance(address, tuple):
-        return "its service would use a socket of this machine, which is not allowed"
+        return "its service would access a socket of this machine, which is not allowed"
     host = _text(address[0])
     try:
         why = targets.why_not(host)
     except ValueError:  # a name, which the system would look up unseen
-        why = "which was not looked up before"
+        why = "a host name that was not checked"
     return None if why is None else f"it leads to {host}, {why}"
 
 
@@ -221,7 +221,7 @@ def _checked(apprise: Any, asset: Any, address: str, targets: WebhookTargets) ->
             "fault": "The address is not complete for its service; compare it with the service's page in apprise's list."
         }
     if not made.verify_certificate:
-        return {"fault": "The address switches off the check of certificates; leave verify= out."}
+        return {"fault": "The address switches off the check of certificates; omit verify=."}
     host = str(getattr(made, "host", "") or "")
     scheme = address.partition(":")[0].lower()
     if host:

@@ -199,7 +199,7 @@ class ConcurrencyLimit:
                 return await read_body(receive)
         except TimeoutError as error:
             sentence = (
-                f"The body of the request did not arrive within {self.limits.unknown_body_s:g} s; send it at once."
+                f"The request body did not arrive within {self.limits.unknown_body_s:g} s; send it without delay."
             )
             raise HTTPException(HTTPStatus.REQUEST_TIMEOUT, sentence, CLOSE) from error
 

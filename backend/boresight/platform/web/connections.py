@@ -197,7 +197,7 @@ class Connection(HttpToolsProtocol):
     def _refuse_slow(self) -> None:
         self.refuse(
             HTTPStatus.REQUEST_TIMEOUT,
-            f"The head of a request did not arrive within {self._connections.deadlines.head_s:g} s; send it at once.",
+            f"The request headers did not arrive within {self._connections.deadlines.head_s:g} s; send them without delay.",
         )
 
     def refuse(self, status: HTTPStatus, sentence: str) -> None:

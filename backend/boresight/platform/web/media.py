@@ -54,7 +54,7 @@ CameraMisfit = Annotated[
     Query(
         ge=0,
         allow_inf_nan=False,
-        description="Largest misfit in pixels; the format's share of centroid_sigma_px when left out.",
+        description="Maximum misfit in pixels; the format's share of centroid_sigma_px if omitted.",
     ),
 ]
 WithResidual = Annotated[

@@ -34,7 +34,7 @@ unless you say otherwise, 200 at most. Filters are query parameters; repeat `sta
 
 **Names.** Units are in the names, times are UTC (ISO 8601), an unknown number is null. `X-Request-ID` is
 taken from your request or generated, and returned in every answer, problem and audit record. `Boresight-Four-Eyes: off` in an
-answer: here one person can submit and sign alone, and file names begin with `four-eyes-off-`.
+answer: on this server one person can submit and sign alone, and file names begin with `four-eyes-off-`.
 """
 
 TAGS = [
@@ -47,12 +47,12 @@ TAGS = [
     {"name": "approvals", "description": "Requests that a second person signs or refuses."},
     {
         "name": "change proposals",
-        "description": "Changes of gate limits and table layouts that wait for a second person.",
+        "description": "Changes of gate profiles and table definitions that wait for a second person.",
     },
     {"name": "uplinks", "description": "What was sent and loaded on board, as recorded."},
     {"name": "alarms", "description": "What needs a person: acknowledge, shelve, assign, comment."},
     {"name": "ingest", "description": "New telemetry, judged by its sensor's policy; people decide on what it finds."},
-    {"name": "notes", "description": "What people wrote down; notes are never edited or removed."},
+    {"name": "notes", "description": "Notes that people wrote; they are never edited or removed."},
     {"name": "events", "description": "The live feed, as server-sent events."},
     {"name": "audit", "description": "The append-only, hash-chained log, and its signed heads."},
     {"name": "backups", "description": "Scheduled backups, and whether each can be restored."},
@@ -60,9 +60,12 @@ TAGS = [
     {"name": "API keys", "description": "Keys for programs."},
     {"name": "webhooks", "description": "Programs that are notified of events."},
     {"name": "sessions", "description": "Logging in and out."},
-    {"name": "second factors", "description": "Authenticator apps, security keys and recovery codes of one's own."},
+    {"name": "second factors", "description": "Your authenticator apps, security keys and recovery codes."},
     {"name": "preferences", "description": "How pages are shown to a person."},
-    {"name": "messages", "description": "Where a person gets messages, and of what."},
+    {
+        "name": "messages",
+        "description": "The addresses at which a person gets messages, and the events they are sent for.",
+    },
     {"name": "saved views", "description": "Pages with their filters and zoom under a name, and favourites."},
     {"name": "server", "description": "Health, readiness, metrics."},
 ]
@@ -95,7 +98,7 @@ def _header(description: str, kind: str = "string") -> dict[str, Any]:
 
 
 HEADERS = {
-    "X-Request-ID": _header("The id of this request to quote; yours, or generated here."),
+    "X-Request-ID": _header("Request ID to quote in reports; taken from your request or generated."),
     "ETag": _header("The version: for `If-Match` of a change, and for `If-None-Match` of the next read."),
     "Location": _header("Address of the result."),
     "Retry-After": _header("Seconds to wait, a whole number.", "integer"),
@@ -108,17 +111,17 @@ SENTENCES = {
     400: "This is not an HTTP request, or its body cannot be read.",
     401: "Nobody is logged in, or the key is not valid.",
     403: "This person or key may not do this, or the CSRF token is missing.",
-    404: "It does not exist.",
+    404: "The resource does not exist.",
     408: "The request did not arrive completely in time.",
-    409: "It is not in a state that allows this.",
-    412: "Somebody changed it since you read it.",
+    409: "The resource is not in a state that allows this.",
+    412: "The resource was changed since you read it.",
     413: "The body is over the size limit.",
     415: "Only text in UTF-8 is read.",
     422: "The input is refused; `errors` says where.",
     428: "`If-Match` is missing.",
-    429: "Too many wrong passwords; `Retry-After` says how many seconds to wait.",
-    431: "The head of the request is too large.",
-    503: "Too many requests at once, or the store does not answer; `Retry-After` says when to try again.",
+    429: "Too many failed attempts; `Retry-After` says how many seconds to wait.",
+    431: "The request headers are too large.",
+    503: "Too many requests at once, or the store does not respond; `Retry-After` says when to try again.",
 }
 
 

@@ -29,7 +29,7 @@ SHIPPED = {
     "swagger-ui.css": SWAGGER / "swagger-ui.css",
 }
 NO_DOCUMENTATION = (
-    "The documentation is not here yet: try again in a minute, or run make docs where the server was installed from."
+    "The documentation is not available yet: try again in a minute, or run `make docs` in the source folder."
 )
 COMPRESS_FROM_BYTES = 1024
 CACHED = "public, no-cache"  # the browser caches it, but revalidates

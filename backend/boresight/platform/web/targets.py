@@ -105,15 +105,15 @@ class WebhookTargets:
         if (form := _carried(address)) is not None:
             return f"an IPv4 address in {form} form, which is not allowed: give the IPv4 address itself"
         if _within(address, METADATA):
-            return "where clouds give machines their secrets, which is not allowed: give another address"
+            return "a cloud metadata address, which is not allowed: use another address"
         if _within(address, LOCAL) or address in self._own():
-            hint = "set BORESIGHT_WEBHOOKS_LOCAL=1 where that is wanted"
+            hint = "set BORESIGHT_WEBHOOKS_LOCAL=1 if that is intended"
             return None if self.local else f"an address of this machine or its link, which is not allowed: {hint}"
         if _within(address, PRIVATE):
-            hint = "set BORESIGHT_WEBHOOKS_PRIVATE=1 where receivers are in it"
+            hint = "set BORESIGHT_WEBHOOKS_PRIVATE=1 if receivers are in it"
             return None if self.private else f"an address of a private network, which is not allowed: {hint}"
         if _within(address, RESERVED) or (address.version == 6 and address not in GLOBAL_UNICAST):
-            return "an address that no receiver on the internet has, which is not allowed: give another address"
+            return "a reserved address, which is not allowed: use another address"
         return None
 
     def _own(self) -> frozenset[Address]:

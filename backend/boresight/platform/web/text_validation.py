@@ -28,7 +28,7 @@ def refuse_control_characters(**texts: str) -> None:
             if unicodedata.category(letter) in {"Cc", "Cs"} and letter not in LAYOUT:
                 named = name.replace("_", " ")
                 raise RefusedInputError(
-                    f"The {named} has the control character U+{ord(letter):04X} at place {place}; remove it.",
+                    f"The {named} contains the control character U+{ord(letter):04X} at position {place}; remove it.",
                     code="control-character",
                 )
 

@@ -36,22 +36,24 @@ def _measure_chi_square(found: Alignment) -> Measurement:
     inside = "inside" if test.lower <= test.ratio <= test.upper else "outside"
     return Measurement(
         test.ratio,
-        f"The pairs scatter {test.ratio**0.5:.3g} times as much as they say, {inside} the 95 % bounds of sound ones.",
+        f"The scatter of the pairs is {test.ratio**0.5:.3g} times the predicted value, {inside} the 95 % bounds for valid data.",
         bounds=ends((test.lower, test.upper)),
     )
 
 
 def _worst(sigma: list[float], sentence: str) -> Measurement:
     worst = max(range(3), key=lambda axis: sigma[axis])
-    return Measurement(sigma[worst], f"The worst known angle is that about {AXES[worst]}{sentence}")
+    return Measurement(sigma[worst], f"The least well known angle is about {AXES[worst]}{sentence}")
 
 
 def _measure_load(found: Alignment) -> Measurement:
-    return _worst(found.to_load.sigma_arcsec, ", with these parameters loaded beside it.")
+    return _worst(found.to_load.sigma_arcsec, ", if it is loaded together with these parameters.")
 
 
 def _measure_frames(found: Alignment) -> Measurement:
-    return _worst(found.sigma_with_misfit_arcsec, ", with the cameras' own error: what another calibration would move.")
+    return _worst(
+        found.sigma_with_misfit_arcsec, ", including the cameras' errors, which another calibration could change."
+    )
 
 
 def _measure_trend(kind: str, unknown: str) -> Callable[[Alignment], Measurement]:
@@ -61,12 +63,12 @@ def _measure_trend(kind: str, unknown: str) -> Callable[[Alignment], Measurement
         left = [one for one in beside if one.name not in modelled]
         if not left:
             if any(one.kind == kind for one in found.terms):
-                return answer("PASS", f"The alignment contains its change with {kind}; there is nothing left to test.")
+                return answer("PASS", f"The alignment already models its change with {kind}; there is nothing to test.")
             return absent(unknown)
         return Measurement(
             left[-1].p,
-            f"A change with {kind} beyond what the alignment contains would lower chi-square by {left[-1].fall:.3g}, three degrees "
-            "of freedom; the chance of that without a change is the number of this gate.",
+            f"A change with {kind} beyond what the alignment models would lower chi-square by {left[-1].fall:.3g} for three "
+            "degrees of freedom; this gate measures the probability of that occurring by chance.",
         )
 
     return measure
@@ -94,8 +96,9 @@ ALIGNMENT_GATES = {
             highest=1.0, measure=_measure_removed, limit=0.25, marginal=0.05,
         ),
         Gate(
-            "pair-scatter", "χ² of pairs per degree of freedom", "Do the pairs scatter as much as stars and reference say?",
-            "around", lowest=1.0, measure=_measure_chi_square, limit=9.0, marginal=1.1,
+            "pair-scatter", "χ² of pairs per degree of freedom",
+            "Is the scatter of the pairs as predicted by the stars and the reference?", "around", lowest=1.0,
+            measure=_measure_chi_square, limit=9.0, marginal=1.1,
         ),
         Gate(
             "angles", "Worst known angle, to load", "How well is the worst of the three angles known, one sigma?",
@@ -103,17 +106,18 @@ ALIGNMENT_GATES = {
         ),
         Gate(
             "angles-between-frames", "Worst known angle, between frames",
-            "And if the cameras are calibrated again, one sigma?", "below", "arcsec", measure=_measure_frames, marginal=300.0,
+            "How well is the worst angle known if the cameras are recalibrated, one sigma?", "below", "arcsec",
+            measure=_measure_frames, marginal=300.0,
         ),
         Gate(
-            "temperature-trend", "Change with temperature", "Is there a change with temperature that the alignment has not?",
+            "temperature-trend", "Change with temperature", "Is there a change with temperature that the alignment does not model?",
             "above", "chance", highest=1.0, limit=SURE, marginal=NOTICED,
             measure=_measure_trend(
                 "temperature", "Temperature is unknown or hardly changed: include passes at other temperatures."
             ),
         ),
         Gate(
-            "time-trend", "Change with time", "Is there a change with time that the alignment has not?",
+            "time-trend", "Change with time", "Is there a change with time that the alignment does not model?",
             "above", "chance", highest=1.0, limit=SURE, marginal=NOTICED,
             measure=_measure_trend("time", "The pairs lie within half an hour: include a longer time."),
         ),

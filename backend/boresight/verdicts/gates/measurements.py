@@ -123,7 +123,7 @@ class GateInputs:
         return 1.0 / self.camera.focal_px(self.sensor.initial, self.sensor.pixel_pitch_m)
 
 
-IS_INCUMBENT = "There is no other set to compare with: this set is the baseline, or the sensor has none."
+IS_INCUMBENT = "There is no other set to compare with: this set is the baseline, or the sensor has no baseline."
 #: Share of the typical spread from unit to unit below which no difference of parameters counts in sigmas.
 FLOOR = 0.1
 #: Relative difference of a sigma from the root of its variance that rounding explains.
@@ -131,12 +131,12 @@ ROUNDING = 1e-6
 ROWS, COLUMNS = 6, 8
 NO_RUN = "The set was declared with the sensor; no run measured this."
 ENDED = {
-    "converged": ("PASS", "The estimate settled."),
+    "converged": ("PASS", "The estimate converged."),
     "max_iterations": (
         "MARGINAL",
-        "The estimate had not settled at its last iteration: allow more iterations, or free fewer parameters.",
+        "The estimate had not converged at its last iteration: allow more iterations, or free fewer parameters.",
     ),
-    "ground calibration": ("PASS", "A ground calibration is declared; there was nothing to settle."),
+    "ground calibration": ("PASS", "A ground calibration is declared; there was nothing to estimate."),
 }
 NO_DEFINITION = "There is no table definition: an administrator or analyst adds it under the sensor's table on board."
 
@@ -271,11 +271,12 @@ def measure_sensor(inputs: GateInputs) -> Measurement:
         )
     made = inputs.made_with
     if made is None:
-        return answer("PASS", f"Set and sensor are {here.name}, {here.camera_model}.")
+        return answer("PASS", f"Set and sensor agree: {here.name}, {here.camera_model}.")
     if any(getattr(made, name) != getattr(here, name) for name in ("rows", "columns", "pixel_pitch_m", "parity")):
         return answer("FAIL", f"Detector or parity of {here.name} differ from those of the run: run it again.")
     return answer(
-        "PASS", f"Set, run and sensor are {here.name}, {here.camera_model}, {here.rows} x {here.columns} pixels."
+        "PASS",
+        f"Set, run and sensor agree: {here.name}, {here.camera_model}, {here.rows:,} × {here.columns:,} px.",
     )
 
 
@@ -291,8 +292,8 @@ def measure_parameter_shift(inputs: GateInputs) -> Measurement:
     moved = sum(np.abs(shift) > 3)
     return Measurement(
         float(abs(shift[i])),
-        f"{inputs.names[i]} changed most, by {shift[i]:+.1f} σ of the difference (of both sets, with misfit); "
-        f"{moved} of {len(shift)} parameters changed by more than 3 of them.",
+        f"{inputs.names[i]} changed most, by {shift[i]:+.1f} σ of the difference (both sets' sigmas with misfit); "
+        f"{moved} of {len(shift)} parameters changed by more than 3 σ.",
     )
 
 
@@ -310,7 +311,7 @@ def measure_chi_square(inputs: GateInputs) -> Measurement:
     if result is None or result.chi2_per_dof is None or result.chi2 is None:
         return absent(NO_RUN if result is None else "The run stored no chi-square: run it again.")
     why = LAST_FRAMES if explains_chi2(result) else ""
-    return _around_one(result.chi2_per_dof, result.chi2, "Residuals", why)
+    return _around_one(result.chi2_per_dof, result.chi2, "The residuals", why)
 
 
 def measure_nis(inputs: GateInputs) -> Measurement:
@@ -318,7 +319,7 @@ def measure_nis(inputs: GateInputs) -> Measurement:
     result = inputs.result
     if result is None or result.nis is None or result.nis.mean is None:
         return absent(NO_RUN if result is None else "The run stored no innovations: run it again.")
-    what = "Innovations" if result.method in FILTERS else "A batch has no innovations; its residuals"
+    what = "The innovations" if result.method in FILTERS else "A batch has no innovations; its residuals"
     return _around_one(result.nis.mean, result.nis, what)
 
 
@@ -327,10 +328,11 @@ def _around_one(value: float, test: ChiSquareTest | InnovationTest, what: str, w
     if test.lower is None or test.upper is None:
         return absent(INCOMPLETE)
     inside = "inside" if test.lower <= value <= test.upper else "outside"
+    factor = f"{np.sqrt(value):.3g}"
+    size = "as large as expected" if factor == "1" else f"{factor} times the expected size"
     return Measurement(
         float(value),
-        f"{what} are {np.sqrt(value):.3g} times as large as expected, {inside} the 95 % bounds of sound sets"
-        f"{f': {why}' if why else ''}.",
+        f"{what} are {size}, {inside} the 95 % bounds for valid sets{f': {why}' if why else ''}.",
         bounds=(test.lower, test.upper),
     )
 
@@ -356,9 +358,9 @@ def measure_model_tests(name: str, inputs: GateInputs) -> Measurement:
     made = sum(get_test_gate(test.name) == name for test in inputs.result.tests)
     found = [(size, sentence) for gate, size, sentence in _findings(inputs.result) if gate == name]
     if not made:
-        return absent("The set allows none of these tests: add frames, times or magnitudes.")
+        return absent("None of these tests can be made with this set: add frames, times or magnitudes.")
     if not found:
-        return Measurement(0.0, f"None of {made} tests shows such an error (1 % over all tests of the set).")
+        return Measurement(0.0, f"None of {made} tests shows such an error (joint false-alarm rate 1 %).")
     return Measurement(max(LEAST_SIZE, *(size for size, _ in found)), " ".join(sentence for _, sentence in found))
 
 
@@ -374,7 +376,8 @@ def measure_identities(inputs: GateInputs) -> Measurement:
     )
     if share > MOST_REMOVED:
         return answer(
-            "FAIL", f"{sentence} With more than {MOST_REMOVED:.0%} removed nobody has shown that the rest is right."
+            "FAIL",
+            f"{sentence} If more than {MOST_REMOVED:.0%} are removed, the remaining identities cannot be trusted either.",
         )
     if measured.value:
         return replace(measured, sentence=f"{sentence} {measured.sentence}")
@@ -449,8 +452,8 @@ def measure_coverage(inputs: GateInputs) -> Measurement:
     held = int((regions > 0).sum())
     return Measurement(
         held / regions.size,
-        f"{held} of {regions.size} regions (of {counts.size // regions.size} cells of the coverage figure each) had stars, "
-        f"the fullest {regions.max():,}; elsewhere the model is extrapolated.",
+        f"{held} of {regions.size} regions ({counts.size // regions.size} cells of the coverage figure each) contain stars "
+        f"(at most {regions.max():,}){'; elsewhere the model is extrapolated' if held < regions.size else ''}.",
     )
 
 
@@ -522,7 +525,7 @@ GATES = {
         Gate(
             "covariance",
             "Covariance",
-            "Is the covariance symmetric and positive definite, and are the sigmas its own?",
+            "Is the covariance symmetric and positive definite, and do the sigmas match it?",
             "met",
             critical=True,
             measure=measure_covariance,
@@ -535,7 +538,7 @@ GATES = {
             critical=True,
             measure=measure_sensor,
         ),
-        Gate("convergence", "Convergence", "Did the estimate settle?", "met", measure=measure_convergence),
+        Gate("convergence", "Convergence", "Did the estimate converge?", "met", measure=measure_convergence),
         Gate(
             "validation-rms",
             "Validation RMS",
@@ -548,8 +551,8 @@ GATES = {
         ),
         Gate(
             "validation-rms-incumbent",
-            "Validation RMS, to incumbent",
-            "How large are they compared with the incumbent's, on the same arcs?",
+            "Validation RMS vs incumbent",
+            "What is the ratio of the validation RMS to the incumbent's, on the same arcs?",
             "below",
             "× incumbent",
             measure=partial(_measure_against_incumbent, "validation-rms-incumbent"),
@@ -569,8 +572,8 @@ GATES = {
         ),
         Gate(
             "availability-incumbent",
-            "Availability, to incumbent",
-            "By what share of the frames does that change? Below 0, frames are lost.",
+            "Availability vs incumbent",
+            "How does availability change compared with the incumbent? Below 0, frames are lost.",
             "above",
             "of frames",
             lowest=-1.0,
@@ -582,19 +585,19 @@ GATES = {
         Gate(
             "matched-stars",
             "Matched stars",
-            "How many matches a validation frame would the flight code accept?",
+            "How many matches per validation frame would the flight code accept?",
             "above",
-            "a frame",
+            "per frame",
             measure=partial(_measure_score, "matched-stars"),
             limit=2.0,
             marginal=6.0,
         ),
         Gate(
             "matched-stars-incumbent",
-            "Matched stars, to incumbent",
-            "How many more than with the incumbent? Below 0, stars are lost.",
+            "Matched stars vs incumbent",
+            "How does the number of matched stars per frame change compared with the incumbent? Below 0, stars are lost.",
             "above",
-            "a frame",
+            "per frame",
             lowest=-1000.0,
             measure=partial(_measure_against_incumbent, "matched-stars-incumbent"),
             limit=-0.3,
@@ -613,7 +616,7 @@ GATES = {
         Gate(
             "lens-structure",
             "Lens structure",
-            "How far is the image from the camera model, where a test of lens, skew or readout notices it, in noise σ?",
+            "How large is the effect, in noise σ, of a deviation found by the lens, skew or readout tests?",
             "below",
             "noise σ",
             measure=partial(measure_model_tests, "lens-structure"),
@@ -623,7 +626,7 @@ GATES = {
         Gate(
             "stability",
             "Stability",
-            "How much does the camera change with time or temperature, where a test notices it, in noise σ?",
+            "How large is the effect, in noise σ, of a change with time or temperature found by a test?",
             "below",
             "noise σ",
             measure=partial(measure_model_tests, "stability"),
@@ -633,7 +636,7 @@ GATES = {
         Gate(
             "centroid-noise",
             "Centroid noise",
-            "How far do noise, pixel phase, brightness and colour pull the parameters, where a test notices it, in noise σ?",
+            "How large is the effect, in noise σ, of a noise, pixel phase, brightness or colour error found by a test?",
             "below",
             "noise σ",
             measure=partial(measure_model_tests, "centroid-noise"),
@@ -643,7 +646,7 @@ GATES = {
         Gate(
             "identities",
             "Identities and directions",
-            "How far do wrong stars or directions pull the parameters, where a test notices it, in noise σ?",
+            "How large is the effect, in noise σ, of wrong stars or directions found by a test?",
             "below",
             "noise σ",
             measure=measure_identities,
@@ -672,7 +675,7 @@ GATES = {
         Gate(
             "arc-uncertainty",
             "Arc uncertainty",
-            "How wrong may an arc be at the worst place of the detector, by the covariance alone?",
+            "What is the uncertainty of an arc at the worst place of the detector, from the covariance alone?",
             "below",
             "px",
             measure=measure_arc_uncertainty,
@@ -698,7 +701,7 @@ GATES = {
         Gate(
             "coverage",
             "Detector coverage",
-            "In what share of the detector's 48 regions were stars?",
+            "What share of the detector's 48 regions contains stars?",
             "above",
             "of regions",
             highest=1.0,

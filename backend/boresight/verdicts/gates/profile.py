@@ -80,7 +80,7 @@ def parse_profile(document: Mapping[str, Any], gates: Mapping[str, Gate] = GATES
         if key not in {"schema", "gates"}:
             raise RefusedInputError(f"A gate profile has no key {key!r}: give `gates`, a list.")
     if document.get("schema", SCHEMA) != SCHEMA:
-        raise RefusedInputError(f"The profile's schema is {document['schema']!r}: write {SCHEMA!r}, or leave it out.")
+        raise RefusedInputError(f"The profile's schema is {document['schema']!r}: write {SCHEMA!r}, or omit it.")
     given = _by_name(document.get("gates", []), gates)
     return Profile(tuple(_threshold(gate, given.get(name, {})) for name, gate in gates.items()))
 
@@ -121,12 +121,10 @@ def _check_fixed(gate: Gate, threshold: Threshold) -> None:
     """Refuse another direction than the gate's, and a number for what has none."""
     if threshold.direction != gate.direction:
         raise RefusedInputError(
-            f"{gate.name}: direction is {threshold.direction!r}, and always {gate.direction!r}; leave it out."
+            f"{gate.name}: direction is {threshold.direction!r}, but it is always {gate.direction!r}; omit it."
         )
     if gate.direction == "met" and (threshold.limit, threshold.marginal) != (None, None):
-        raise RefusedInputError(
-            f"{gate.name}: this gate has no limit or marginal, it is met or not met; leave them out."
-        )
+        raise RefusedInputError(f"{gate.name}: this gate has no limit or marginal, it is met or not met; omit them.")
 
 
 def _number(gate: Gate, key: str, value: Any) -> float | None:
@@ -157,11 +155,11 @@ def _check_critical(gate: Gate, threshold: Threshold) -> None:
     """Refuse to soften a gate that nobody may pass by."""
     if threshold.critical != gate.critical:
         word = "critical" if gate.critical else "not critical"
-        raise RefusedInputError(f"{gate.name}: it is {word} in every profile; leave `critical` out.")
+        raise RefusedInputError(f"{gate.name}: it is {word} in every profile; omit `critical`.")
     if not gate.critical:
         return
     for key, needed in (("waivable", False), ("observe_only", False), ("must_have_data", True)):
         if getattr(threshold, key) is not needed:
             raise RefusedInputError(
-                f"{gate.name}: {key} is {str(needed).lower()} in every profile, because the gate is critical; leave it out."
+                f"{gate.name}: {key} is {str(needed).lower()} in every profile, because the gate is critical; omit it."
             )

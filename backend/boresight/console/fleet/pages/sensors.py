@@ -99,7 +99,7 @@ FIELDS = (
     ("centroid_sigma_px", "Noise of a centroid along one axis, used where the telemetry gives none."),
     ("initial", "The ground calibration, in SI; becomes set 0 and the first baseline."),
     ("typical_sigma", "Spread of each parameter between sensors of this kind, in SI."),
-    ("free", "Optional: the parameters to estimate; all when left out."),
+    ("free", "Optional: the parameters to estimate; all if omitted."),
     ("magnitude_limit", "Optional: the faintest catalogue star that the sensor sees."),
     (
         "readout",
