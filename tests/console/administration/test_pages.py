@@ -38,7 +38,7 @@ def test_the_page_says_who_must_set_a_password_and_how_to_back_up(site, read):
     page = read(site.visitor("adele").get("/administration"))
     assert "Must still set their own password: Victor Viewer." in page
     assert "boresight backup --out FILE.zip" in page
-    assert "FOUR-EYES ON" in page
+    assert "FOUR-EYES RULE ON" in page
 
 
 def test_a_single_user_install_says_so_on_every_page(site):

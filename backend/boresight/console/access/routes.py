@@ -94,7 +94,7 @@ def list_users(session: Reading, page: Paged) -> Listing[User]:
     return page.cut_whole(users.list_users(session))
 
 
-@router.post("", summary="Add a person", status_code=201, response_model=schemas.User)
+@router.post("", summary="Add a user", status_code=201, response_model=schemas.User)
 def create_user(
     person: NewUser, actor: Who, password: Annotated[NewPassword, Depends(prepared_person)], session: Writing
 ) -> User:

@@ -111,8 +111,8 @@ IN_CSV: dict[int | str, dict[str, Any]] = {200: {"description": "One row a pair,
 class GivenOptions(Shape):
     """The choices of an alignment, as `boresight align --help` tells them."""
 
-    tolerance_s: float = Field(USUAL.tolerance_s, description="How far an attitude is carried beyond its neighbours.")
-    longest_gap_s: float = Field(USUAL.longest_gap_s, description="Between attitudes that are interpolated.")
+    tolerance_s: float = Field(USUAL.tolerance_s, description="How far an attitude may be extrapolated beyond its neighbours.")
+    longest_gap_s: float = Field(USUAL.longest_gap_s, description="The longest interval over which attitudes are interpolated.")
     rate_deg_s: float = Field(USUAL.rate_deg_s, description="One sigma of a rate that no neighbour tells.")
     temperature_of: Literal["a", "b", "difference"] | None = Field(None, description="Whose counts; A's, else B's.")
     reference_temperature_c: float | None = Field(None, description="Where the rotation is told; null for the mean.")

@@ -18,7 +18,7 @@ from boresight.platform.web.paging import Id, Listing, Page, Paged
 
 
 class Campaign(Row):
-    """One setting over many sensors."""
+    """The same settings for many sensors."""
 
     versioned_by = ("id", "cancelled_utc", "newest_id")
     moves_beneath = True  # its counts change without its tag
@@ -196,7 +196,7 @@ def cancel_campaign(
 
 @router.post(
     "/{campaign_id}:launch-failed",
-    summary="Launch the failed again",
+    summary="Relaunch failed runs",
     status_code=202,
     response_model=Campaign,
 )
