@@ -66,7 +66,7 @@ def test_where_one_person_works_alone_every_download_says_so(site):
 def test_what_would_hold_up_work_is_said():
     people = [_person("analyst", "approver"), _person("operator"), _person("administrator", disabled_utc=NOW)]
     said = warnings(people, four_eyes=True)
-    assert "Only one approver, so there is no deputy." in said
+    assert "There is only one user with the role approver; nobody can stand in." in said
     assert "There is no administrator." in said
     assert "Every approver is also an analyst: whoever submits a set needs another approver to sign it." in said
     assert (

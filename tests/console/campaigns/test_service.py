@@ -107,7 +107,7 @@ def test_a_dry_run_says_what_it_would_be_and_queues_nothing(session, launch):
         (
             {"members": [MemberRequest(1)]},
             RefusedInputError,
-            "No sensor of the campaign can get a run. ST16-1 has no calibration",
+            "No run can be launched for any sensor of the campaign. ST16-1 has no calibration",
         ),
         ({"settings": {"method": "magic"}}, RefusedInputError, "choose from batch"),
         ({"preset": "magic"}, NotFoundError, "There is no preset"),

@@ -88,7 +88,7 @@ async def prepared_change(
     return await passwords.prepare_change(actor, user_id, new, current, get_client(request))
 
 
-@router.get("", summary="List people", response_model=Page[schemas.User])
+@router.get("", summary="List users", response_model=Page[schemas.User])
 def list_users(session: Reading, page: Paged) -> Listing[User]:
     """List everyone by log-in name."""
     return page.cut_whole(users.list_users(session))
@@ -263,7 +263,7 @@ def list_sessions(
     settings: ServerSettings,
     page: Paged,
     user_id: Annotated[
-        Id | None, Query(description="User id; your own when left out. Others: administrators only.")
+        Id | None, Query(description="User id; your own if omitted. Others: administrators only.")
     ] = None,
     open: Annotated[bool | None, Query(description="Only those that are open, or only those that ended.")] = None,  # noqa: A002 - the name in the address
 ) -> Listing[LoginSession]:

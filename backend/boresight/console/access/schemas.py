@@ -88,8 +88,8 @@ class FactorOffer(Row):
 
     challenge_id: int
     kind: Literal[FACTOR_KINDS]  # type: ignore[valid-type]  # the words of the table
-    secret: str | None = Field(description="Of an app, in base32; shown this once.")
-    uri: str | None = Field(description="The same as the otpauth:// address that a QR code holds.")
+    secret: str | None = Field(description="Secret of an authenticator app, in base32; shown only this once.")
+    uri: str | None = Field(description="The otpauth:// address, as encoded in the QR code.")
     options: dict[str, Any] | None = Field(
         description="For `navigator.credentials.create`, in the JSON form of WebAuthn."
     )
@@ -121,6 +121,6 @@ class Session(BaseModel):
     printed_name: str
     roles: list[str]
     credential: str
-    scopes: list[str] | None = Field(description="Of an API key; null for a person.")
+    scopes: list[str] | None = Field(description="Scopes of an API key; null for a person.")
     must_change_password: bool = Field(description="Set your own password before anything else.")
     csrf_token: str | None = Field(description="For `X-CSRF-Token`; null with an API key.")

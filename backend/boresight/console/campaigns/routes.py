@@ -32,7 +32,7 @@ class Campaign(Row):
     launched_by: int | None
     cancelled_utc: str | None
     state: str = Field(
-        description="`UNDER WAY`, `CANCELLING`, `CANCELLED`, `SUCCEEDED`, or `ENDED` where a run did not succeed."
+        description="`UNDER WAY`, `CANCELLING`, `CANCELLED`, `SUCCEEDED`, or `ENDED` if any run did not succeed."
     )
     sensors: int
     ended: int = Field(description="Sensors whose run has ended or was not launched.")
@@ -47,7 +47,7 @@ class CampaignResult(Row):
     sensor_id: int
     sensor: str
     run_id: int | None
-    state: str = Field(description="Of the run, or `NOT LAUNCHED`.")
+    state: str = Field(description="State of the run, or `NOT LAUNCHED`.")
     reason: str | None = Field(description="Why it failed, was lost, was cancelled, or could not be launched.")
     rms_initial_arc_rad: float | None
     rms_final_arc_rad: float | None
@@ -111,7 +111,7 @@ class CampaignLaunch(BaseModel):
     preset: str | None = Field(None, description="Key of a preset; `settings` override its own.")
     settings: console_schemas.Settings = Field(default_factory=dict)
     sensors: list[CampaignMember] | None = Field(
-        None, max_length=MOST_SENSORS, description="Every sensor of the fleet when left out."
+        None, max_length=MOST_SENSORS, description="Every sensor of the fleet if omitted."
     )
     validate_only: bool = Field(default=False, description="Check everything, change nothing, and describe the result.")
 

@@ -45,7 +45,7 @@ from boresight.platform.db.sessions import Session, keep_despite_refusal, utc_af
 from boresight.platform.web.text_validation import refuse_control_characters
 
 MAY_CONFIRM = {"gate-profile": ("administrator",), "table-definition": ("analyst", "administrator")}
-TITLES = {"gate-profile": "gate limits", "table-definition": "table layout"}
+TITLES = {"gate-profile": "gate profile", "table-definition": "table definition"}
 Scalar = str | int | float | bool | None
 
 

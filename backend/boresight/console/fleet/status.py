@@ -226,7 +226,7 @@ def list_findings(known: SensorFacts) -> Iterator[tuple[str, str]]:
     """Yield every finding on a sensor as a status word and its sentence; there is always one."""
     yield from _onboard_findings(known)
     if known.drift is not None:
-        yield known.drift.level, f"It drifts: alarm {known.drift.id}."
+        yield known.drift.level, f"Drift detected: alarm {known.drift.id}."
     yield from _run_findings(known.last_run)
     if known.ground_shifted:
         yield "caution", GROUND_SHIFTED

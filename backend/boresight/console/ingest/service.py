@@ -107,7 +107,7 @@ def explain_flood(session: Session, policy: IngestPolicy) -> str | None:
     rules, since = policies.read_rules(policy), max(utc_after(-DAY_S), policy.resumed_utc or "")
     if rows.count_received(session, policy.sensor_id, since) < rules.sets_per_day:
         return None
-    return f"More than {rules.sets_per_day} files came within a day; see who sends them."
+    return f"More than {rules.sets_per_day} files arrived within a day; check the sender."
 
 
 def receive(
@@ -285,9 +285,10 @@ def _report_other_sensor(found: PolicyFinding, name: str, other: OtherSensor) ->
     """Say whose set it is, with the numbers; nothing is asked, and `conclude` pauses the policy."""
     instead, own = other.other, other.own
     said = (
-        f"The stars fit {other.name} better than {name}: χ² {number(instead.statistic, 3)} of {instead.dof} against what the sets "
-        f"of {other.name} say, {number(own.statistic, 3)} against those of {name}, limit {number(own.limit, 3)}. Send the file to "
-        f"{other.name}, and see who puts files into the folder of {name}; where {name} really moved there, submit its run by hand."
+        f"The stars fit {other.name} better than {name}: χ² {number(instead.statistic, 3)} for {instead.dof} degrees of freedom "
+        f"against the sets of {other.name}, {number(own.statistic, 3)} against those of {name}, limit {number(own.limit, 3)}. Send "
+        f"the file to {other.name}, and check who puts files into the folder of {name}. If the camera of {name} has really changed "
+        "this way, submit its run manually."
     )
     return replace(found, state="NOT JUDGED", reasons=(Reason("WRONG SENSOR", said), *found.reasons), other=other)
 
@@ -340,15 +341,23 @@ def _list_alternatives(found: PolicyFinding, run: Run) -> tuple[Mapping[str, Any
     name = found.reference.name if found.reference else "the baseline"
     summary = parse_run_summary(run.summary)
     before, after = summary.rms_initial_arc_rad, summary.rms_final_arc_rad
-    price = f"Arcs of this set are off by {urad(before)} µrad with {name}" if before is not None else f"{name} stays"
-    gain = f", and by {urad(after)} µrad with this set" if before is not None and after is not None else ""
-    more, sets = found.in_row + 1, "this set" if found.in_row == 1 else f"the {found.in_row} sets since then together"
+    price = (
+        f"The arcs in this telemetry have an error of {urad(before)} µrad with {name}"
+        if before is not None
+        else f"{name} stays"
+    )
+    gain = f", and {urad(after)} µrad with the new parameter set" if before is not None and after is not None else ""
+    more = found.in_row + 1
+    sets = "this telemetry set" if found.in_row == 1 else f"the {found.in_row} sets since then together"
     said = {
-        "SUBMIT": f"Ask that this set become the baseline: an approver signs, an operator promotes. {price}{gain}.",
-        "WAIT": f"{name} stays, and the same change is not asked again for the days that you give; a jump is. {price}.",
-        "MORE DATA": f"{name} stays, and the next set asks again: {more} in a row, with sigmas smaller by √{more} together.",
-        "RECALIBRATE": f"Calibrate {sets} with other settings, or a longer pass, and submit what that finds. Where a gate of "
-        "validation stops this set, its frames may be older than the change: upload some that were taken since.",
+        "SUBMIT": f"Request that the new parameter set become the baseline; an approver signs and an operator promotes it. "
+        f"{price}{gain}.",
+        "WAIT": f"{name} stays the baseline. No decision on the same change is requested for the number of days you enter, unless "
+        f"there is a jump. {price}.",
+        "MORE DATA": f"{name} stays the baseline, and the next set will request a decision again. {more} consecutive sets together "
+        f"reduce the sigmas by √{more}.",
+        "RECALIBRATE": f"Calibrate {sets} with other settings, or a longer pass, and submit the result. If a validation "
+        "gate blocks the new parameter set, the validation frames may predate the change: upload newer ones.",
     }
     return tuple({"answer": one, "sentence": said[one]} for one in ANSWERS)
 
@@ -393,7 +402,7 @@ def conclude(session: Session, found: Found, assessment: GateAssessment | None =
         "recalibrate": None if found.advice is None else asdict(found.advice),
     }
     row.parameter_set_id = assessment.parameter_set_id
-    _supersede(session, row, f"Decision {row.id} asks with newer telemetry.")
+    _supersede(session, row, f"Replaced by decision {row.id}, which uses newer telemetry.")
     _end(session, row, "ASKED", judged.reasons, evidence)
     since, rules = max(utc_after(-7 * DAY_S), policy.resumed_utc or ""), policies.read_rules(policy)
     if rows.count_asked_since(session, row.sensor_id, since) > rules.requests_per_week:
@@ -491,9 +500,9 @@ class DecisionAnswer:
         if self.answer not in ANSWERS:
             raise RefusedInputError(f"There is no answer {self.answer[:40]!r}; choose from {', '.join(ANSWERS)}.")
         if not self.reason.strip() or len(self.reason) > LONGEST_REASON:
-            raise RefusedInputError(f"Give the reason of your answer, in up to {LONGEST_REASON} characters.")
+            raise RefusedInputError(f"Enter the reason for your answer, up to {LONGEST_REASON} characters.")
         if not 0.0 < self.days <= MOST_QUIET_DAYS:
-            raise RefusedInputError(f"WAIT holds for up to {MOST_QUIET_DAYS:.0f} days; give a number of days above 0.")
+            raise RefusedInputError(f"WAIT can last up to {MOST_QUIET_DAYS:.0f} days; enter a number greater than 0.")
 
 
 def answer(
@@ -579,7 +588,7 @@ def hold_intake(
         except Exception as error:
             log.exception("%s could not be read", name)
             raise RefusedInputError(
-                f"{name} could not be read because of a defect; send it with the log of the server to who maintains it."
+                f"{name} could not be read because of a software error; send it with the server log to the maintainers."
             ) from error
         sources.blobs.send_ahead(prepared.original, prepared.table)
         yield prepared

@@ -34,7 +34,7 @@ class Webhook(Row):
     state: Literal["ENABLED", "DISABLED", "PAUSED"] = Field(
         description="PAUSED: its secret cannot be decrypted with this server's key, so its messages wait; renew the secret."
     )
-    former_secret_until_utc: str | None = Field(description="Until then the former secret also signs.")
+    former_secret_until_utc: str | None = Field(description="Until then the previous secret also signs.")
 
 
 class NewWebhook(Webhook):

@@ -116,7 +116,7 @@ SENTENCES = {
     415: "Only text in UTF-8 is read.",
     422: "The input is refused; `errors` says where.",
     428: "`If-Match` is missing.",
-    429: "Too many wrong passwords; `Retry-After` says how many seconds to wait.",
+    429: "Too many failed attempts; `Retry-After` says how many seconds to wait.",
     431: "The head of the request is too large.",
     503: "Too many requests at once, or the store does not answer; `Retry-After` says when to try again.",
 }
