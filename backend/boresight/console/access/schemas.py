@@ -56,7 +56,7 @@ class LoginSession(Row):
     last_used_utc: str = Field(description="To the minute.")
     ended_utc: str | None
     ended_because: Literal[SESSION_ENDINGS] | None  # type: ignore[valid-type]  # the words of the table
-    address: str = Field(description="Where it was started.")
+    address: str = Field(description="Address from which it was started.")
     user_agent: str = Field(description="User agent of the program, cut to 200 characters.")
     ends_utc: str = Field(description="When it ends at the latest.")
     current: bool = Field(description="Whether it is the one of this request.")

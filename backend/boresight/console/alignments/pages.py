@@ -288,7 +288,7 @@ async def submit_alignment(request: Request, actor: Who, alignment_id: int) -> R
     if outcome.refusal is not None:
         refused = RefusedForm("submit", outcome.refusal, typed)
         return await read_again(request, partial(_page, request, actor, alignment_id, refused))
-    return redirect(f"/alignments/{alignment_id}", flash=f"Request {outcome.made.id} waits for an approver.")
+    return redirect(f"/alignments/{alignment_id}", flash=f"Request {outcome.made.id} is waiting for an approver.")
 
 
 @router.get("/alignment-requests/{request_id:int}")

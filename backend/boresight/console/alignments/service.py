@@ -167,7 +167,7 @@ def _refuse_other_times(session: Session, a: Run, b: Run, names: Sequence[str], 
         known = [time for time in times if time is not None]
         if not known:
             raise RefusedInputError(
-                f"The telemetry of {name} in run {run.id} has no times, by which attitudes are paired: choose a run of "
+                f"The telemetry of {name} in run {run.id} has no times, which are needed to pair attitudes: choose a run of "
                 "telemetry that has them."
             )
         spans.append([tuple(parse_times([time.start_utc, time.end_utc])) for time in known])

@@ -85,7 +85,7 @@ def _refuse_members(ids: Sequence[int]) -> None:
             f"A campaign can have at most {MOST_SENSORS} sensors; {len(ids)} were chosen: launch several campaigns."
         )
     if len(set(ids)) < len(ids):
-        raise RefusedInputError("A sensor is in the campaign twice; name each once.")
+        raise RefusedInputError("The campaign contains a sensor twice; name each sensor once.")
 
 
 def _choose_sets(member: MemberRequest, newest: Mapping[tuple[int, str], int]) -> tuple[int | None, int | None]:

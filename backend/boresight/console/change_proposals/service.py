@@ -219,7 +219,7 @@ def expire_due(session: Session) -> Sequence[ChangeProposal]:
 
 
 def _expire(session: Session, row: ChangeProposal) -> None:
-    _close(session, SYSTEM, row, "EXPIRED", "let expire", reason=f"nobody decided on it before {row.expires_utc}")
+    _close(session, SYSTEM, row, "EXPIRED", "let expire", reason=f"no decision was made before {row.expires_utc}")
 
 
 def list_proposals(

@@ -216,7 +216,7 @@ class PlanConditions(console_schemas.Shape):
         None,
         description="Approved or active parameter set that gives the prior covariance; if omitted, no prior knowledge is assumed.",
     )
-    prior_run_id: Id | None = Field(None, description="The same by a run that has ended; give at most one of the two.")
+    prior_run_id: Id | None = Field(None, description="The same from a finished run; give at most one of the two.")
     candidates: list[Annotated[list[float], Field(min_length=3, max_length=3)]] | None = Field(
         None,
         min_length=1,

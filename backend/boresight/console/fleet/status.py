@@ -231,7 +231,7 @@ def list_findings(known: SensorFacts) -> Iterator[tuple[str, str]]:
     if known.ground_shifted:
         yield "caution", GROUND_SHIFTED
     if known.waiting is not None:
-        yield "caution", f"{known.waiting} waits for a signature."
+        yield "caution", f"{known.waiting} is waiting for a signature."
     if known.baseline is None:
         yield "serious", "There is no baseline; register the sensor again."
     elif known.days is not None and known.days > OLD_DAYS:

@@ -85,7 +85,7 @@ class IngestDecision(Row):
     received_by: int | None = Field(description="Who sent it; null for the watched folder and an archive.")
     telemetry_set_id: int | None
     run_id: int | None
-    parameter_set_id: int | None = Field(description="The candidate that was prepared, where people are asked.")
+    parameter_set_id: int | None = Field(description="The candidate that was prepared, if a decision is requested.")
     approval_id: int | None = Field(description="The request for approval that a person's answer opened.")
     state: DecisionState
     version: int = Field(description='Counts transitions; the ETag is `"v<version>"`.')

@@ -92,7 +92,7 @@ def get_active_policy(session: Session, sensor_id: int) -> IngestPolicy:
         raise ConflictError(f"Ingest of {sensor.name} is paused: {row.pause_reason} Have a person resume it.")
     if is_held(session):
         raise ConflictError(
-            "The clock of this server jumped, so nothing is taken in; have a person acknowledge its alarm."
+            "The clock of this server jumped, so nothing is ingested; have a person acknowledge its alarm."
         )
     return row
 
@@ -145,7 +145,7 @@ def _doubt_times(prepared: PreparedUpload, rules: PolicyRules) -> str | None:
         return None
     begins, ends = (utc_text(datetime.fromisoformat(text)) for text in (time.start_utc, time.end_utc))
     if ends > utc_after(AHEAD_S):
-        return f"The telemetry ends at {ends}, which is in the future: check the clock on board, and of this server."
+        return f"The telemetry ends at {ends}, which is in the future: check the on-board clock and the clock of this server."
     if begins < utc_after(-rules.oldest_days * DAY_S):
         return (
             f"The telemetry begins at {begins}, more than {rules.oldest_days:g} days ago: "
@@ -305,7 +305,7 @@ def _as_answered(
     """Return why nothing is asked again although a set is outside the baseline: it waits for signatures, or was answered."""
     waiting = approval_rows.read_newest_open(session, [row.sensor_id]).get(row.sensor_id)
     if waiting is not None:
-        said = f"Request {waiting} of this sensor waits for signatures already."
+        said = f"Request {waiting} of this sensor is already waiting for signatures."
         return _quiet(found, "REQUEST OPEN", said)
     quiet = rows.find_quiet(session, row.sensor_id, utc_now())
     same_baseline = (
@@ -455,7 +455,7 @@ def _stop_after_failures(session: Session, policy: IngestPolicy) -> None:
             session,
             policy,
             "FAILURES",
-            f"{failed} files in a row were refused or not judged; read the reasons of their decisions.",
+            f"{failed} consecutive files were refused or not judged; read the reasons of their decisions.",
         )
 
 
@@ -522,7 +522,7 @@ def answer(
     require_seen(session, row, seen_version)
     given.check()
     if row.state != "ASKED":
-        raise ConflictError(f"Decision {row.id} is {row.state}: nothing waits for an answer. Choose one that is ASKED.")
+        raise ConflictError(f"Decision {row.id} is {row.state}; it needs no answer. Choose one that is ASKED.")
     if given.answer == "SUBMIT":
         prepared = session.get_known(ParameterSet, row.parameter_set_id or 0)
         request = approvals.submit(session, actor, blobs, prepared.id, given.reason, prepared.version, policy=policy)
