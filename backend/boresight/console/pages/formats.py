@@ -34,6 +34,7 @@ from boresight.verdicts.numbers import (
     unit,
     urad,
 )
+from boresight.verdicts.trend import SHOWN_AS
 from boresight.verdicts.verdict import LEVEL_OF_STATUS, LEVELS
 
 
@@ -167,10 +168,6 @@ def short_hash(text: str | None) -> Markup | str:
 def sensor_word(level: str) -> str:
     """Print the level of a sensor as a word; `off` is a sensor that no telemetry has come of."""
     return "NO TELEMETRY" if level == "off" else level.upper()
-
-
-#: State words that people read otherwise than programs do.
-SHOWN_AS = {"HOLDS": "AGREES"}
 
 
 def words(text: str) -> str:
