@@ -64,7 +64,7 @@ def test_what_cannot_be_compared_is_left_out_with_its_reason(session):
     older.summary = {"status": "converged"}
     trend = read_trend(session, 1)
     assert set(_left_out(trend)) == {over.id, fewer.id}
-    assert "held differently" in _left_out(trend)[fewer.id]
+    assert "free parameters differs" in _left_out(trend)[fewer.id]
     assert [point.run_id for point in trend.others] == [other.id]
     assert drift.judge_drift(trend).verdict == "NOT TESTED"
 

@@ -38,7 +38,7 @@ def test_a_dialog_on_a_set_names_sensor_old_and_new_set_what_changes_most_and_wh
     for shown in (approving, dialogs(olga.get(place))["promote"], dialogs(olga.get(request))["promote"]):
         words = " ".join(re.sub(r"<[^>]+>", " ", shown).split())
         assert re.search(r"Sensor ST16-1 .*PS-ST16-1-0 .*PS-ST16-1-1", words)
-        assert "cannot be undone" in words
+        assert "Cannot be undone" in words
         worth = [abs(float(one.replace("−", "-"))) for one in re.findall(r'<td class="num">([−\d.]+)</td></tr>', shown)]
         assert len(worth) == 4
         assert worth == sorted(worth, reverse=True)
