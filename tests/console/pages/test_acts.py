@@ -110,7 +110,7 @@ def test_nothing_is_preselected_on_a_record_and_the_expected_crc_is_shown_after_
     page = olga.get(STEPS)
     assert {"compare", "record-mismatch", "record-unknown"} == set(dialogs(page))
     comparing = " ".join(re.sub(r"<[^>]+>", " ", dialogs(page)["compare"]).split())
-    assert re.search(r"Sensor ST16-1 .*PS-ST16-1-0 .*cannot be undone.*VERIFIED.*MISMATCH", comparing)
+    assert re.search(r"Sensor ST16-1 .*PS-ST16-1-0 .*Cannot be undone.*VERIFIED.*MISMATCH", comparing)
     assert not re.search(r"0x[0-9A-F]{4}\b", page)
     refused = olga.post(f"{STEPS}/read-back", crc="nothing", source="TM 1", version=version(site))
     assert refused.status_code == 422
