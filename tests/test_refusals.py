@@ -27,9 +27,10 @@ REMEDIES = {
 WORDS = """
     add agree align ask assess begin bin bring build calibrate change check chmod choose comment compare convert copy correct
     create cut delete diagnose do download dump edit enable end enrol enter export expose extract find free give have hold
-    import install keep launch leave let list log look lower make mend mount move name number open pack paste pick pip pipe
-    print promote propose put raise read record register rehearse reload remove rename repeat restore rotate run save say see
-    send set shorten show sign sort split start stop submit take tick try turn type unpack upload use verify wait withdraw write
+    import install keep launch leave let list log look lower make mend mount move name number omit open pack paste pick pip pipe
+    print promote propose put raise read recalibrate record register rehearse reload remove rename repeat restore rotate run
+    save say see send set shorten show sign sort split start stop submit take tick try turn type unpack upload use verify wait
+    withdraw write
 """
 VERBS = frozenset(WORDS.split())
 ANY = "…"

@@ -60,7 +60,7 @@ def test_where_one_person_works_alone_every_download_says_so(site):
             assert answer.headers.get("boresight-four-eyes") == (None if four_eyes else "off"), address
             named = answer.headers.get("content-disposition")
             assert named is None or ('filename="four-eyes-off-' in named) is not four_eyes, named
-            assert address != report or ("FOUR EYES ARE OFF" in answer.text) is not four_eyes
+            assert address != report or ("FOUR-EYES RULE OFF" in answer.text) is not four_eyes
 
 
 def test_what_would_hold_up_work_is_said():

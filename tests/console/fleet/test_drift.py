@@ -79,7 +79,7 @@ def test_a_sensor_that_holds_raises_no_alarm_and_one_that_moves_does(session):
     moved = drift.judge_drift(read_trend(session, 1))
     assert moved.verdict == "DRIFT"
     assert moved.largest is not None
-    assert "a1 changed most" in moved.sentence
+    assert "largest change is in a1" in moved.sentence
 
 
 def test_a_slow_drift_is_seen_by_the_line_before_any_single_calibration_shows_it(session):

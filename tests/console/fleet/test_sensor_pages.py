@@ -69,7 +69,7 @@ def test_a_few_numbers_make_a_sensor_file_that_registers_with_its_field_drawn(si
     visitor = site.visitor("ada")
     address = "/sensors?name=Tripod&rows=768&columns=1024&pixel_pitch_um=6.9&focal_length_mm=35&latitude_deg=52.2&longitude_deg=4.4"
     page = visitor.get(f"{address}&parity=-1&describe=1")
-    assert "1024 by 768" in page
+    assert "1\u202f024 by 768" in page
     assert "upright image" in page
     text = html.unescape(re.search(r'<textarea id="document"[^>]*>(.*?)</textarea>', page, re.DOTALL)[1])
     assert json.loads(text)["site"] == {"latitude_deg": 52.2, "longitude_deg": 4.4}

@@ -85,9 +85,7 @@ def make_row(row: tables.Alarm) -> RowWithFields:
 def list_alarms(
     session: Reading,
     page: Paged,
-    state: Annotated[
-        str | None, Query(description=f"One of {', '.join(alarms.STATES)}; open ones when left out.")
-    ] = None,
+    state: Annotated[str | None, Query(description=f"One of {', '.join(alarms.STATES)}; open ones if omitted.")] = None,
     sensor_id: Id | None = None,
     kind: Annotated[str | None, Query(examples=["DRIFT"])] = None,
 ) -> Listing[tables.Alarm]:

@@ -91,7 +91,8 @@ def _entry(session: Session, actor: Actor, record: Record, proof: PasswordProof,
         )
     if record.onboard_state != "ACTIVE" or record.package_id is not None:
         raise RefusedInputError(
-            "Only ACTIVE is signed, and its package was named before; leave out password and meaning, or the package."
+            "Password and meaning are only for ACTIVE, and ACTIVE takes no package because it was named earlier: omit password "
+            "and meaning, or the package."
         )
     return uplinks.activate(session, actor, set_id, record.source, record.meaning or "", proof, seen, happened=happened)
 

@@ -47,7 +47,7 @@ TAGS = [
     {"name": "approvals", "description": "Requests that a second person signs or refuses."},
     {
         "name": "change proposals",
-        "description": "Changes of gate limits and table layouts that wait for a second person.",
+        "description": "Changes of gate profiles and table definitions that wait for a second person.",
     },
     {"name": "uplinks", "description": "What was sent and loaded on board, as recorded."},
     {"name": "alarms", "description": "What needs a person: acknowledge, shelve, assign, comment."},
