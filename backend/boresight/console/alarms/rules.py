@@ -146,8 +146,10 @@ def _check_age(sensor: Any, baseline: Any) -> Iterator[AlarmCause]:
     if baseline is None or baseline.baseline_from_utc is None or age_d is None or age_d <= OLD_DAYS:
         return
     due_utc = utc_text(datetime.fromisoformat(baseline.baseline_from_utc) + timedelta(days=OLD_DAYS))
-    sentence = f"{baseline.name} of {sensor.name} has exceeded its age limit of {OLD_DAYS:.0f} days since "
+    sentence = (
+        f"{baseline.name} of {sensor.name} has exceeded its age limit of {OLD_DAYS:.0f} days since "
         f"{due_utc[:10]}: recalibrate."
+    )
     details = {"parameter_set_id": baseline.id, "due_utc": due_utc}
     yield AlarmCause(name_source(sensor.id, "AGE"), sensor.id, "AGE", "caution", sentence, details)
 
