@@ -129,7 +129,7 @@ def test_a_result_that_kept_no_number_of_held_out_arcs_shows_the_value_and_says_
     judged = parse_calibration({**result, "validation": kept})
     _, value, meaning = tail_facts(judged, view("", result))[1][-1]
     assert float(value) == pytest.approx(1e6 * kept["rms_arc_rad"]["final"], rel=1e-3)
-    assert meaning.endswith("σ not stored.")
+    assert meaning.endswith("σ is not available.")
     said = {mark.name: mark.detail for mark in make_verdict_marks(judged)}
     assert said["validation_rms"].endswith("σ not stored")
     marks = make_verdict_marks(parse_calibration(result))

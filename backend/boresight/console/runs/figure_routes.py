@@ -52,7 +52,7 @@ class FigureView:
     ] = "frame"
     overlay: Annotated[
         Literal["lines", "band"],
-        Query(description="Draw every run, or the first and the span from the lowest to the highest of the others."),
+        Query(description="Draw every run, or the first run and the range of the others."),
     ] = "lines"
     x_from: Annotated[float | None, Query(description="Start of the part of the x axis that is shown in full.")] = None
     x_to: Annotated[float | None, Query(description="End of the part of the x axis that is shown in full.")] = None
@@ -185,7 +185,7 @@ def _stacked(tables: Mapping[int, Table]) -> Table:
 
 Asked = Annotated[str, Query(alias="runs", description="The runs, 2 to 20: `1,2,3`.", examples=["1,2,3"])]
 ReferenceRun = Annotated[
-    str, Query(alias="reference", description="The run that the others are compared with; the first if left out.")
+    str, Query(alias="reference", description="The run that the others are compared with; the first if omitted.")
 ]
 CSV: dict[int | str, dict[str, Any]] = {200: {"description": "One row per run and item, numbers in SI."}}
 
