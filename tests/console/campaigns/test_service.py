@@ -115,7 +115,7 @@ def test_a_dry_run_says_what_it_would_be_and_queues_nothing(session, launch):
         ),
         ({"settings": {"method": "magic"}}, RefusedInputError, "choose from batch"),
         ({"preset": "magic"}, NotFoundError, "There is no preset"),
-        ({"actor": "eve"}, ForbiddenError, "needs the role analyst"),
+        ({"actor": "eve"}, ForbiddenError, "requires the role analyst"),
     ],
 )
 def test_what_is_no_campaign_is_refused(launch, given, error, said):

@@ -244,7 +244,10 @@ def test_the_field_of_view_follows_from_f_and_the_detector():
 
 def test_what_was_baseline_at_a_time_is_answered_and_nonsense_refused(site, read):
     visitor = site.visitor("victor")
-    assert "Baseline PS-ST16-1-0" in read(visitor.get("/sensors/1?at=2100-01-01T00:00:00Z")).split("What was in use")[1]
+    assert (
+        "Baseline PS-ST16-1-0"
+        in read(visitor.get("/sensors/1?at=2100-01-01T00:00:00Z")).split("State at a given time")[1]
+    )
     assert "none yet" in read(visitor.get("/sensors/1?at=2000-01-01T00:00:00Z"))
     assert "not-a-time" in codes(visitor.get("/sensors/1?at=yesterday"))
 

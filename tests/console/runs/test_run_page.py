@@ -412,7 +412,7 @@ def test_every_test_of_the_model_and_every_cause_is_on_the_page_with_its_gate_an
     row = strip_tags(page.split('data-cause="phase"')[1].split("</tr>")[0])
     assert row.index("Drawn.") < row.index("Defocus.") < row.index("Pixel phase")
     assert text.index(noticed["sentence"]) < text.index(sound["sentence"])
-    assert re.search(r"Pixel phase \S* ?noticed .*centroid-noise", text)
+    assert re.search(r"Pixel phase \S* ?deviation .*centroid-noise", text)
     assert re.search("departs 1 of 2", text)
     assert 'data-tests="2"' in page
     rows = re.findall(r'data-unseen="(\w+)">(.*?)</tr>', page, re.DOTALL)

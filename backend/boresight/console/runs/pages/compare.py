@@ -133,23 +133,25 @@ def answer(found: Comparison) -> ComparedAnswer:
         return ComparedAnswer("standby", f"{lacking}: {do}.")
     far = [k for k in known if (test := joint(found.contrasts[k])) is not None and test["p"] < UNLIKELY]
     largest = max((_largest(found, k) for k in known), key=lambda one: one[0])
-    worst = f"at most {number(largest[0], 2)} σ ({quantity(largest[1]).symbol})" if largest[1] else "not at all"
+    size = f"{number(largest[0], 2)} σ ({quantity(largest[1]).symbol})" if largest[1] else "0 σ"
     same = all(found.shared[k].kind == "same" for k in known)
     if same and largest[0] < NEGLIGIBLE:
         what = "methods" if len({one.run.method for one in found.compared}) > 1 else "runs"
-        return ComparedAnswer("normal", f"Same data: the {what} differ by {worst}, negligible.")
+        return ComparedAnswer("normal", f"Same data: the {what} differ by at most {size}, negligible.")
     if far:
         named = ", ".join(f"#{found.compared[k].run.id}" for k in far)
         return ComparedAnswer(
             "caution",
             f"{count(len(far))} of {count(len(known))} runs differ significantly from the reference ({named}); largest "
-            f"difference {worst}.",
+            f"difference {size}.",
         )
     if same and largest[0] > FAR_SIGMAS:
-        return ComparedAnswer("caution", f"Same data: the runs differ by {worst}, more than expected between methods.")
+        return ComparedAnswer(
+            "caution", f"Same data: the runs differ by at most {size}, more than expected between methods."
+        )
     if same:
-        return ComparedAnswer("normal", f"Same data: the runs differ by {worst}, as expected between methods.")
-    return ComparedAnswer("normal", f"No run differs significantly from the reference; largest difference {worst}.")
+        return ComparedAnswer("normal", f"Same data: the runs differ by at most {size}, as expected between methods.")
+    return ComparedAnswer("normal", f"No run differs significantly from the reference; largest difference {size}.")
 
 
 def _largest(found: Comparison, k: int) -> tuple[float, str]:

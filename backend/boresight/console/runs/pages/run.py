@@ -271,8 +271,10 @@ def sight_facts(result: Calibration | None) -> tuple[Rows, list[str]]:
         (
             "Known to",
             known,
-            f"One sigma along this direction, in units of the spread between sensors of this kind; it counts as determined up to "
-            f"{WEAK:g}.",
+            (
+                f"One sigma along this direction, in units of the spread between sensors of this kind; it counts as determined "
+                f"up to {WEAK:g}."
+            ),
         ),
         ("Condition number", condition, "Largest singular value over the smallest."),
     ]
