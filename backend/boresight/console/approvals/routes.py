@@ -397,7 +397,7 @@ def list_remarks(approval_id: Id, session: Reading) -> Listing[Remark]:
     return Listing(approvals.list_remarks(session, approval_id))
 
 
-@discussion_router.post("/remarks", summary="Add a remark", status_code=201, response_model=schemas.Remark)
+@discussion_router.post("/remarks", summary="Add a comment", status_code=201, response_model=schemas.Remark)
 def remark(approval_id: Id, new: NewRemark, actor: Who, session: Writing) -> Remark:
     """Add a remark to a request, open or decided; remarks cannot be edited."""
     return threads.add_remark(session, actor, approval_id, new.text)

@@ -58,7 +58,7 @@ NAMES = {
     "camera_model": "Camera model",
     "covariance": "Covariance",
     "detector": "Detector",
-    "four_eyes": "Four-eyes enforced",
+    "four_eyes": "Four-eyes rule enforced",
     "free": "Free parameters",
     "ground_state": "On ground",
     "initial": "Initial",
