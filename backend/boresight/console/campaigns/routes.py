@@ -113,7 +113,7 @@ class CampaignLaunch(BaseModel):
     sensors: list[CampaignMember] | None = Field(
         None, max_length=MOST_SENSORS, description="Every sensor of the fleet if omitted."
     )
-    validate_only: bool = Field(default=False, description="Check everything, change nothing, and describe the result.")
+    validate_only: bool = Field(default=False, description="Validate only, without changes, and describe the result.")
 
     def members(self) -> list[MemberRequest] | None:
         """Return the sensors as the service takes them."""

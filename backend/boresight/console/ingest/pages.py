@@ -300,7 +300,7 @@ async def draft_policy(request: Request, actor: Who, sensor_id: int, watcher: Se
 
     again = partial(_policy, request, actor, sensor_id, watcher, None, typed)
     address = f"/sensors/{sensor_id}/ingest"
-    return await make_change(request, change, address, "Drafted: rehearse it on the past next.", again=again)
+    return await make_change(request, change, address, "Drafted: next, rehearse it on past data.", again=again)
 
 
 @router.post("/sensors/{sensor_id:int}/ingest/{step}", response_class=HTMLResponse)

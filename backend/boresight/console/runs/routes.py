@@ -77,7 +77,7 @@ class Launch(BaseModel):
     )
     prior_run_id: Id | None = Field(None, description="The same from a finished run; give at most one of the two.")
     label: str = ""
-    validate_only: bool = Field(default=False, description="Check everything, change nothing, and describe the result.")
+    validate_only: bool = Field(default=False, description="Validate only, without changes, and describe the result.")
 
 
 class Cancellation(Shape):

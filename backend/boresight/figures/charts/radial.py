@@ -388,7 +388,7 @@ DISTORTION = make_figure(
     guide=(
         "Each curve is the radial displacement relative to a pinhole camera with the old focal length: the old "
         "parameters dotted, the new ones with their ±3σ band. The two should have the same shape and differ only as much as "
-        "a launch or a change of temperature can explain; in the hatched part there was no star and both are extrapolated."
+        "a launch or a change of temperature can explain; there are no stars in the hatched region, and both are extrapolated there."
     ),
     wide=True,
 )
