@@ -18,7 +18,7 @@ that a set is asked about although nothing changed is alpha at most.
 As long as there are too few calibrations for a forecast, the baseline is the forecast, and its test alone has the level alpha: D^2
 is that of theta, with P + B. All these tests share the baseline's error, so their false alarms come in bursts, as many on average.
 
-A dry run walks over the calibrations of the past by the same functions. A set that would have been asked as a drift is the next
+A rehearsal walks over the calibrations of the past by the same functions. A set that would have been asked as a drift is the next
 reference, as though people had promoted it; of a jump the advice is to wait for the next set, and that is taken. Nothing is
 calibrated again: sets without a calibration that counts are counted, and the gates are not judged.
 """

@@ -225,9 +225,9 @@ RADIAL = make_figure(
 
 RADIAL_CONTRAST_TITLE = "Radial difference to the reference"
 GUIDE = (
-    "Each curve is how far along the radius a run places a star from where the reference run places it, with the ±3σ band of "
-    "that difference. Runs that agree stay at zero within their bands out to where stars reach; the hatched radii beyond are "
-    "extrapolated."
+    "Each curve is how far along the radius a run places a star from where the reference run places it, with the ±3σ "
+    "band of that difference. Runs that agree stay at zero within their bands out to where stars reach; the hatched "
+    "radii beyond are extrapolated."
 )
 MARGIN = 0.06  # of the height drawn, above and below
 CROWDED = 8  # above so many bands nothing is seen through them
@@ -387,8 +387,9 @@ DISTORTION = make_figure(
     title="Radial distortion, old and new",
     guide=(
         "Each curve is the radial displacement relative to a pinhole camera with the old focal length: the old "
-        "parameters dotted, the new ones with their ±3σ band. The two should have the same shape and differ only as much as "
-        "a launch or a change of temperature can explain; there are no stars in the hatched region, and both are extrapolated there."
+        "parameters dotted, the new ones with their ±3σ band. The two should have the same shape and differ only as "
+        "much as a launch or a change of temperature can explain; there are no stars in the hatched region, and both "
+        "are extrapolated there."
     ),
     wide=True,
 )
