@@ -67,7 +67,7 @@ def test_what_would_hold_up_work_is_said():
     people = [_person("analyst", "approver"), _person("operator"), _person("administrator", disabled_utc=NOW)]
     said = warnings(people, four_eyes=True)
     assert "There is only one user with the role approver; nobody can stand in." in said
-    assert "There is no administrator." in said
+    assert "No user has the role administrator." in said
     assert "Every approver is also an analyst: whoever submits a set needs another approver to sign it." in said
     assert (
         warnings([_person(role) for role in ("analyst", "operator", "approver", "administrator") * 2], four_eyes=True)

@@ -291,7 +291,7 @@ def test_a_sensor_shows_what_its_newest_validated_run_would_change_with_interval
     panel = read_panel(site.visitor("victor").get("/sensors/1"), read)
     assert f"#{validated}" in panel
     assert "on its validation set" in panel
-    numbers = ("43.8", "32.3 to 55.2", "100.0", "95.4 to 100.0", "5.66", "over 4.21", "632.5", "83.8", "81.2 to 86.5")
+    numbers = ("43.8", "32.3 to 55.2", "100.0", "95.4 to 100.0", "5.66", "above 4.21", "632.5", "83.8", "81.2 to 86.5")
     assert [words for words in (*numbers, "422 µrad") if words not in panel.replace("\u202f", " ")] == []
 
 

@@ -140,7 +140,7 @@ def test_the_overview_counts_what_waits_for_a_signature_and_reads_what_it_shows(
     visitor.get("/")
     with counted(full.engine) as asked:
         page = read(visitor.get("/?again=1"))
-    waiting = count_in(page, "await your signature")
+    waiting = count_in(page, "requests waiting for your signature")
     assert waiting == MANY - 11 - 10  # expired, and signed already; none is both
     assert page.count("is waiting for your signature.") == 8
     assert count_in(page, "more") == waiting - 8
