@@ -376,7 +376,7 @@ CONVERGENCE = Figure(
     title=TITLE,
     guide=(
         "Each panel shows the change of one parameter from its initial value (dotted line at zero), with its own ±3σ "
-        "band, the last two panels show the cost and the step. Double-click a panel to see the full range of the first "
+        "band, the last two panels show the cost and the step; double-click a panel to see the full range of the first "
         "bands. A trustworthy run settles (dotted upright line), its band narrows around the curve, and the curve "
         "stays inside its earlier bands."
     ),

@@ -214,7 +214,7 @@ RADIAL = make_figure(
     name="radial",
     title=TITLE,
     guide=(
-        "Top: radial displacement of a star between the new and the old parameters. Middle: its ±3σ band. Bottom: number of "
+        "Top: radial displacement of a star between the new and the old parameters; middle: its ±3σ band; bottom: number of "
         "stars at each radius. Trust it where there are stars and the band is narrow: there are no stars in the hatched "
         "region, and the curve is extrapolated there."
     ),

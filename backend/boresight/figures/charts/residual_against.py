@@ -144,7 +144,7 @@ RESIDUAL_AGAINST = part_figure(
     name="residual-against",
     title="Residual against causes",
     guide=(
-        "Each panel shows the binned residual against one possible cause: mean with 95 % bar, and RMS (dotted). The "
+        "Each panel shows the binned residual against one possible cause: mean with 95 % bar, and RMS (dotted); the "
         "residual is radial (outward positive), or along the axis for row, column and pixel phase. Means that are zero "
         "within their bars are good; a slope shows what the model or the centroiding does not include."
     ),

@@ -231,7 +231,7 @@ RMS = Figure(
     name="rms",
     title=TITLE,
     guide=(
-        "Tail: error of the whole set with the parameters at that point, with ±3σ random scatter. Aggregate: cumulative error "
+        "Tail: error of the whole set with the parameters at that point, with ±3σ random scatter; aggregate: cumulative error "
         "of all frames so far, each with the parameters at its own time. The two should agree and be "
         "flat near the final level; an aggregate well below the tail means that the filter follows single frames instead of "
         "the sensor."
