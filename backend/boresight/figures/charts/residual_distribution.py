@@ -129,10 +129,10 @@ RESIDUAL_DISTRIBUTION = part_figure(
     name="residual-distribution",
     title="Distribution of residuals",
     guide=(
-        "On the left is the share of residuals over their sigmas in each bin, with the normal curve and the result of the "
-        "old parameters; on the right are their quantiles minus those of a normal distribution, with the band expected by chance. Steps on "
-        "the curve and a line inside the band are good; tails outside the band indicate wrong stars; a slope indicates a wrong "
-        "noise."
+        "On the left is the share of residuals over their sigmas in each bin, with the normal curve and the result of "
+        "the old parameters; on the right are their quantiles minus those of a normal distribution, with the band "
+        "expected by chance. Steps on the curve and a line inside the band are good; tails outside the band indicate "
+        "wrong stars; a slope indicates a wrong noise."
     ),
     wide=True,
     forms={"narrow": partial(draw, beside=1)},
