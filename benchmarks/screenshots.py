@@ -157,7 +157,7 @@ def subscribe(page: Page, address: str) -> None:
     page.locator("#address").fill("sam@mission.example")
     for box in page.locator("form [name=kinds]").all():
         box.uncheck()
-    page.get_by_label("A request waits for my signature").check()
+    page.get_by_label("A request is waiting for my signature").check()
     page.get_by_role("button", name="Add the address").click()
     page.wait_for_load_state("networkidle")
 

@@ -83,14 +83,14 @@ def people(installation, browser):
     with made.seat("administrator") as window:
         for name in ("analyst", "approver", "operator"):
             window.open("/users")
-            form = window.page.get_by_role("region", name="Add a person")
+            form = window.page.get_by_role("region", name="Add a user")
             form.get_by_label("Log-in name").fill(name)
             form.get_by_label("Name printed").fill(PRINTED_NAMES[name])
             form.get_by_label("First password").fill(get_password(name))
             form.get_by_role("checkbox", name=name).check()
             form.get_by_role("checkbox", name="They must set their own password").uncheck()
-            form.get_by_role("button", name="Add this person").click()
-            expect(window.page.get_by_role("table", name="People and their roles")).to_contain_text(PRINTED_NAMES[name])
+            form.get_by_role("button", name="Add this user").click()
+            expect(window.page.get_by_role("table", name="Users and their roles")).to_contain_text(PRINTED_NAMES[name])
     return made
 
 

@@ -28,8 +28,8 @@ def test_a_file_in_the_watched_folder_becomes_a_question_that_a_person_answers(p
         window.open(f"/sensors/{sensor_id}/ingest")
         page.get_by_label("Reason").last.fill("Two passes a day.")
         page.get_by_role("button", name="Draft version 1").click()
-        page.get_by_role("button", name="Dry run on the past").click()
-        expect(page.get_by_text("No set in the past has a calibration to judge")).to_be_visible()
+        page.get_by_role("button", name="Rehearse on past data").click()
+        expect(page.get_by_text("No past set has a calibration to judge")).to_be_visible()
     with people.seat("administrator") as window:
         window.open(f"/sensors/{sensor_id}/ingest")
         window.page.get_by_role("button", name=re.compile("^Enable policy")).click()
@@ -48,12 +48,14 @@ def test_a_file_in_the_watched_folder_becomes_a_question_that_a_person_answers(p
             page.wait_for_timeout(500)
         window.open(f"/ingest/{decisions[0]['id']}")
         expect(page.locator(".page-head .status").first).to_have_text("ASKED", timeout=SOON_MS)
-        expect(page.get_by_role("table", name="Is the set within the forecast?")).to_contain_text("outside")
+        expect(page.get_by_role("table", name="Does the telemetry set agree with the forecast?")).to_contain_text(
+            "outside"
+        )
         window.shoot("ingest-asked")
-        page.get_by_role("button", name="Submit this set for approval").first.click()
+        page.get_by_role("button", name="Submit the parameter set for approval").first.click()
         dialog = page.get_by_role("dialog")
         dialog.get_by_label("Reason").fill("It moved since the ground.")
-        dialog.get_by_role("button", name="Submit this set for approval").click()
+        dialog.get_by_role("button", name="Submit the parameter set for approval").click()
         expect(page.locator(".page-head .status").first).to_have_text("ANSWERED")
         page.get_by_role("link", name=re.compile(r"^Request \d+$")).click()
         page.wait_for_url(re.compile(r"/approvals/\d+$"))

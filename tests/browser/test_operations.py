@@ -133,7 +133,7 @@ def test_a_drift_alarm_is_seen_handled_understood_and_over(people, store, drifti
     with people.seat("operator") as window:
         window.open("/")
         row = window.page.get_by_role("table", name="Sensors").get_by_role("row", name=re.compile("ST16-5"))
-        expect(row).to_contain_text("It drifts: alarm")
+        expect(row).to_contain_text("Drift detected: alarm")
         window.shoot("80-overview-drift", wide=True)
         window.page.locator("#live-mine").get_by_role("link", name=re.compile("ST16-5 drifts")).click()
         window.page.wait_for_url(re.compile(r"/alarms/\d+$"))

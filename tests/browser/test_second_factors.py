@@ -74,7 +74,7 @@ def test_a_security_key_is_enrolled_asked_at_log_in_and_for_an_act(localhost, br
     dialog = page.get_by_role("dialog", name="Make new recovery codes")
     dialog.get_by_label("Your password again").fill(PASSWORD)
     dialog.get_by_role("button", name="Use your security key").click()
-    expect(dialog.get_by_text("Your security key answered.")).to_be_visible()
+    expect(dialog.get_by_text("Your security key responded.")).to_be_visible()
     dialog.get_by_role("button", name="Make new recovery codes").click()
     assert first.isdisjoint(_read_codes(page))
 

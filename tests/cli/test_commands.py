@@ -109,7 +109,7 @@ def test_the_report_of_a_stored_run_says_where_one_person_works_alone(
     monkeypatch.setenv("BORESIGHT_FOUR_EYES", setting)
     monkeypatch.setattr("boresight.console.runs.service.get_final_result", lambda *_: calibration_result)
     accepted(store("report", "1", "--out", tmp_path / "report.html"))
-    assert ("FOUR EYES ARE OFF" in (tmp_path / "report.html").read_text(encoding="utf-8")) is said
+    assert ("FOUR-EYES RULE OFF" in (tmp_path / "report.html").read_text(encoding="utf-8")) is said
 
 
 def test_the_schema_goes_forward_and_back(store):

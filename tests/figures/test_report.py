@@ -70,7 +70,7 @@ def test_the_report_has_verdict_advice_parameters_trust_matching_provenance_and_
 
 def test_the_report_says_where_one_person_works_alone_and_why_a_part_is_not_there(report, sequential_result):
     page = render_report(replace(sequential_result, trust=None, matching=None), four_eyes=False)
-    assert ["FOUR EYES ARE OFF" in one for one in (report, page)] == [False, True]
+    assert ["FOUR-EYES RULE OFF" in one for one in (report, page)] == [False, True]
     assert NEVER in page
     assert GIVEN in page
 

@@ -292,8 +292,8 @@ def test_both_sides_are_named_and_frames_that_one_alone_solves_have_their_own_sh
     drawn, kept = (SHADOW.draw([Trace("run", flown(calibration=make_shadow(lost=lost)))]).data for lost in ((7,), ()))
     alone = {trace.marker.symbol: list(trace.x) for trace in drawn if trace.mode == "markers"}
     assert alone == {"triangle-up-open": [1, 2, 3], "x-thin-open": [7]}
-    marks = ["only the candidate solves it (3)", "only the baseline solves it: lost (1)"]
-    assert [trace.name for trace in drawn] == ["baseline", "candidate", *marks]
+    marks = ["only the new parameters solve it (3)", "only the old parameters solve it: lost (1)"]
+    assert [trace.name for trace in drawn] == ["old parameters", "new parameters", *marks]
     assert [trace.showlegend for trace in kept if trace.mode == "markers"] == [True, False]
 
 

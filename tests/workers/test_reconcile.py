@@ -104,7 +104,7 @@ def test_a_run_lost_in_company_is_not_charged_but_one_lost_alone_is(store, make_
     (alone,) = take_one(rows, first)
     rows.give_up([alone], "its worker process died")
     assert store.states([first]) == ["FAILED"]
-    assert re.search(" 1 lost attempt, .* its worker process died", store.run(first).reason)
+    assert re.search(" 1 lost attempt; .* its worker process died", store.run(first).reason)
 
 
 def test_a_run_whose_worker_was_gone_beforehand_is_not_charged_until_it_goes_on_so(store, make_rows):

@@ -83,7 +83,7 @@ def require_seen(session: Session, row: Versioned, seen_version: int | None) -> 
     if seen_version != row.version:
         raise StaleError(
             f"{make_label(row)} has changed since you read it (you saw v{seen_version}, it is now v{row.version}): "
-            f"{describe_last_change(session, row)}. Reload, check it and decide again.",
+            f"{describe_last_change(session, row)}. Reload the page, check the changes and decide again.",
             code="changed-since-read",
         )
 
@@ -99,7 +99,7 @@ def require_seen_document(session: Session, current: DocumentInForce, seen_numbe
         by = "" if record is None else f": {record.actor} {record.action} it at {record.at_utc}"
         raise StaleError(
             f"The {current.title} has changed since you read it (you saw v{seen_number}, it is now v{current.number}){by}. "
-            "Reload, check it and decide again.",
+            "Reload the page, check the changes and decide again.",
             code="changed-since-read",
         )
 
@@ -110,7 +110,7 @@ def require_change(current: DocumentInForce, document: Mapping[str, Any], reason
         raise RefusedInputError(f"Give the reason why the {current.title} changes.", code="reason-missing")
     if compute_sha256(dict(document)) == current.sha256:
         raise RefusedInputError(
-            f"This is version {current.number} of the {current.title}, in force already: change something.",
+            f"This is identical to version {current.number} of the {current.title}, which is already in force: change it first.",
             code="already-in-force",
         )
 
@@ -119,7 +119,7 @@ def describe_last_change(session: Session, row: Versioned) -> str:
     """Describe who changed a row last, how and when."""
     record = audit.find_last_change(session, name_subject(row))
     if record is None:
-        return "nobody is on record for it"
+        return "no change is on record"
     return f"{record.actor} {ALARM_VERBS.get(record.action, record.action)} it at {record.at_utc}"
 
 

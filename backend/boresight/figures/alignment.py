@@ -17,9 +17,10 @@ from boresight.figures.style import theme
 
 TITLE = "Angles of the pairs"
 GUIDE = (
-    "Each point is a pair of attitudes of the same time: its small turn about an axis of B away from the alignment, with one sigma "
-    "of its own. What all pairs share, the cameras' error, is taken off. The line is the alignment's change with time and "
-    "temperature; points that leave it by more than their bars, or in a trend, are what it does not contain. Crosses were left out."
+    "Each point is a pair of attitudes at the same time: its rotation about one axis of B relative to the alignment, "
+    "with its own one-sigma bar. The error common to all pairs (the cameras' error) is removed. The line is the "
+    "alignment's change with time and temperature; points further off than their bars, or with a trend, show a change "
+    "that the alignment does not describe. Crosses were not used."
 )
 
 #: How wide the y axis is, in the largest angle of the pairs that take part: what lies beyond is told by the table.

@@ -11,10 +11,10 @@ from boresight.figures.style import theme
 NAME = "held-out"
 TITLE = "Error on held-out frames"
 GUIDE = (
-    "Each mark is a candidate's RMS arc error on frames that it was not fitted to, with its 95 % interval, by its number of "
-    "free parameters; the ring is the chosen one. A term that the lens has lowers its camera's error, and further terms "
-    "leave it level; candidates share their frames, so a step is more certain than the intervals suggest, but this error "
-    "does not decide the choice."
+    "Each mark is a candidate model's RMS arc error on frames that it was not fitted to, with its 95 % interval, by its number of "
+    "free parameters; the ring is the chosen one. Adding a term that the lens really has reduces the error; further "
+    "terms leave it unchanged. All candidate models use the same frames, so a step is more significant than the intervals "
+    "suggest. The choice is not based on this error."
 )
 
 

@@ -14,8 +14,9 @@ from boresight.verdicts.numbers import quantity
 NAME = "passes"
 TITLE = "Parameters from pass to pass"
 GUIDE = (
-    "Each mark is a parameter in one pass, less its value in the last, with three sigmas; the passes stand by their first time, or "
-    "by number where one has none. What moves by many bars changed; what stays within them may as well be one value for all."
+    "Each mark is a parameter in one pass relative to its value in the last pass, with ±3σ bars. Passes are placed at their start "
+    "time, or by number if any has no time. Parameters that move by many bars have changed; those that stay within their bars can "
+    "share one value."
 )
 PANEL_HEIGHT_PX = 190
 
@@ -50,7 +51,7 @@ def _places(result: Calibration, found: PassVariation) -> tuple[list[str | int],
     """Return where the passes stand on the axis, and its title."""
     times = [one.start_utc for one in result.inputs.passes]
     if len(times) == len(found.states) and all(times):
-        return [str(time).removesuffix("Z") for time in times], "first time of the pass (UTC)"
+        return [str(time).removesuffix("Z") for time in times], "start of the pass (UTC)"
     return list(range(1, len(found.states) + 1)), "pass"
 
 
@@ -63,7 +64,7 @@ def _departures(found: PassVariation, name: str) -> tuple[list[float], list[floa
 def _headline(found: PassVariation) -> str:
     if found.test is None:
         return f"{len(found.states)} passes, a random walk from one to the next"
-    return f"{len(found.states)} passes; that nothing varies has p = {found.test.p_value:.2g}"
+    return f"{len(found.states)} passes; test for no variation: p = {found.test.p_value:.2g}"
 
 
 def table(result: Calibration) -> Table:

@@ -27,15 +27,16 @@ from boresight.calibration.calibration import Values
 from boresight.figures.chart import Table
 from boresight.figures.style import theme
 from boresight.verdicts.numbers import change_label, quantity, signed
-from boresight.verdicts.trend import Trend, TrendPoint
+from boresight.verdicts.trend import SHOWN_AS, Trend, TrendPoint
 
 NAME = "trend"
 TITLE = "Parameters over the mission"
 GUIDE = (
-    "Each mark is a calibration at the time of its data with a ±3σ bar, as a difference from the current baseline, which is "
-    "the line at zero; open marks are not used in the drift test, and the table says why. A stable sensor scatters about "
+    "Each mark is a calibration at the time of its data with a ±3σ bar, relative to the current baseline (the zero "
+    "line); open marks are not used in the drift test, and the table says why. A stable sensor scatters about "
     "zero within its bars; a run of marks to one side, or a slope, is drift, unless the temperature below changes with it. "
-    "The scale is that of the newest calibrations; a triangle at the edge has the value of what lies beyond it."
+    "The scale is that of the newest calibrations; a triangle at the edge marks a value off the scale and is labelled "
+    "with it."
 )
 ROW_PX, LOW_ROW_PX = 120, 84
 RECENT, NEWEST = 10, 3  # calibrations that give the scale, and those that are always on it
@@ -103,8 +104,12 @@ def _order(trend: Trend, name: str) -> int:
 
 def _headline(trend: Trend, points: Sequence[TrendPoint], *, own: bool) -> str:
     counted = sum(point.counted for point in points)
-    said = f"{len(points)} calibration{'s' * (len(points) != 1)}, {counted} independent"
-    return f"{said}; {trend.drift.verdict.lower()}" if own else f"{said}, of another camera model than the baseline"
+    said = f"{len(points)} calibration{'s' * (len(points) != 1)}, {counted} of them independent"
+    return (
+        f"{said}; {SHOWN_AS.get(trend.drift.verdict, trend.drift.verdict)}"
+        if own
+        else f"{said}, of another camera model than the baseline"
+    )
 
 
 def _zero(trend: Trend, points: Sequence[TrendPoint], name: str, *, own: bool) -> float:
@@ -273,7 +278,7 @@ def _temperature(figure: go.Figure, points: Sequence[TrendPoint], row: int) -> N
 
 def _records(figure: go.Figure, trend: Trend, row: int) -> None:
     """Mark promotions and what was recorded on board, at the time of the record."""
-    promoted = [(period.from_utc, "baseline", f"{period.name} became baseline") for period in trend.baselines]
+    promoted = [(period.from_utc, "baseline", f"{period.name} became the baseline") for period in trend.baselines]
     onboard = [(mark.at_utc, "on board", f"{mark.name} {mark.state}") for mark in trend.on_board]
     found = promoted + onboard
     figure.add_scatter(

@@ -83,9 +83,9 @@ INGEST = Actor(
 def require_role(actor: Actor, *roles: str) -> None:
     """Refuse an actor without any of these roles."""
     if not actor.roles.intersection(roles):
-        held = ", ".join(sorted(actor.roles)) or "no role"
+        held = f"only {', '.join(sorted(actor.roles))}" if actor.roles else "no role"
         raise ForbiddenError(
-            f"This needs the role {' or '.join(roles)}; {actor.printed_name} has {held}: ask somebody who has it.",
+            f"This requires the role {' or '.join(roles)}, but {actor.printed_name} has {held}. Ask someone with it.",
             code="role-missing",
         )
 

@@ -12,6 +12,8 @@ from boresight.calibration.calibration import Values
 
 SCHEMA: Final = "boresight.trend/1"
 Answer = Literal["YES", "NOT YET", "MORE DATA NEEDED"]
+#: Verdicts of the drift test that people read otherwise than programs do.
+SHOWN_AS: Final = {"HOLDS": "AGREES"}
 
 
 @dataclass(frozen=True, kw_only=True)

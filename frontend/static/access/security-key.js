@@ -14,7 +14,7 @@ async function askKey(options, enrols = false) {
   const made = enrols
     ? await navigator.credentials.create({ publicKey: PublicKeyCredential.parseCreationOptionsFromJSON(asked) })
     : await navigator.credentials.get({ publicKey: PublicKeyCredential.parseRequestOptionsFromJSON(asked) });
-  if (!(made instanceof PublicKeyCredential)) throw new Error("The security key gave no answer; try again.");
+  if (!(made instanceof PublicKeyCredential)) throw new Error("The security key did not respond; try again.");
   return JSON.stringify(made.toJSON());
 }
 
@@ -30,7 +30,7 @@ for (const button of findAll("button[data-security-key]", HTMLButtonElement)) {
       field.value = await askKey(JSON.stringify((await answer.json()).options));
       field.type = "password";
       field.readOnly = true;
-      if (said) said.textContent = "Your security key answered.";
+      if (said) said.textContent = "Your security key responded.";
     } catch (error) {
       if (said) said.textContent = describeError(error);
     }
@@ -40,7 +40,7 @@ for (const button of findAll("button[data-security-key]", HTMLButtonElement)) {
 for (const form of findAll("form[data-security-key-form]", HTMLFormElement)) {
   const said = find("[role=status]", HTMLElement, form);
   need("button", HTMLButtonElement, form).disabled = !known;
-  if (!known && said) said.textContent = "This browser knows no security keys; use another second factor or a newer browser.";
+  if (!known && said) said.textContent = "This browser does not support security keys; use another second factor or a newer browser.";
   form.addEventListener("submit", async (event) => {
     const field = need("input[name=factor]", HTMLInputElement, form);
     if (field.value) return;

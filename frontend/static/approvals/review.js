@@ -27,7 +27,7 @@ function showCount() {
   if (left) left.textContent = said;
   for (const place of findAll("[data-points-left]", HTMLElement)) {
     place.hidden = count === 0;
-    place.replaceChildren(`${said}: a signature needs a tick and a reason for each, or the figure opened. `, make("a", { href: "#sign", textContent: "To the first open point" }));
+    place.replaceChildren(`${said}: before signing, acknowledge each with a reason, or open the figure. `, make("a", { href: "#sign", textContent: "To the first open point" }));
     // refused, it would cost the password; the server decides all the same
     const button = find("button[value=APPROVE]", HTMLButtonElement, place.closest("dialog") ?? document);
     if (button) button.disabled = count > 0;

@@ -60,9 +60,9 @@ function choose(event) {
 async function copyAddress() {
   try {
     await navigator.clipboard.writeText(location.href);
-    say("The address of this view is copied.");
+    say("The address of this view was copied.");
   } catch {
-    say("Copy the address from the browser: this page may not write to the clipboard.");
+    say("Clipboard access is blocked; copy the address from the browser's address bar.");
   }
 }
 

@@ -101,7 +101,7 @@ function sayEnded(sentence) {
   ended = true;
   close();
   light.textContent = "LOGGED OUT";
-  said.textContent = "Link ended: you are logged out";
+  said.textContent = "Disconnected: you are logged out";
   light.dataset.state = "disconnected";
   sayState("logged-out");
   const notice = make("div", { className: "notice notice-serious", id: "log-in-ended", role: "alert" });

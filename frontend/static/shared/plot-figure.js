@@ -42,7 +42,7 @@ const length = (values) => (values && "bdata" in values ? values.bdata : values)
 /** @param {Figure} figure */
 const isEmpty = (figure) => !figure.data.some(({ x, y, z }) => [x, y, z].some((values) => length(values) > 0));
 /** @param {Figure} figure */
-const getReason = (figure) => figure.layout.annotations?.[0]?.text ?? "Nothing to draw yet: the run has not got this far.";
+const getReason = (figure) => figure.layout.annotations?.[0]?.text ?? "No data yet: the run has not reached this stage.";
 /** @param {string | undefined} markup */
 const plain = (markup) => new DOMParser().parseFromString(markup ?? "", "text/html").body.textContent;
 const utcTime = () => `${new Date().toISOString().slice(11, 19)}Z`;

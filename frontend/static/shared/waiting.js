@@ -38,7 +38,7 @@ function notify({ count, first }) {
   if (!known || !isWanted()) return;
   const fresh = first.filter((one) => !known.addresses.includes(one.address));
   if (!fresh.length && count <= known.count) return;
-  const { sentence, address } = fresh.length === 1 && fresh[0] ? fresh[0] : { sentence: `${count} things wait for you.`, address: "/" };
+  const { sentence, address } = fresh.length === 1 && fresh[0] ? fresh[0] : { sentence: `${count} items are waiting for you.`, address: "/" };
   const told = new Notification("Boresight", { body: sentence, tag: address, icon: plainIcon });
   told.onclick = () => {
     window.focus();
@@ -59,7 +59,7 @@ const soon = () => { timer ||= setTimeout(look, AFTER_MS); };
 
 function show() {
   button.setAttribute("aria-pressed", String(isWanted()));
-  button.title = isWanted() ? "This browser tells you what has come to wait for you; press to stop it" : "Have this browser tell you what has come to wait for you, while a page is open";
+  button.title = isWanted() ? "Browser notifications are on; press to turn them off" : "Notify me in this browser of new items waiting for me, while a page is open";
 }
 
 async function change() {

@@ -126,6 +126,11 @@ def test_numbers_in_sentences_are_written_as_in_tables_and_what_people_wrote_or_
         '<i data-at="-1,200"><code>-1,200</code><q>5% of 1,200</q><input value="-5%"><svg><path d="M-1,200"/></svg></i>'
     )
     assert show_numbers(kept) == kept
+    read_out = '<i title="by 1,753.4, -0.54 g_y" aria-label="at -5%" data-at="-1,200"><b title="-1">-1</b></i>'
+    assert show_numbers(read_out) == (
+        f'<i title="by 1{thin}753.4, {minus}0.54 g_y" '
+        f'aria-label="at {minus}5{thin}%" data-at="-1,200"><b title="{minus}1">{minus}1</b></i>'
+    )
     assert show_numbers("<p>from -1.2e-05 to 3e+10</p>") == f"<p>from {minus}1.2·10⁻⁵ to 3·10¹⁰</p>"
 
 

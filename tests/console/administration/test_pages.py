@@ -38,7 +38,7 @@ def test_the_page_says_who_must_set_a_password_and_how_to_back_up(site, read):
     page = read(site.visitor("adele").get("/administration"))
     assert "Must still set their own password: Victor Viewer." in page
     assert "boresight backup --out FILE.zip" in page
-    assert "FOUR-EYES ON" in page
+    assert "FOUR-EYES RULE ON" in page
 
 
 def test_a_single_user_install_says_so_on_every_page(site):
@@ -60,14 +60,14 @@ def test_where_one_person_works_alone_every_download_says_so(site):
             assert answer.headers.get("boresight-four-eyes") == (None if four_eyes else "off"), address
             named = answer.headers.get("content-disposition")
             assert named is None or ('filename="four-eyes-off-' in named) is not four_eyes, named
-            assert address != report or ("FOUR EYES ARE OFF" in answer.text) is not four_eyes
+            assert address != report or ("FOUR-EYES RULE OFF" in answer.text) is not four_eyes
 
 
 def test_what_would_hold_up_work_is_said():
     people = [_person("analyst", "approver"), _person("operator"), _person("administrator", disabled_utc=NOW)]
     said = warnings(people, four_eyes=True)
-    assert "Only one approver, so there is no deputy." in said
-    assert "There is no administrator." in said
+    assert "There is only one user with the role approver; nobody can stand in." in said
+    assert "No user has the role administrator." in said
     assert "Every approver is also an analyst: whoever submits a set needs another approver to sign it." in said
     assert (
         warnings([_person(role) for role in ("analyst", "operator", "approver", "administrator") * 2], four_eyes=True)

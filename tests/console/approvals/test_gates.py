@@ -174,7 +174,7 @@ def test_who_is_no_administrator_sets_no_limits_nor_a_key_beyond_its_scope(set_p
     [
         ({"sensor_id": 99}, NotFoundError, "no sensor 99"),
         ({"reason": " "}, RefusedInputError, "Give the reason"),
-        ({"document": {"gates": []}}, RefusedInputError, "in force already"),
+        ({"document": {"gates": []}}, RefusedInputError, "already in force"),
         ({"document": {"gates": [{"name": "beauty"}]}}, RefusedInputError, "no gate 'beauty'"),
         ({"seen": None}, PreconditionRequiredError, "If-Match"),
         ({"seen": 3}, StaleError, "you saw v3, it is now v0"),

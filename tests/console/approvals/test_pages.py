@@ -135,9 +135,9 @@ def test_a_wrong_password_is_refused_in_its_place_and_everything_else_is_kept(si
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("ada", "needs the role approver"),
+        ("ada", "requires the role approver"),
         ("adele", "An administrator cannot sign"),
-        ("victor", "needs the role approver"),
+        ("victor", "requires the role approver"),
     ],
 )
 def test_who_may_not_sign_is_told_why_instead_of_a_form(site, request_page, read, name, said):

@@ -124,9 +124,9 @@ def test_a_refusal_comes_too_late_after_the_promotion(engine, people, submit_req
 @pytest.mark.parametrize(
     ("name", "says"),
     [
-        ("ana", "role approver; Ana has analyst"),
-        ("dee", "role approver; Dee has operator"),
-        ("eve", "role approver; Eve has viewer"),
+        ("ana", "role approver, but Ana has only analyst"),
+        ("dee", "role approver, but Dee has only operator"),
+        ("eve", "role approver, but Eve has only viewer"),
         ("root", "An administrator cannot sign"),
     ],
 )

@@ -368,7 +368,14 @@ def test_a_record_is_shown_whole_with_names_and_units(site, read):
     with open_writing(site.engine) as session:
         record = audit.append(session, site.actor("ada"), "edited", "sensors/1", before, after, "focus moved")
     page = read(site.visitor("victor").get(f"/audit/{record.id}"))
-    for said in ("Initial, f", "mm", "16.1", "focus moved", "Roles then analyst", "Rows sealed none by this record"):
+    for said in (
+        "Initial, f",
+        "mm",
+        "16.1",
+        "focus moved",
+        "Roles at that time analyst",
+        "Rows sealed none by this record",
+    ):
         assert said in page, said
     assert site.visitor("victor").send("GET", "/audit/99999", headers={"accept": "text/html"}).status_code == 404
 

@@ -152,7 +152,7 @@ def test_a_check_names_the_sensors_that_can_have_no_run_and_queues_nothing(site,
     [
         ({"label": ""}, "Give the campaign a label"),
         ({"sensors": []}, "at least one sensor"),
-        ({"sensors": ["2"]}, "No sensor of the campaign can get a run"),
+        ({"sensors": ["2"]}, "No run can be launched for any sensor of the campaign"),
         ({"minimum_stars": "many"}, "is not a whole number"),
         ({"calibration-1": "2", "validation-1": "2"}, "cannot validate a calibration that was made from it"),
     ],

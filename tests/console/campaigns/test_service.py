@@ -101,17 +101,21 @@ def test_a_dry_run_says_what_it_would_be_and_queues_nothing(session, launch):
         ({"label": " "}, RefusedInputError, "Give the campaign a label"),
         ({"label": "l" * 201}, RefusedInputError, "shorten it to 200"),
         ({"members": []}, RefusedInputError, "at least one sensor"),
-        ({"members": [MemberRequest(1), MemberRequest(1)]}, RefusedInputError, "in the campaign twice"),
+        ({"members": [MemberRequest(1), MemberRequest(1)]}, RefusedInputError, "contains a sensor twice"),
         ({"members": [MemberRequest(99)]}, NotFoundError, "There is no sensor 99"),
-        ({"members": [MemberRequest(n) for n in range(1001)]}, RefusedInputError, "at most 1000 sensors"),
+        (
+            {"members": [MemberRequest(n) for n in range(1001)]},
+            RefusedInputError,
+            "at most 1000 sensors; 1001 were chosen",
+        ),
         (
             {"members": [MemberRequest(1)]},
             RefusedInputError,
-            "No sensor of the campaign can get a run. ST16-1 has no calibration",
+            "No run can be launched for any sensor of the campaign. ST16-1 has no calibration",
         ),
         ({"settings": {"method": "magic"}}, RefusedInputError, "choose from batch"),
         ({"preset": "magic"}, NotFoundError, "There is no preset"),
-        ({"actor": "eve"}, ForbiddenError, "needs the role analyst"),
+        ({"actor": "eve"}, ForbiddenError, "requires the role analyst"),
     ],
 )
 def test_what_is_no_campaign_is_refused(launch, given, error, said):

@@ -146,7 +146,7 @@ def test_age_a_waiting_request_and_a_mismatch_speak_louder_than_an_older_run(
     with open_writing(engine) as session:
         approvals.submit(session, people["ana"], blobs, row.id, "better", row.version)
     tile = find_tile(engine)
-    assert (tile.status, tile.sentence.startswith(f"{row.name} waits")) == ("caution", True)
+    assert (tile.status, tile.sentence.startswith(f"{row.name} is waiting")) == ("caution", True)
     with open_writing(engine) as session:
         approvals.withdraw(session, people["ana"], row.id, row.version + 1)
         session.get_one(ParameterSet, 1).baseline_from_utc = utc_after(-200 * 86400.0)

@@ -239,7 +239,7 @@ def test_a_campaign_of_a_large_fleet_begins_with_what_its_address_names_and_says
     page = ada.get("/campaigns/new")
     assert len(hold(page, "calibration")) == 200
     assert 'name="sensors" value="2" checked' not in page
-    assert "Find sensors by a part of their names and tick them" in read(page)
+    assert "Search by part of a name and tick sensors" in read(page)
     page = ada.get("/campaigns/new?preset=wu&sensors=290&sensors=777")
     assert re.findall(r'name="sensors" value="(\d+)" checked', page) == ["290", "777"]
 

@@ -69,7 +69,7 @@ def test_a_few_numbers_make_a_sensor_file_that_registers_with_its_field_drawn(si
     visitor = site.visitor("ada")
     address = "/sensors?name=Tripod&rows=768&columns=1024&pixel_pitch_um=6.9&focal_length_mm=35&latitude_deg=52.2&longitude_deg=4.4"
     page = visitor.get(f"{address}&parity=-1&describe=1")
-    assert "1024 by 768" in page
+    assert "1\u202f024 by 768" in page
     assert "upright image" in page
     text = html.unescape(re.search(r'<textarea id="document"[^>]*>(.*?)</textarea>', page, re.DOTALL)[1])
     assert json.loads(text)["site"] == {"latitude_deg": 52.2, "longitude_deg": 4.4}
@@ -244,7 +244,10 @@ def test_the_field_of_view_follows_from_f_and_the_detector():
 
 def test_what_was_baseline_at_a_time_is_answered_and_nonsense_refused(site, read):
     visitor = site.visitor("victor")
-    assert "Baseline PS-ST16-1-0" in read(visitor.get("/sensors/1?at=2100-01-01T00:00:00Z")).split("What was in use")[1]
+    assert (
+        "Baseline PS-ST16-1-0"
+        in read(visitor.get("/sensors/1?at=2100-01-01T00:00:00Z")).split("State at a given time")[1]
+    )
     assert "none yet" in read(visitor.get("/sensors/1?at=2000-01-01T00:00:00Z"))
     assert "not-a-time" in codes(visitor.get("/sensors/1?at=yesterday"))
 
@@ -288,7 +291,7 @@ def test_a_sensor_shows_what_its_newest_validated_run_would_change_with_interval
     panel = read_panel(site.visitor("victor").get("/sensors/1"), read)
     assert f"#{validated}" in panel
     assert "on its validation set" in panel
-    numbers = ("43.8", "32.3 to 55.2", "100.0", "95.4 to 100.0", "5.66", "over 4.21", "632.5", "83.8", "81.2 to 86.5")
+    numbers = ("43.8", "32.3 to 55.2", "100.0", "95.4 to 100.0", "5.66", "above 4.21", "632.5", "83.8", "81.2 to 86.5")
     assert [words for words in (*numbers, "422 µrad") if words not in panel.replace("\u202f", " ")] == []
 
 

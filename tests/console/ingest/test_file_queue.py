@@ -53,8 +53,8 @@ def test_a_file_that_hangs_keeps_its_own_sensor_waiting_and_no_other(folder, tak
     assert time.monotonic() - began < 2.0
     assert {sensor for sensor, _ in folder.taken} == {"ST-2", "ST-3"}
     assert len(folder.taken) == 21
-    assert taking.describe("ST-1").startswith("reads hangs, for ")
-    assert "other sensors do not wait" in taking.describe("ST-1")
+    assert taking.describe("ST-1").startswith("reading hangs for ")
+    assert "other sensors are not affected" in taking.describe("ST-1")
     assert (taking.describe("ST-2"), taking.fault) == ("", "")
     folder.let_go.set()
     while taking.describe("ST-1"):
@@ -75,7 +75,7 @@ def test_files_that_never_end_take_so_many_threads_and_are_said(folder, taking):
     while taking.fault == "":
         assert not taking.take_all(files, never)
     assert folder.most == MOST
-    assert taking.fault.startswith(f"{MOST} files do not end")
+    assert taking.fault.startswith(f"Reading {MOST} files does not finish")
     folder.let_go.set()
     while any(taking.describe(f"ST-{k}") for k in range(MOST)):
         time.sleep(0.01)

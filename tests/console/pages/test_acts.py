@@ -38,7 +38,7 @@ def test_a_dialog_on_a_set_names_sensor_old_and_new_set_what_changes_most_and_wh
     for shown in (approving, dialogs(olga.get(place))["promote"]):
         words = " ".join(re.sub(r"<[^>]+>", " ", shown).split())
         assert re.search(r"Sensor ST16-1 .*PS-ST16-1-0 .*PS-ST16-1-1", words)
-        assert "cannot be undone" in words
+        assert "Cannot be undone" in words
         worth = [abs(float(one.replace("−", "-"))) for one in re.findall(r'<td class="num">([−\d.]+)</td></tr>', shown)]
         assert len(worth) == 4
         assert worth == sorted(worth, reverse=True)
@@ -110,7 +110,7 @@ def test_nothing_is_preselected_on_a_record_and_the_expected_crc_is_shown_after_
     page = olga.get(STEPS)
     assert {"compare", "record-mismatch", "record-unknown"} == set(dialogs(page))
     comparing = " ".join(re.sub(r"<[^>]+>", " ", dialogs(page)["compare"]).split())
-    assert re.search(r"Sensor ST16-1 .*PS-ST16-1-0 .*cannot be undone.*VERIFIED.*MISMATCH", comparing)
+    assert re.search(r"Sensor ST16-1 .*PS-ST16-1-0 .*Cannot be undone.*VERIFIED.*MISMATCH", comparing)
     assert not re.search(r"0x[0-9A-F]{4}\b", page)
     refused = olga.post(f"{STEPS}/read-back", crc="nothing", source="TM 1", version=version(site))
     assert refused.status_code == 422

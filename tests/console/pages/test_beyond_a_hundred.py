@@ -140,9 +140,9 @@ def test_the_overview_counts_what_waits_for_a_signature_and_reads_what_it_shows(
     visitor.get("/")
     with counted(full.engine) as asked:
         page = read(visitor.get("/?again=1"))
-    waiting = count_in(page, "await your signature")
+    waiting = count_in(page, "requests waiting for your signature")
     assert waiting == MANY - 11 - 10  # expired, and signed already; none is both
-    assert page.count("waits for your signature.") == 2 * 8  # the sentence, and once more for who listens
+    assert page.count("is waiting for your signature.") == 8
     assert count_in(page, "more") == waiting - 8
     assert asked.statements <= 40
     assert asked.rows < 250  # how the fleet stands names the set of every open request; nothing else grows with them

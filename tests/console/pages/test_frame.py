@@ -318,7 +318,8 @@ def test_every_refusal_says_what_happened_what_to_do_and_what_to_quote(site, rea
     assert "a secret" not in page
     assert "request-4711" in page
     assert any(
-        step in page for step in ("Go back", "Try again", "try again", "Read", "Split", "Wait", "Open", "It may")
+        step in page
+        for step in ("Go back", "Try again", "try again", "Read", "Split", "Wait", "Open", "Use the navigation")
     )
 
 

@@ -271,7 +271,7 @@ STRAIGHT = "/parameter-sets/1"  # the ground calibration: no decentring
 
 def test_a_set_that_the_other_model_can_say_shows_values_sigmas_and_misfit_and_another_why_not(site, read):
     page = site.visitor("victor").get(STRAIGHT)
-    assert re.search(r"\d px .* 1 % ", text_of(page, "conversion-misfit"))
+    assert re.search(r"limit \d\S* px, 1 % ", text_of(page, "conversion-misfit"))
     assert re.search(r"\d px \(1 σ\)", text_of(page, "conversion-lost"))
     assert "/api/v1/parameter-sets/1/conversion?to=pinhole_radial" in page
     ada = site.visitor("ada")

@@ -184,7 +184,7 @@ def test_whatever_needs_a_set_keeps_its_files(world, need):
         NEEDS[need](session, world)
     assert world.going() == {world.second}, world.reason(world.first)
     assert world.reason(world.first)
-    with pytest.raises(ConflictError, match="stay"):
+    with pytest.raises(ConflictError, match="are kept"):
         world.remove(world.first)
     assert world.file(world.first).exists()
 

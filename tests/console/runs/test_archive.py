@@ -41,7 +41,7 @@ def test_of_several_runs_each_is_told_by_itself(site, read):
     answer = _batch(site.visitor("ada"), "archive", [1, waiting, 99])
     assert answer.status_code == 200
     page = read(answer.text)
-    for said in ("The lists leave it out.", f"Run {waiting} is QUEUED", "There is no run 99"):
+    for said in ("Archived: hidden from lists.", f"Run {waiting} is QUEUED", "There is no run 99"):
         assert said in page
     listed, whole = (site.visitor("ada").get(address) for address in ("/runs", "/runs?archived=1"))
     assert 'href="/runs/1">#1<' not in listed

@@ -138,7 +138,7 @@ def test_only_an_analyst_asks_and_only_for_a_calibration_that_has_ended(site, ch
     for state in set(RUN_STATES) - set(TERMINAL_RUN_STATES):
         with pytest.raises(ConflictError, match=state):
             ask(site, site.add_run(state=state))
-    with pytest.raises(ConflictError, match="itself", check=has_code("no-choice-possible")):
+    with pytest.raises(ConflictError, match="not a calibration", check=has_code("no-choice-possible")):
         ask(site, chosen)
     with open_reading(site.engine) as session, pytest.raises(NotFoundError):
         choices.get_choice(session, site.blobs, 2)

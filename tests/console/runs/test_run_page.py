@@ -414,7 +414,7 @@ def test_every_test_of_the_model_and_every_cause_is_on_the_page_with_its_gate_an
     row = strip_tags(page.split('data-cause="phase"')[1].split("</tr>")[0])
     assert row.index("Drawn.") < row.index("Defocus.") < row.index("Pixel phase")
     assert text.index(noticed["sentence"]) < text.index(sound["sentence"])
-    assert re.search(r"Pixel phase \S* ?noticed .*centroid-noise", text)
+    assert re.search(r"Pixel phase \S* ?deviation .*centroid-noise", text)
     assert re.search("deviates 1 of 2", text)
     assert 'data-tests="2"' in page
     rows = re.findall(r'data-unseen="(\w+)">(.*?)</tr>', page, re.DOTALL)
@@ -550,9 +550,9 @@ def test_a_page_says_how_long_ago_a_run_was_heard_of_and_asked_to_stop(site, tel
 
 def test_a_lost_run_says_when_it_was_last_heard_of_and_offers_to_run_it_again(site):
     progress = HALF | {"at_utc": "2026-11-21T03:04:05.000000Z"}
-    run_id = site.add_run("sqrf", state="LOST", progress=progress, reason="Given up after 3 lost attempts.")
+    run_id = site.add_run("sqrf", state="LOST", progress=progress, reason="Ended after 3 lost attempts.")
     page = site.visitor("ada").get(f"/runs/{run_id}")
-    assert re.search("2026-325 03:04:05Z; .*Given up after 3 lost attempts", said_by(page, "lost"))
+    assert re.search("2026-325 03:04:05Z; .*Ended after 3 lost attempts", said_by(page, "lost"))
     assert re.search(r"PARTIAL: .* 43 % \(frame 17: 17 of 40 frames\)", said_by(page, "partial"))
     assert f'href="/runs/new?clone={run_id}">' in page
 
@@ -654,7 +654,7 @@ LINES = [
     (Line.begun(1, "host/1"), "RUNNING: attempt 1 on host/1", "info"),
     (Line.log("10 %: frame 4: 4 of 40 frames", {"fraction": 0.1}), "10 %: frame 4: 4 of 40 frames", "info"),
     (Line.attempt_ended(1, "its server was stopped", is_lost=False), "Attempt 1: its server was stopped", "warning"),
-    (Line.queued_again("its server was stopped"), "QUEUED: again, because its server was stopped", "warning"),
+    (Line.queued_again("its server was stopped"), "QUEUED again: its server was stopped", "warning"),
     (Line.attempt_ended(2, "its worker process died", is_lost=True), "Attempt 2: its worker process died", "error"),
     (Line.log("Traceback:\n  <b>1</b> / 0", level="error"), "Traceback:\n  <b>1</b> / 0", "error"),
     (Line.moved("CANCELLING", "Cancelled by Ada."), "CANCELLING: Cancelled by Ada.", "warning"),

@@ -255,6 +255,6 @@ def test_the_runs_that_fitted_and_validated_with_a_set_are_its_lineage(site, tab
     set_id = int(upload(visitor, table).headers["location"].rsplit("/", 1)[1])
     fitted = site.add_run(telemetry_set_id=set_id)
     judged = site.add_run(validation_set_id=set_id)
-    lineage = visitor.get(f"/telemetry/{set_id}").split("Runs that used this set")[1]
-    assert f"#{fitted}</a></th><td>fit" in lineage
-    assert f"#{judged}</a></th><td>validate" in lineage
+    lineage = visitor.get(f"/telemetry/{set_id}").split("Runs that used this telemetry set")[1]
+    assert f"#{fitted}</a></th><td>calibration" in lineage
+    assert f"#{judged}</a></th><td>validation" in lineage

@@ -159,7 +159,7 @@ def test_signatures_with_meaning_and_who_gave_the_password_travel_with_it(build,
 def test_an_installation_without_four_eyes_says_so(build, approved):
     files = build(approved(), policy=Policy(four_eyes=False))[1]
     assert json.loads(files["MANIFEST.json"])["four_eyes"]["enforced"] is False
-    assert b"FOUR EYES ARE OFF" in files["verification_sheet.html"]
+    assert b"FOUR-EYES RULE OFF" in files["verification_sheet.html"]
 
 
 def test_a_candidate_is_not_exported(build, candidate):
@@ -239,7 +239,7 @@ def test_what_was_signed_with_fewer_eyes_is_said_for_ever(engine, people, build,
         approvals.sign(session, people["bo"], *words, policy=alone)
     four_eyes = json.loads(build(row)[1]["MANIFEST.json"])["four_eyes"]
     assert (four_eyes["enforced"], four_eyes["kept"]) == (True, False)
-    assert four_eyes["sentence"].startswith("FOUR EYES WERE NOT KEPT")
+    assert four_eyes["sentence"].startswith("FOUR-EYES RULE NOT FOLLOWED")
 
 
 def test_an_approved_set_whose_evidence_moved_is_not_exported(engine, people, build, approved, candidate):

@@ -130,7 +130,7 @@ def test_what_held_is_answered_for_any_time_and_the_old_address_still_answers(ho
     states = [[known["record"]["onboard_state"] for known in answer["on_board"]] for answer in (then, now)]
     assert states == [["SENT"], ["LOADED"]]
     assert now["baseline"]["name"] == row["name"]
-    assert now["sentence"].startswith(f"baseline {row['name']}, ")
+    assert now["sentence"].startswith(f"baseline {row['name']}; ")
     before = client.get(f"{address}/as-of", params={"time": "2000-01-01"}).json()
     assert (before["baseline"], before["promotion"], before["on_board"]) == (None, None, [])
     assert client.get(f"{address}/history", params={"at": between}).json()["baseline"]["id"] == row["id"]

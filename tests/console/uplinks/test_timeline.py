@@ -219,7 +219,7 @@ def test_what_was_learned_later_is_told_apart_from_what_was_known_and_a_mismatch
     advance(engine, people["dee"], "MISMATCH")
     with open_reading(engine) as session:
         sentence = timeline.get_state_at(session, 1).sentence
-    assert sentence.startswith("baseline PS-ST16-1-0, ")
+    assert sentence.startswith("baseline PS-ST16-1-0; ")
     assert sentence.endswith("; PS-ST16-1-0 MISMATCH")
 
 
@@ -229,7 +229,7 @@ def test_a_baseline_that_was_promoted_by_hand_at_a_later_time_is_not_answered_be
         promote_by_hand(session, session.get_one(ParameterSet, row.id), utc_after(3600.0))
     with open_reading(engine) as session:
         assert timeline.get_state_at(session, 1, "2000-01-01").baseline is None
-        names = [timeline.get_state_at(session, 1, utc_after(later)).sentence.split(",")[0] for later in (0.0, 7200.0)]
+        names = [timeline.get_state_at(session, 1, utc_after(later)).sentence.split(";")[0] for later in (0.0, 7200.0)]
     assert names == ["baseline PS-ST16-1-0", f"baseline {row.name}"]
 
 

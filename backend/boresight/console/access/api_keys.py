@@ -63,7 +63,7 @@ def find_actor_of_key(session: Session, secret: str, request_id: str | None = No
     parts = secret.split("_", 2)
     key = rows.find_key_by_prefix(session, parts[1]) if len(parts) == 3 else None
     if key is None or not hmac.compare_digest(key.key_hash, _hash(secret)):
-        raise UnauthenticatedError("This API key is not known; check that it was copied completely.")
+        raise UnauthenticatedError("Unknown API key; check that it was copied completely.")
     if key.revoked_utc is not None:
         raise UnauthenticatedError(f"The API key {key.label!r} was revoked; make another one.")
     if key.expires_utc is not None and key.expires_utc <= utc_now():

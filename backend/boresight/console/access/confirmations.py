@@ -23,7 +23,8 @@ from boresight.platform.actors import Actor, require_person
 from boresight.platform.db.sessions import Session
 
 CONFIRM_FIRST = (
-    "Single sign-on must confirm you for this: choose Confirm, log in at the provider, and do it within 5 minutes."
+    "This action requires confirmation by single sign-on: choose Confirm, log in at the provider, then complete the action "
+    "within 5 minutes."
 )
 
 

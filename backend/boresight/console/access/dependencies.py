@@ -56,7 +56,9 @@ register()  # what a parameter in a path may be, before the first route is made:
 FORM_TYPES = ("application/x-www-form-urlencoded", "multipart/form-data")
 CSRF_HEADER = "X-CSRF-Token"
 CSRF_FIELD = "csrf_token"
-DRY_RUN_SENTENCE = "Check everything, change nothing: 200 with what would be, and `X-Validate-Only: true`."
+DRY_RUN_SENTENCE = (
+    "Validate only, without changes: returns 200 with the result that would follow, and `X-Validate-Only: true`."
+)
 
 
 async def open_read_session(request: Request) -> AsyncIterator[Session]:
@@ -200,13 +202,13 @@ async def seen_version(given: Annotated[EntityTag, Depends(seen)]) -> int:
     digits = tag.removeprefix('"v').removesuffix('"')
     version = parse_row_id(digits)
     if tag != f'"v{digits}"' or version is None:
-        raise StaleError(f"No version has the tag {tag[:40]}; read it again and send its ETag in If-Match.")
+        raise StaleError(f"{tag[:40]} is not the ETag of any version; read it again and send its ETag in If-Match.")
     return version
 
 
 def password_field(description: str) -> Any:
     """Return the field of a body for a password; people who log in by single sign-on have none and leave it out."""
-    return Field(SecretStr(""), description=f"{description} Left out with single sign-on.")
+    return Field(SecretStr(""), description=f"{description} Omit with single sign-on.")
 
 
 def factor_field() -> Any:

@@ -34,10 +34,12 @@ class Entering:
 def enter(session: Session, person: ProviderAnswer, request_id: str | None) -> Entering:
     """Return the account of a person of the provider, made or brought up to date; refuse who may not come in."""
     if not person.subject or len(person.subject) > LONGEST_SUBJECT:
-        raise SingleSignOnError("The provider's token names nobody; log in again, or tell an administrator.", "claims")
+        raise SingleSignOnError(
+            "The provider's token does not identify a user; log in again, or tell an administrator.", "claims"
+        )
     if {"administrator", "approver"} <= set(person.roles):
         raise SingleSignOnError(
-            "Your groups give both administrator and approver, which nobody may be; have one of them taken away.",
+            "Your groups give you both administrator and approver, which is not allowed; have one of them removed.",
             "roles",
         )
     known = rows.find_identity(session, person.issuer, person.subject)
@@ -67,13 +69,13 @@ def _make(session: Session, person: ProviderAnswer) -> User:
         user = users.create_external_user(session, name=name, printed_name=printed, roles=person.roles)
     except ConflictError as error:
         raise SingleSignOnError(
-            "Another account here has your name at the provider, and is not yours by that; ask an administrator to choose another "
-            "claim for names, or another name at the provider.",
+            "Your provider name is already used by another account here. Ask an administrator to use a different name claim, "
+            "or change your name at the provider.",
             "name taken",
         ) from error
     except RefusedInputError as error:
         raise SingleSignOnError(
-            f"Your name at the provider cannot be a log-in name here ({error}); have another one given to you.", "name"
+            f"Your provider name is not valid as a log-in name here ({error}); ask for another one.", "name"
         ) from error
     bound = ExternalIdentity(user_id=user.id, issuer=person.issuer, subject=person.subject, created_utc=utc_now())
     session.put(bound)
@@ -90,7 +92,7 @@ def confirm(session: Session, actor: Actor, person: ProviderAnswer, attempt: Att
         raise SingleSignOnError(sentence, "confirmation")
     if person.authenticated_s is None or person.authenticated_s < float(attempt.began_s) - CLOCKS_DIFFER_S:
         raise SingleSignOnError(
-            "The provider did not say that you logged in again; try again, or have it set to state auth_time.",
+            "The provider did not confirm a new log-in; try again, or have it configured to send auth_time.",
             "auth_time",
         )
     sessions.confirm(session, actor)

@@ -93,7 +93,7 @@ class LoginLimiter:
             wait_s = math.ceil(begins_s - now_s)
             what = "second factors" if tried.is_code else "passwords"
             tell("authn_login_lock", "failure", name=tried.name, wait_s=wait_s)
-            raise TooManyAttemptsError(f"Too many wrong {what} were tried; wait {wait_s} s and try again.", wait_s)
+            raise TooManyAttemptsError(f"Too many failed attempts ({what}); wait {wait_s} s and try again.", wait_s)
         for key, (free, longest_s) in limits.items():
             count = self._counts.setdefault(key, _Count(free, longest_s))
             self._counts.move_to_end(key)

@@ -207,7 +207,7 @@ class IdentityProvider:
                 "The answer came from another provider than the one of this server; log in again.", "issuer"
             )
         if "error" in answered:
-            raise SingleSignOnError("The provider did not log you in; try again, or ask who manages it.", "denied")
+            raise SingleSignOnError("The provider did not log you in; try again, or ask its administrator.", "denied")
         code = answered.get("code", "")
         if not code or len(code) > LONGEST_CODE:
             raise SingleSignOnError("The provider's answer has no code; log in again.", "code")
@@ -275,7 +275,7 @@ class IdentityProvider:
         claims = (await self._decode(await self._discover(), given)).claims
         if "sub" not in claims and "sid" in claims:
             raise SingleSignOnError(
-                "The log-out token names a session of the provider (sid) and no person; such sessions are not kept here: have "
+                "The log-out token identifies only a provider session (sid), not a person; such sessions are not stored here: have "
                 "the provider put sub into its log-out tokens.",
                 "claims",
             )
@@ -344,7 +344,7 @@ class IdentityProvider:
                 raise _unavailable(f"answered {status}")
             if document.get("issuer") != issuer:
                 raise SingleSignOnError(
-                    "The provider calls itself otherwise than BORESIGHT_OIDC_ISSUER does; have the setting corrected.",
+                    "The provider's issuer does not match BORESIGHT_OIDC_ISSUER; have the setting corrected.",
                     "issuer",
                 )
             keys_at = self._endpoint(_Discovered(document, KeySet([]), 0.0), "jwks_uri")
@@ -370,7 +370,7 @@ class IdentityProvider:
         return address
 
 
-INCOMPLETE = "The provider's token lacks what it must state; log in again, or tell an administrator."
+INCOMPLETE = "The provider's token lacks required claims; log in again, or tell an administrator."
 SENTENCES = {
     "nonce": "The provider's token belongs to another log-in than this one; log in again.",
     "aud": "The provider's token is for another program than this server; log in again, or tell an administrator.",

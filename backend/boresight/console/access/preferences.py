@@ -34,7 +34,7 @@ def _check_times(value: Any) -> dict[str, str]:
     if form not in TIME_FORMS:
         raise RefusedInputError(f"Times are shown as {', '.join(TIME_FORMS)}; choose one of them.")
     if form == "local" and zone not in list_zones():
-        raise RefusedInputError(f"{str(zone)[:60]!r} is no time zone here; type one such as Europe/Amsterdam.")
+        raise RefusedInputError(f"{str(zone)[:60]!r} is not a known time zone; type one such as Europe/Amsterdam.")
     return asdict(TimeStyle(form, zone) if form == "local" else TimeStyle(form))
 
 

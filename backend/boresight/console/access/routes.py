@@ -88,13 +88,13 @@ async def prepared_change(
     return await passwords.prepare_change(actor, user_id, new, current, get_client(request))
 
 
-@router.get("", summary="List people", response_model=Page[schemas.User])
+@router.get("", summary="List users", response_model=Page[schemas.User])
 def list_users(session: Reading, page: Paged) -> Listing[User]:
     """List everyone by log-in name."""
     return page.cut_whole(users.list_users(session))
 
 
-@router.post("", summary="Add a person", status_code=201, response_model=schemas.User)
+@router.post("", summary="Add a user", status_code=201, response_model=schemas.User)
 def create_user(
     person: NewUser, actor: Who, password: Annotated[NewPassword, Depends(prepared_person)], session: Writing
 ) -> User:

@@ -56,7 +56,7 @@ class LoginSession(Row):
     last_used_utc: str = Field(description="To the minute.")
     ended_utc: str | None
     ended_because: Literal[SESSION_ENDINGS] | None  # type: ignore[valid-type]  # the words of the table
-    address: str = Field(description="Where it was started.")
+    address: str = Field(description="Address from which it was started.")
     user_agent: str = Field(description="User agent of the program, cut to 200 characters.")
     ends_utc: str = Field(description="When it ends at the latest.")
     current: bool = Field(description="Whether it is the one of this request.")
@@ -88,8 +88,8 @@ class FactorOffer(Row):
 
     challenge_id: int
     kind: Literal[FACTOR_KINDS]  # type: ignore[valid-type]  # the words of the table
-    secret: str | None = Field(description="Of an app, in base32; shown this once.")
-    uri: str | None = Field(description="The same as the otpauth:// address that a QR code holds.")
+    secret: str | None = Field(description="Secret of an authenticator app, in base32; shown only this once.")
+    uri: str | None = Field(description="The otpauth:// address, as encoded in the QR code.")
     options: dict[str, Any] | None = Field(
         description="For `navigator.credentials.create`, in the JSON form of WebAuthn."
     )
@@ -121,6 +121,6 @@ class Session(BaseModel):
     printed_name: str
     roles: list[str]
     credential: str
-    scopes: list[str] | None = Field(description="Of an API key; null for a person.")
+    scopes: list[str] | None = Field(description="Scopes of an API key; null for a person.")
     must_change_password: bool = Field(description="Set your own password before anything else.")
     csrf_token: str | None = Field(description="For `X-CSRF-Token`; null with an API key.")

@@ -217,7 +217,7 @@ def _use_security_key(
         if challenge is not None and challenge.purpose != "sign":
             challenge = None
     if challenge is None or given.site is None:
-        raise SecondFactorError("This answer is to no question of this page; use the security key again.")
+        raise SecondFactorError("The security key response does not match a request of this page; use the key again.")
     if waiting is None:
         _take(challenge)
     factor = rows.find_credential(session, assertion.credential_id)
@@ -250,7 +250,7 @@ def make_signing_challenge(session: Session, actor: Actor, rules: FactorRules, s
 
 def _put(session: Session, actor: Actor, user_id: int, purpose: str, challenge: str) -> FactorChallenge:
     if rows.count_challenges(session, user_id, utc_after(-WAITS_S)) >= MOST_CHALLENGES:
-        raise ConflictError(f"You began this {MOST_CHALLENGES} times in {WAITS_S / 60:.0f} min; wait and try again.")
+        raise ConflictError(f"Too many attempts ({MOST_CHALLENGES} in {WAITS_S / 60:.0f} min); wait and try again.")
     row = FactorChallenge(
         user_id=user_id, purpose=purpose, session_id=actor.session_id, challenge=challenge, created_utc=utc_now()
     )
@@ -265,9 +265,7 @@ def begin_waiting(session: Session, user_id: int, method: str) -> str:
     """Let a log-in whose password was right wait for its second factor; returns the secret for its cookie."""
     token = secrets.token_urlsafe(32)
     if rows.count_challenges(session, user_id, utc_after(-WAITS_S)) >= MOST_CHALLENGES:
-        raise ConflictError(
-            f"This log-in was begun {MOST_CHALLENGES} times in {WAITS_S / 60:.0f} min; wait and try again."
-        )
+        raise ConflictError(f"Too many attempts ({MOST_CHALLENGES} in {WAITS_S / 60:.0f} min); wait and try again.")
     row = FactorChallenge(
         user_id=user_id,
         purpose="log-in",
@@ -420,7 +418,7 @@ def _make(
         step = None if secret is None else _match(secret, _plain(answer), 0)
         if step is None:
             raise SecondFactorError(
-                "The code does not fit; check the clock of your device, and type the code it shows now."
+                "The code is wrong; check the clock of your device, and type the code it shows now."
             )
         return SecondFactor(
             user_id=user.id, kind="totp", label="", secret=offered.challenge, created_utc=utc_now(), last_step=step
@@ -458,7 +456,7 @@ def renew_recovery_codes(session: Session, actor: Actor) -> list[str]:
     """Make new recovery codes of a person who confirmed who they are; those of before no longer work."""
     user = session.get_known(User, require_person(actor, "have recovery codes made"))
     if not rows.list_factors(session, user.id):
-        raise ConflictError("Recovery codes stand in for a second factor, and you have none; enrol one first.")
+        raise ConflictError("Recovery codes replace a second factor, but you have none enrolled; enrol one first.")
     return _make_codes(session, actor, user)
 
 

@@ -80,7 +80,7 @@ GAUGES = {
         Gauge("backup_scheduled", "1 while a schedule for backups is in force, else 0."),
         Gauge(
             "backup_newest_timestamp_seconds",
-            "Unix time as of which the newest good backup holds the store; absent without any.",
+            "Unix time of the store in the newest good backup; absent if there is none.",
         ),
         Gauge(
             "backup_tested_timestamp_seconds",

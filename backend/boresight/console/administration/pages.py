@@ -57,8 +57,8 @@ def roles_held(people: Sequence[User]) -> list[tuple[str, int]]:
 def warnings(people: Sequence[User], *, four_eyes: bool) -> list[str]:
     """List problems with people and roles that would hold up work."""
     held = dict(roles_held(people))
-    said = [f"Only one {role}, so there is no deputy." for role in ALONE if held[role] == 1]
-    said += [f"There is no {role}." for role in ROLES[1:] if not held[role]]
+    said = [f"There is only one user with the role {role}; nobody can stand in." for role in ALONE if held[role] == 1]
+    said += [f"No user has the role {role}." for role in ROLES[1:] if not held[role]]
     if four_eyes and held["approver"] and not any("approver" in p.roles and "analyst" not in p.roles for p in people):
         said.append("Every approver is also an analyst: whoever submits a set needs another approver to sign it.")
     return said

@@ -56,7 +56,7 @@ class Readiness(Shape):
     """Whether store, files and workers are there."""
 
     status: Literal["ready", "not ready"]
-    checks: dict[str, Check] | None = Field(None, description="For whoever is logged in or sends a key.")
+    checks: dict[str, Check] | None = Field(None, description="Only for callers who are logged in or send a key.")
 
 
 router = APIRouter(tags=["server"], generate_unique_id_function=lambda route: route.name)

@@ -112,7 +112,7 @@ def check_events(session: Session) -> AlarmCause | None:
     link = link_rows.read_failing(session, FAILURES_TOLD).get(None)
     if link is None:
         return None
-    sentence = f"{TITLES[link.system]} is told no events: {link.fault}"
+    sentence = f"Events cannot be sent to {TITLES[link.system]}: {link.fault}"
     return AlarmCause(
         LINK, None, "LINK", "serious", sentence, {"system": link.system, "told_audit_id": link.told_audit_id}
     )
@@ -147,7 +147,8 @@ def _check_age(sensor: Any, baseline: Any) -> Iterator[AlarmCause]:
         return
     due_utc = utc_text(datetime.fromisoformat(baseline.baseline_from_utc) + timedelta(days=OLD_DAYS))
     sentence = (
-        f"{baseline.name} of {sensor.name} has been older than {OLD_DAYS:.0f} days since {due_utc[:10]}: recalibrate."
+        f"{baseline.name} of {sensor.name} has exceeded its age limit of {OLD_DAYS:.0f} days since "
+        f"{due_utc[:10]}: recalibrate."
     )
     details = {"parameter_set_id": baseline.id, "due_utc": due_utc}
     yield AlarmCause(name_source(sensor.id, "AGE"), sensor.id, "AGE", "caution", sentence, details)
@@ -164,7 +165,7 @@ def _check_feed(sensor: Any, policy: IngestPolicy | None, link: MissionControlLi
     if link is None or policy is None or policy.state != "ACTIVE":
         return
     if policy.feed:
-        sentence = f"No telemetry of {sensor.name} is pulled: {link.fault}"
+        sentence = f"Telemetry of {sensor.name} cannot be pulled: {link.fault}"
         details = {"policy_id": policy.id, "system": link.system, "succeeded_utc": link.succeeded_utc}
         yield AlarmCause(name_source(sensor.id, "LINK"), sensor.id, "LINK", "serious", sentence, details)
 
@@ -358,12 +359,16 @@ def check_clock(seen_s: float | None) -> AlarmCause | None:
     if OURS.has_jumped():
         moved_s = OURS.moved_s()
         way = "forward" if moved_s > 0 else "back"
-        sentence = f"The clock was set {way} by {abs(moved_s):.0f} s, and shows {now}: no request expires until you acknowledge it."
+        sentence = (
+            f"The server clock was set {way} by {abs(moved_s):.0f} s and now shows {now}. Requests do not expire until "
+            "this alarm is acknowledged."
+        )
         return AlarmCause(CLOCK, None, "CLOCK", "serious", sentence, {"moved_s": round(moved_s), "now_utc": now})
     if seen_s is not None and abs(OURS.now_s() - seen_s) > AWAY_S:
         seen = _text(seen_s)
         sentence = (
-            f"The clock shows {now}, but a server last ran at {seen}: no request expires until you acknowledge it."
+            f"The server clock shows {now}, but a server last ran at {seen}. Requests do not expire until this alarm is "
+            "acknowledged."
         )
         return AlarmCause(CLOCK, None, "CLOCK", "serious", sentence, {"seen_utc": seen, "now_utc": now})
     return None

@@ -100,9 +100,7 @@ def shelve(session: Session, actor: Actor, alarm_id: int, until: str, reason: st
             code="not-a-future-time",
         )
     row.shelved_until_utc = until_utc
-    record_step(
-        session, actor, row, "SHELVED", _check_text(reason, needed="reason why it can wait"), until_utc=until_utc
-    )
+    record_step(session, actor, row, "SHELVED", _check_text(reason, needed="reason for shelving"), until_utc=until_utc)
     return row
 
 
@@ -147,7 +145,9 @@ def _take_to_handle(session: Session, actor: Actor, alarm_id: int, seen_version:
 def _check_text(text: str, needed: str = "") -> str:
     refuse_control_characters(comment=text)
     if (needed and not text.strip()) or len(text) > LONGEST_TEXT:
-        raise RefusedInputError(f"Give a {needed or 'comment'} of {int(bool(needed))} to {LONGEST_TEXT} characters.")
+        raise RefusedInputError(
+            f"The {needed or 'comment'} must be {int(bool(needed))} to {LONGEST_TEXT} characters long; correct its length."
+        )
     return text.strip()
 
 

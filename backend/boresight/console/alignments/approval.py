@@ -44,7 +44,7 @@ def submit(session: Session, actor: Actor, blobs: BlobStore, alignment_id: int, 
     row = session.get_known(Alignment, alignment_id)
     refuse_control_characters(reason=reason)
     if not reason.strip() or len(reason) > LONGEST_REASON:
-        raise RefusedInputError(f"Give the reason why it goes on board, in up to {LONGEST_REASON} characters.")
+        raise RefusedInputError(f"Enter the reason for loading it on board, up to {LONGEST_REASON} characters.")
     _, report = service.read_result(session, blobs, alignment_id)
     if report.blocking:
         raise ConflictError(
@@ -52,7 +52,7 @@ def submit(session: Session, actor: Actor, blobs: BlobStore, alignment_id: int, 
             "align again with more or better pairs."
         )
     if (known := queries.find_request_in_force(session, row.id)) is not None:
-        raise ConflictError(f"Request {known.id} for alignment {row.id} is {known.state} already; read that one.")
+        raise ConflictError(f"Alignment {row.id} already has request {known.id}, which is {known.state}; use that one.")
     request = AlignmentRequest(
         alignment_id=row.id,
         result_sha256=str(row.result_sha256),
@@ -84,8 +84,8 @@ def _refuse_signer(session: Session, actor: Actor, request: AlignmentRequest, po
     runs = [session.get_known(Run, number) for number in (row.run_a_id, row.run_b_id)]
     done = [
         (request.submitted_by, SUBMITTER, "submitted this alignment"),
-        (row.created_by, CREATOR, "asked for this alignment"),
-        *((run.launched_by, LAUNCHER, f"launched run {run.id} behind it") for run in runs),
+        (row.created_by, CREATOR, "requested this alignment"),
+        *((run.launched_by, LAUNCHER, f"launched run {run.id} that it was computed from") for run in runs),
     ]
     refuse_own_part([SetPart(by, role, deed) for by, role, deed in done if by == user_id] if policy.four_eyes else [])
     return user_id

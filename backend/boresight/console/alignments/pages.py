@@ -75,8 +75,8 @@ ALIGNMENTS = Table(
         TableColumn("a", "From A", "a", "nowrap"),
         TableColumn("b", "To B", "b", "nowrap"),
         TableColumn("verdict", "Gates", "", "nowrap"),
-        TableColumn("load", "3 σ to load", "", "num", "Of small turns about x, y, z of B", "arcsec"),
-        TableColumn("sentence", "What it says", "", "gist"),
+        TableColumn("load", "3 σ to load", "", "num", "Uncertainty of the rotation about x, y, z of B", "arcsec"),
+        TableColumn("sentence", "Result", "", "gist"),
         TableColumn("by", "By", "by", "tight"),
     ),
     {"state": accept_one(ALIGNMENT_STATES), "sensor": is_number},
@@ -86,16 +86,16 @@ ALIGNMENTS = Table(
 #: Runs of a sensor that the form offers beside those that a link names.
 MOST_OFFERED = 10
 BETWEEN = (
-    "The rotation between the two trackers as they are mounted: it holds whatever parameters are on board, and carries the error "
-    "of both cameras, which more pairs do not lower."
+    "The rotation between the two trackers as mounted. It is valid whichever parameters are on board, and includes the errors of "
+    "both cameras, which more pairs do not reduce."
 )
 MEANINGS = {
     "APPROVE": "I approve this alignment for upload",
     "REFUSE": "I refuse this alignment",
 }
 LOADED = (
-    "The rotation between the attitudes that the trackers report with the parameters of these two runs: load it together with "
-    "them and with no others."
+    "The rotation between the attitudes that the trackers report with the parameters of these two runs: load it only together "
+    "with these parameters."
 )
 
 
@@ -288,7 +288,7 @@ async def submit_alignment(request: Request, actor: Who, alignment_id: int) -> R
     if outcome.refusal is not None:
         refused = RefusedForm("submit", outcome.refusal, typed)
         return await read_again(request, partial(_page, request, actor, alignment_id, refused))
-    return redirect(f"/alignments/{alignment_id}", flash=f"Request {outcome.made.id} waits for an approver.")
+    return redirect(f"/alignments/{alignment_id}", flash=f"Request {outcome.made.id} is waiting for an approver.")
 
 
 @router.get("/alignment-requests/{request_id:int}")

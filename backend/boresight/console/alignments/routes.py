@@ -68,7 +68,7 @@ class SensorAlignment(Row):
     sensor_b_id: int
     run_a_id: int
     run_b_id: int
-    options: Document = Field(description="Those that were given.")
+    options: Document = Field(description="The options given.")
     created_utc: str
     created_by: int | None
     state: AlignmentState
@@ -77,7 +77,7 @@ class SensorAlignment(Row):
     started_utc: str | None
     ended_utc: str | None
     result_sha256: str | None
-    verdict: Literal["PASS", "MARGINAL", "NO-DATA", "FAIL"] | None = Field(description="The worst answer of its gates.")
+    verdict: Literal["PASS", "MARGINAL", "NO-DATA", "FAIL"] | None = Field(description="The worst gate result.")
     summary: AlignmentSummary | None
 
 
@@ -89,7 +89,7 @@ class AlignmentRequest(Row):
 
     id: int
     alignment_id: int
-    result_sha256: str = Field(description="The result that was shown and is signed for.")
+    result_sha256: str = Field(description="Hash of the result that was shown and signed.")
     state: AlignmentRequestState
     version: int = Field(description='Counts transitions; the ETag is `"v<version>"`.')
     reason: str
@@ -97,7 +97,7 @@ class AlignmentRequest(Row):
     submitted_by: int
     closed_utc: str | None
     signed_by: int | None
-    printed_name: str | None = Field(description="Of the signer.")
+    printed_name: str | None = Field(description="Name of the signer.")
     meaning: str | None
     comment: str | None
 
@@ -105,19 +105,31 @@ class AlignmentRequest(Row):
 router = operations("/alignments", tags=["alignments"])
 
 USUAL = AlignmentOptions()
-IN_CSV: dict[int | str, dict[str, Any]] = {200: {"description": "One row a pair, arcsec."}}
+IN_CSV: dict[int | str, dict[str, Any]] = {200: {"description": "One row per pair, arcsec."}}
 
 
 class GivenOptions(Shape):
     """The choices of an alignment, as `boresight align --help` tells them."""
 
-    tolerance_s: float = Field(USUAL.tolerance_s, description="How far an attitude is carried beyond its neighbours.")
-    longest_gap_s: float = Field(USUAL.longest_gap_s, description="Between attitudes that are interpolated.")
-    rate_deg_s: float = Field(USUAL.rate_deg_s, description="One sigma of a rate that no neighbour tells.")
-    temperature_of: Literal["a", "b", "difference"] | None = Field(None, description="Whose counts; A's, else B's.")
-    reference_temperature_c: float | None = Field(None, description="Where the rotation is told; null for the mean.")
-    temperature: int | None = Field(None, description="Highest power of the temperature, 0 to 3; null for evidence.")
-    drift: bool | None = Field(None, description="Whether it has a change a day; null for evidence.")
+    tolerance_s: float = Field(
+        USUAL.tolerance_s, description="How far an attitude may be extrapolated beyond its neighbours."
+    )
+    longest_gap_s: float = Field(
+        USUAL.longest_gap_s, description="The longest interval over which attitudes are interpolated."
+    )
+    rate_deg_s: float = Field(
+        USUAL.rate_deg_s, description="One sigma of a rate that cannot be computed from neighbours."
+    )
+    temperature_of: Literal["a", "b", "difference"] | None = Field(
+        None, description="Whose temperature is used; A's, else B's."
+    )
+    reference_temperature_c: float | None = Field(
+        None, description="Reference temperature of the rotation; null for the mean."
+    )
+    temperature: int | None = Field(
+        None, description="Polynomial order in temperature, 0 to 3; chosen from the data if null."
+    )
+    drift: bool | None = Field(None, description="Whether it changes linearly per day; chosen from the data if null.")
     robust: bool = Field(USUAL.robust, description="Leave out pairs that are too far off.")
 
 

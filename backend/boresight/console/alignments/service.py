@@ -115,7 +115,7 @@ def request_alignment(
     if (known := queries.find_under_way(session, a.id, b.id, given)) is not None:
         return known
     if queries.count_waiting(session) >= MOST_WAITING:
-        raise ConflictError(f"{MOST_WAITING} alignments wait already; ask again when some have ended.")
+        raise ConflictError(f"{MOST_WAITING} alignments are already waiting; try again when some have finished.")
     row = session.put(
         Alignment(
             sensor_a_id=a.sensor_id,
@@ -137,7 +137,9 @@ def _get_usable_run(session: Session, run_id: int) -> Run:
     run = get_run(session, run_id)
     refuse_choice(run)
     if run.state != "SUCCEEDED" or run.result_sha256 is None:
-        raise ConflictError(f"Run {run_id} is {run.state}, and only one that SUCCEEDED is aligned; choose another run.")
+        raise ConflictError(
+            f"Run {run_id} is {run.state}; only runs that SUCCEEDED can be aligned: choose another run."
+        )
     sets = _list_sets(session, run)
     for one in sets:
         if one.archived_utc is not None:
@@ -147,8 +149,8 @@ def _get_usable_run(session: Session, run_id: int) -> Run:
     frames, stars = sum(one.frames for one in sets), sum(one.stars for one in sets)
     if frames > MOST_FRAMES or stars > MOST_STARS:
         raise RefusedInputError(
-            f"Run {run_id} has {frames:,} frames with {stars:,} stars; {MOST_FRAMES:,} and {MOST_STARS:,} are aligned on the "
-            "server: calibrate a shorter set, or use `boresight align`."
+            f"Run {run_id} has {frames:,} frames with {stars:,} stars; the server aligns at most {MOST_FRAMES:,} frames "
+            f"and {MOST_STARS:,} stars: calibrate a shorter set, or use `boresight align`."
         )
     return run
 
@@ -165,7 +167,7 @@ def _refuse_other_times(session: Session, a: Run, b: Run, names: Sequence[str], 
         known = [time for time in times if time is not None]
         if not known:
             raise RefusedInputError(
-                f"The telemetry of {name} in run {run.id} has no times, by which attitudes are paired: choose a run of "
+                f"The telemetry of {name} in run {run.id} has no times, which are needed to pair attitudes: choose a run of "
                 "telemetry that has them."
             )
         spans.append([tuple(parse_times([time.start_utc, time.end_utc])) for time in known])
@@ -188,7 +190,7 @@ def claim(session: Session) -> ClaimedAlignment | None:
     if row is None:
         return None
     if row.attempt >= MOST_ATTEMPTS:
-        said = f"Its server stopped {row.attempt} times while it was computed; align shorter sets, or use `boresight align`."
+        said = f"The server stopped {row.attempt} times during the computation; align shorter sets, or use `boresight align`."
         _end(session, row, "FAILED", reason=said)
         return None
     row.state, row.attempt = "RUNNING", row.attempt + 1

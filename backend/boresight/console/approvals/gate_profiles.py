@@ -36,7 +36,7 @@ from boresight.verdicts.gates.assessment import take_scores
 DEFAULT = gates.parse_profile({}).document()
 DEFAULT_SHA256 = compute_sha256(DEFAULT)
 RUNS_TRIED = 40
-NO_VALIDATION = "The run had no validation set: only the fitted frames were measured."
+NO_VALIDATION = "The run had no validation set, so only the fitted frames could be used."
 
 
 @dataclass(frozen=True)

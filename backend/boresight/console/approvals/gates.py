@@ -313,9 +313,9 @@ def read_verdicts(session: Session, parameter_set_ids: Collection[int]) -> dict[
 
 
 CODES = {
-    "known-cause": "The cause is known and does no harm",
+    "known-cause": "The cause is known and harmless",
     "limit-too-tight": "The limit is tighter than this case needs",
-    "data-limited": "No better data can be had in time",
+    "data-limited": "Better data are not available in time",
     "mission-need": "The mission needs the set despite this",
     "other": "Another reason",
 }
@@ -370,7 +370,7 @@ def _checked(gate: str, code: str, reason: str, expires_utc: str) -> str:
         raise RefusedInputError(f"There is no reason code {code!r}; choose from {', '.join(CODES)}.")
     if len(reason.strip()) < LEAST_LETTERS:
         raise RefusedInputError(
-            f"Give the reason in at least {LEAST_LETTERS} letters, so that the approvers can judge it."
+            f"Enter a reason of at least {LEAST_LETTERS} letters so that the approvers can judge it."
         )
     until = read_time(expires_utc)
     if not utc_now() < until <= utc_after(LONGEST_DAYS * DAY_S):
@@ -394,5 +394,5 @@ def _get_blocking_report(session: Session, parameter_set_id: int, name: str, gat
         )
     if answer.critical or not answer.waivable:
         why = "it is critical" if answer.critical else "the gate profile does not allow it to be waived"
-        raise ForbiddenError(f"Nobody can waive the gate {gate}: {why}. Calibrate again.", code="gate-not-waivable")
+        raise ForbiddenError(f"The gate {gate} cannot be waived: {why}. Recalibrate.", code="gate-not-waivable")
     return report

@@ -73,7 +73,7 @@ class Point:
         """How it was answered, as the audit log says it."""
         if self.opened_utc is not None:
             return f"opened {self.opened_utc}"
-        return self.reason or "left open"
+        return self.reason or "not answered"
 
     @property
     def key(self) -> tuple[str, str]:
@@ -172,7 +172,7 @@ def answer_points(points: Sequence[Point], given: Sequence[Acknowledgement]) -> 
             raise RefusedInputError(f"The {one.kind} {one.name!r} is acknowledged twice; leave one out.")
         if not reason or len(reason) > LONGEST_REASON:
             raise RefusedInputError(
-                f"The {one.kind} {one.name!r} is ticked without a usable reason; write 1 to {LONGEST_REASON} characters."
+                f"The {one.kind} {one.name!r} is acknowledged without a valid reason; write 1 to {LONGEST_REASON} characters."
             )
         reasons[key] = reason
     return [replace(point, reason=reasons.get(point.key)) for point in points]
@@ -183,7 +183,7 @@ def refuse_open_points(points: Sequence[Point]) -> None:
     left = [point for point in points if point.is_open]
     if not left:
         return
-    first, more = left[0], f" {len(left) - 1} more are open." if len(left) > 1 else ""
+    first, more = left[0], f" {len(left) - 1} more points are open." if len(left) > 1 else ""
     if first.kind == EVIDENCE:
         raise RefusedInputError(
             f"{first.title} was not opened: open it, or give a reason for signing without it.{more}"

@@ -124,7 +124,7 @@ Hash = Annotated[
     str,
     Query(
         pattern="^[0-9a-f]{64}$",
-        description="A request's `bound.gate_report_sha256`: that report, be it the newest or not.",
+        description="A request's `bound.gate_report_sha256`: that report, even if it is not the newest.",
     ),
 ]
 
@@ -243,9 +243,8 @@ class Signing(PlainSigning):
     acknowledged: list[Acknowledged] | None = Field(
         None,
         max_length=200,
-        description="Of an approval: a reason for each point of the request that no opening closes. Where it is given, or "
-        "BORESIGHT_REST_REVIEW is 1, an approval that leaves a point open is refused; otherwise the record says what was "
-        "left open.",
+        description="For an approval: a reason for each point that was not answered by opening its figure. If given, or if "
+        "BORESIGHT_REST_REVIEW is 1, an approval with open points is refused; otherwise the record lists the open points.",
     )
 
     def decided(self, decision: str) -> Decision:
@@ -340,7 +339,7 @@ def refuse(
 
 
 @router.post(
-    "/{approval_id}:sign-over-the-shoulder", summary="Sign at another's console", response_model=schemas.Approval
+    "/{approval_id}:sign-over-the-shoulder", summary="Sign at another person's console", response_model=schemas.Approval
 )
 def sign_over_the_shoulder(
     approval_id: Id,
@@ -398,7 +397,7 @@ def list_remarks(approval_id: Id, session: Reading) -> Listing[Remark]:
     return Listing(approvals.list_remarks(session, approval_id))
 
 
-@discussion_router.post("/remarks", summary="Add a remark", status_code=201, response_model=schemas.Remark)
+@discussion_router.post("/remarks", summary="Add a comment", status_code=201, response_model=schemas.Remark)
 def remark(approval_id: Id, new: NewRemark, actor: Who, session: Writing) -> Remark:
     """Add a remark to a request, open or decided; remarks cannot be edited."""
     return threads.add_remark(session, actor, approval_id, new.text)
@@ -410,9 +409,9 @@ def list_openings(approval_id: Id, session: Reading) -> Listing[Opening]:
     return Listing(approvals.list_openings(session, approval_id))
 
 
-@discussion_router.post("/openings", summary="Say that a figure was in sight", response_model=schemas.Opening)
+@discussion_router.post("/openings", summary="Report that a figure was visible", response_model=schemas.Opening)
 def record_opening(approval_id: Id, shown: ShownFigure, actor: Who, session: Writing) -> Opening:
-    """Say that a figure which you were given at least a second ago stood in your sight; it then counts as opened by you."""
+    """Report that a figure which you were given at least a second ago was visible; it then counts as opened by you."""
     return approvals.record_opening(session, actor, approval_id, shown.evidence)
 
 

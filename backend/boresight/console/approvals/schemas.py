@@ -36,14 +36,16 @@ class Signature(Row):
     comment: str
     shown_sha256: str = Field(description="Hash of what was shown when this was signed.")
     signed_utc: str
-    console: str | None = Field(description="At whose console a second person signed it; null at the signer's own.")
+    console: str | None = Field(
+        description="The person at whose console it was signed by a second person; null if at the signer's own."
+    )
     password_by: str | None = Field(
-        description="Who else gave the password that it was signed with, and when; null where the signer chose it, a day "
-        "or more after anybody else had given one."
+        description="Who else set the signer's password, and when; null if the signer changed it themselves at least a day after "
+        "anyone else had set one."
     )
     points: list[Point] | None = Field(
-        description="Every point of the request, and how this approval answered it: with neither reason nor time it was "
-        "left open, which the page never allows. Null of a refusal, and of signatures of before."
+        description="Each point of the request and how this approval answered it. A point with neither reason nor time was "
+        "left open (not possible on the page). Null for refusals and for older signatures."
     )
 
 
@@ -196,9 +198,7 @@ class GateReport(Row):
     gates: list[Document] = Field(description="One answer per gate: status, value, interval, limit, margin, sentence.")
     held_out: Document | None = Field(description="The frames that were used: name and SHA-256.")
     bound: Document = Field(description="Hashes of everything that the report is based on.")
-    holds: bool = Field(
-        description="Whether everything that it is based on is unchanged; a promotion changes the incumbent."
-    )
+    holds: bool = Field(description="Whether all its inputs are unchanged (a promotion changes the incumbent).")
     sha256: str = Field(description="SHA-256 of the report as it was stored, without waivers.")
     created_utc: str
     created_by: int | None

@@ -158,11 +158,13 @@ def sign_over_the_shoulder(
 ) -> Signature:
     """Approve or refuse a request as a second person, at the console where another one is logged in."""
     refuse_beside(session, console, approval_id, decided, seen_version)
-    owner_id = require_person(console, "lend a console")
+    owner_id = require_person(console, "let another person sign at your console")
     approval = session.get_known(Approval, approval_id)
     actor = confirmations.authenticate_beside(session, proof, console.request_id)
     if actor.user_id == owner_id:
-        raise ForbiddenError("This is your own console; sign without a name, or have another approver enter theirs.")
+        raise ForbiddenError(
+            "This is your own console: leave the name empty to sign yourself, or have another approver enter their name."
+        )
     refuse_signer(session, actor, approval, policy)
     return _sign(session, actor, approval, decided, policy, console)
 
@@ -174,7 +176,7 @@ def refuse_beside(
 
     It uses only what every logged-in person can read, and reveals nothing about the named person.
     """
-    require_person(console, "lend a console")
+    require_person(console, "let another person sign at your console")
     approval = session.get_known(Approval, approval_id)
     _refuse_undecidable(session, approval, decided, seen_version)
 
@@ -340,9 +342,9 @@ def record_opening(session: Session, actor: Actor, approval_id: int, view: str) 
     _refuse_decided(session, session.get_known(Approval, approval_id), "APPROVE")
     given = rows.find_delivery(session, approval_id, user_id, view)
     if given is None:
-        raise ConflictError(f"You were not given the figure {view!r} of request {approval_id}: open it first.")
+        raise ConflictError(f"You have not opened the figure {view!r} of request {approval_id}; open it first.")
     if seconds_between(given.given_utc, utc_now()) < SHOWN_S:
-        raise ConflictError(f"The figure {view!r} was given to you less than {SHOWN_S:g} s ago: look at it first.")
+        raise ConflictError(f"You opened the figure {view!r} less than {SHOWN_S:g} s ago; look at it first.")
     known = rows.find_opening(session, approval_id, user_id, view)
     return known or session.put(Opening(approval_id=approval_id, user_id=user_id, evidence=view, opened_utc=utc_now()))
 
@@ -394,7 +396,7 @@ def promote(
     now = utc_now()
     if incumbent is not None:
         incumbent.baseline_to_utc = now
-        move(session, actor, incumbent, "SUPERSEDED", "superseded", reason=f"{row.name} became baseline")
+        move(session, actor, incumbent, "SUPERSEDED", "superseded", reason=f"{row.name} became the baseline")
     row.baseline_from_utc, row.baseline_to_utc = now, None
     given = {"reason_given": bool(reason), "password_given": proof is not None}
     told = {"approval": approval.id, "kind": approval.kind, **given}
@@ -431,7 +433,7 @@ def _refuse_lone(session: Session, approval: Approval, policy: Policy) -> None:
     if signed < approval.needed:
         raise ConflictError(
             f"Request {approval.id} has {signed} of {approval.needed} approvals by a second person: it was signed "
-            "while four-eyes was off, or by the person who created the set. Withdraw it and submit the set again.",
+            "while the four-eyes rule was off, or by the person who created the set. Withdraw it and submit the set again.",
             code="too-few-second-persons",
         )
 

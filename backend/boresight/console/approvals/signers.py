@@ -48,9 +48,9 @@ def list_parts(session: Session, approval: Approval) -> list[SetPart]:
     run = None if row.run_id is None else session.get(Run, row.run_id)
     done: list[tuple[int | None, str, str]] = [(approval.submitted_by, SUBMITTER, "submitted this set")]
     if run is not None:
-        done.append((run.launched_by, LAUNCHER, f"launched run {run.id} behind this set"))
+        done.append((run.launched_by, LAUNCHER, f"launched run {run.id} that produced this set"))
         done += [
-            (campaign.launched_by, LAUNCHER, f"launched campaign {campaign.id} behind this set")
+            (campaign.launched_by, LAUNCHER, f"launched campaign {campaign.id} that produced this set")
             for campaign in campaign_rows.list_campaigns_of_run(session, run.id)
             if campaign.launched_by != run.launched_by
         ]

@@ -102,12 +102,12 @@ def refuse_blocked(session: Session, parameter_set: ParameterSet) -> None:
     way_out = (
         f"{', '.join(fixed)} cannot be waived: recalibrate." if fixed else "Waive it with a reason, or recalibrate."
     )
-    raise ConflictError(f"{parameter_set.name} is stopped by its gates: {named}. {way_out}", code="blocked-by-gates")
+    raise ConflictError(f"{parameter_set.name} is blocked by its gates: {named}. {way_out}", code="blocked-by-gates")
 
 
 def make_others_stale(session: Session, actor: Actor, promoted: ParameterSet) -> None:
     """Make the requests stale that were compared with the former baseline."""
-    make_stale_of_sensor(session, actor, promoted.sensor_id, f"{promoted.name} became baseline")
+    make_stale_of_sensor(session, actor, promoted.sensor_id, f"{promoted.name} became the baseline")
 
 
 def make_stale_of_sensor(session: Session, actor: Actor, sensor_id: int, why: str) -> None:
@@ -175,7 +175,7 @@ def expire_due_requests(session: Session) -> Sequence[Approval]:
 def _expire(session: Session, approval: Approval) -> None:
     row = session.get_one(ParameterSet, approval.parameter_set_id)
     approval.closed_utc = utc_now()
-    reason = f"nobody decided on it before {approval.expires_utc}"
+    reason = f"no decision was made before {approval.expires_utc}"
     if approval.state == "APPROVED":
         reason = f"it was approved and not promoted before {approval.expires_utc}"
     move(session, SYSTEM, approval, "EXPIRED", AuditAction.LET_EXPIRE, reason=reason)

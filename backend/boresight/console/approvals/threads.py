@@ -36,7 +36,7 @@ def add_remark(session: Session, actor: Actor, approval_id: int, text: str, thre
     refuse_control_characters(remark=text)
     if not text.strip() or len(text) > LONGEST_REMARK:
         raise RefusedInputError(
-            f"A remark of {len(text.strip())} characters cannot be stored; write 1 to {LONGEST_REMARK}."
+            f"A comment of {len(text.strip())} characters cannot be stored; write 1 to {LONGEST_REMARK}."
         )
     row = Remark(
         approval_id=approval.id,

@@ -43,13 +43,22 @@ LONGEST_VALUE = 120
 HASH = re.compile(r"[0-9a-f]{64}")
 HASH_DIGITS = 8
 
-UNITS = (("_px", "px"), ("_m", "m"), ("_rad", "rad"), ("_deg", "°"), ("_s", "s"), ("_bytes", "B"), ("_days", "d"))
+UNITS = (
+    ("_frames_per_s", "frames/s"),
+    ("_px", "px"),
+    ("_m", "m"),
+    ("_rad", "rad"),
+    ("_deg", "°"),
+    ("_s", "s"),
+    ("_bytes", "B"),
+    ("_days", "d"),
+)
 NAMES = {
     "bound": "Bound",
     "camera_model": "Camera model",
     "covariance": "Covariance",
     "detector": "Detector",
-    "four_eyes": "Four-eyes enforced",
+    "four_eyes": "Four-eyes rule enforced",
     "free": "Free parameters",
     "ground_state": "On ground",
     "initial": "Initial",
@@ -58,6 +67,7 @@ NAMES = {
     "onboard_state": "On board",
     "original_sha256": "File, SHA-256",
     "parameters": "Parameters",
+    "password_by": "Password",
     "purpose": "Purpose",
     "result_sha256": "Result, SHA-256",
     "roles": "Roles",
@@ -70,6 +80,11 @@ NAMES = {
     "gate_report_sha256": "Gate report, SHA-256",
     "table_definition_sha256": "Table definition, SHA-256",
     "sha256": "SHA-256",
+    "shown_sha256": "Hash of what was shown",
+    "parameter_set_sha256": "Parameter set, SHA-256",
+    "held": "Within forecast",
+    "least_stars": "Minimum stars",
+    "replay_frames_per_s": "Replay pace",
     "sigma": "Sigma",
     "state": "State",
     "typical_sigma": "Typical sigma",

@@ -43,7 +43,7 @@ NUMBERED = {
     "packages": "Package",
     "presets": "Preset",
     "runs": "Run",
-    "table-definitions": "Table layout",
+    "table-definitions": "Table definition",
     "uplinks": "On-board record",
     "webhooks": "Webhook",
 }

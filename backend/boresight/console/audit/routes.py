@@ -57,7 +57,9 @@ class Anchor(Row):
     public_key: str = Field(description="Base64.")
     signature: str = Field(description="Base64.")
     stamped_utc: str | None = Field(description="The time that a time-stamp service gave.")
-    time_stamp: str | None = Field(description="Its answer (RFC 3161), base64; it is of the SHA-256 of `signature`.")
+    time_stamp: str | None = Field(
+        description="The service's response (RFC 3161), base64, for the SHA-256 of `signature`."
+    )
 
 
 class ChainReport(Row):

@@ -14,5 +14,5 @@ def anchor_now(session: Session, actor: Actor, key: SigningKey, broken: str = ""
     """Sign the newest head, unless an anchor covers it or something was found wrong with the log."""
     require_role(actor, "administrator")
     if broken:
-        raise ConflictError(f"A log that does not verify is not signed: find out why first. {broken}")
+        raise ConflictError(f"The log cannot be signed because it does not verify; find the cause first. {broken}")
     return make_anchor(session, key, actor.printed_name)

@@ -19,9 +19,9 @@ class Backup(Row):
     id: int
     due_utc: str = Field(description="The time of the schedule that it was taken for.")
     state: Literal["RUNNING", "TESTING", "SUCCEEDED", "FAILED"] = Field(
-        description="SUCCEEDED only when it was restored in a temporary store and verified."
+        description="SUCCEEDED only after it has been restored into a temporary store and verified."
     )
-    name: str = Field(description="Of its file.")
+    name: str = Field(description="Name of its file.")
     started_utc: str
     ended_utc: str | None
     size_bytes: int | None
@@ -29,8 +29,8 @@ class Backup(Row):
     key_id: str | None = Field(description="Id of the key that decrypts it.")
     head: str | None = Field(description="Head of the audit log when it was taken.")
     tested_utc: str | None = Field(description="The newest restore test.")
-    sentence: str | None = Field(description="What that test found, or why there is no backup.")
-    removed_utc: str | None = Field(description="When its file was removed, because newer ones took its place.")
+    sentence: str | None = Field(description="Result of the test, or why there is no backup.")
+    removed_utc: str | None = Field(description="When its file was removed, because newer backups replaced it.")
 
 
 router = operations("/backups", tags=["backups"])

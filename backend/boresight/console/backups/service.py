@@ -77,7 +77,7 @@ def set_schedule(
     counts = (kept.daily, kept.weekly, kept.monthly)
     if not all(0 <= count <= MOST_KEPT for count in counts) or not any(counts):
         raise RefusedInputError(
-            f"Give how many days, weeks and months keep a backup, one at least and {MOST_KEPT} at most."
+            f"Give the number of days, weeks and months for which backups are kept, from 1 to {MOST_KEPT}."
         )
     before = queries.find_schedule(session)
     row = session.put(
@@ -148,7 +148,7 @@ def claim(session: Session) -> ClaimedBackup | None:
             session,
             row,
             "FAILED",
-            f"Its server stopped {row.attempt} times while it was taken: look into the server's log.",
+            f"The server stopped {row.attempt} times during the backup: look into the server's log.",
         )
         return None
     if row is None:

@@ -18,7 +18,7 @@ from boresight.platform.web.paging import Id, Listing, Page, Paged
 
 
 class Campaign(Row):
-    """One setting over many sensors."""
+    """The same settings for many sensors."""
 
     versioned_by = ("id", "cancelled_utc", "newest_id")
     moves_beneath = True  # its counts change without its tag
@@ -32,7 +32,7 @@ class Campaign(Row):
     launched_by: int | None
     cancelled_utc: str | None
     state: str = Field(
-        description="`UNDER WAY`, `CANCELLING`, `CANCELLED`, `SUCCEEDED`, or `ENDED` where a run did not succeed."
+        description="`UNDER WAY`, `CANCELLING`, `CANCELLED`, `SUCCEEDED`, or `ENDED` if any run did not succeed."
     )
     sensors: int
     ended: int = Field(description="Sensors whose run has ended or was not launched.")
@@ -47,7 +47,7 @@ class CampaignResult(Row):
     sensor_id: int
     sensor: str
     run_id: int | None
-    state: str = Field(description="Of the run, or `NOT LAUNCHED`.")
+    state: str = Field(description="State of the run, or `NOT LAUNCHED`.")
     reason: str | None = Field(description="Why it failed, was lost, was cancelled, or could not be launched.")
     rms_initial_arc_rad: float | None
     rms_final_arc_rad: float | None
@@ -113,7 +113,7 @@ class CampaignLaunch(BaseModel):
     sensors: list[CampaignMember] | None = Field(
         None, max_length=MOST_SENSORS, description="Every sensor of the fleet if omitted."
     )
-    validate_only: bool = Field(default=False, description="Check everything, change nothing, and describe the result.")
+    validate_only: bool = Field(default=False, description="Validate only, without changes, and describe the result.")
 
     def members(self) -> list[MemberRequest] | None:
         """Return the sensors as the service takes them."""
@@ -196,7 +196,7 @@ def cancel_campaign(
 
 @router.post(
     "/{campaign_id}:launch-failed",
-    summary="Launch the failed again",
+    summary="Relaunch failed runs",
     status_code=202,
     response_model=Campaign,
 )

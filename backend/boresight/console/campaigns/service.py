@@ -72,7 +72,7 @@ def plan_members(
     ]
     del held
     if all(planned.request is None for planned in plans):
-        raise RefusedInputError(f"No sensor of the campaign can get a run. {plans[0].refusal}")
+        raise RefusedInputError(f"No run can be launched for any sensor of the campaign. {plans[0].refusal}")
     return plans
 
 
@@ -82,10 +82,10 @@ def _refuse_members(ids: Sequence[int]) -> None:
         raise RefusedInputError("A campaign needs at least one sensor; choose some.")
     if len(ids) > MOST_SENSORS:
         raise RefusedInputError(
-            f"A campaign takes at most {MOST_SENSORS} sensors, not {len(ids)}; launch several campaigns."
+            f"A campaign can have at most {MOST_SENSORS} sensors; {len(ids)} were chosen: launch several campaigns."
         )
     if len(set(ids)) < len(ids):
-        raise RefusedInputError("A sensor is in the campaign twice; name each once.")
+        raise RefusedInputError("The campaign contains a sensor twice; name each sensor once.")
 
 
 def _choose_sets(member: MemberRequest, newest: Mapping[tuple[int, str], int]) -> tuple[int | None, int | None]:
@@ -268,7 +268,7 @@ def cancel_campaign(session: Session, actor: Actor, campaign_id: int, reason: st
     stopped = rows.cancel_all(session, row.id, why)
     if not stopped:
         raise ConflictError(
-            f"No run of campaign {row.id} is queued or running; there is nothing to cancel.", code="nothing-to-cancel"
+            f"Campaign {row.id} has no queued or running runs; there is nothing to cancel.", code="nothing-to-cancel"
         )
     row.cancelled_utc = utc_now()
     audit.append(session, actor, "cancelled", _subject(row), None, {"runs": len(stopped)}, reason.strip() or None)

@@ -23,9 +23,9 @@ class Difference(Row):
 
     place: str = Field(description="Path in the document.", examples=["gates[coverage].limit"])
     before: bool | int | float | str | None = Field(
-        description="In the version that it was made against; null where there was nothing."
+        description="Value in the version that the proposal was based on; null if there was none."
     )
-    after: bool | int | float | str | None = Field(description="If it is confirmed; null where there is nothing.")
+    after: bool | int | float | str | None = Field(description="Value after confirmation; null if there is none.")
 
 
 class ProposedChange(Row):

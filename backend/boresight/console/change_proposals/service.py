@@ -45,7 +45,7 @@ from boresight.platform.db.sessions import Session, keep_despite_refusal, utc_af
 from boresight.platform.web.text_validation import refuse_control_characters
 
 MAY_CONFIRM = {"gate-profile": ("administrator",), "table-definition": ("analyst", "administrator")}
-TITLES = {"gate-profile": "gate limits", "table-definition": "table layout"}
+TITLES = {"gate-profile": "gate profile", "table-definition": "table definition"}
 Scalar = str | int | float | bool | None
 
 
@@ -219,7 +219,7 @@ def expire_due(session: Session) -> Sequence[ChangeProposal]:
 
 
 def _expire(session: Session, row: ChangeProposal) -> None:
-    _close(session, SYSTEM, row, "EXPIRED", "let expire", reason=f"nobody decided on it before {row.expires_utc}")
+    _close(session, SYSTEM, row, "EXPIRED", "let expire", reason=f"no decision was made before {row.expires_utc}")
 
 
 def list_proposals(

@@ -57,8 +57,8 @@ def read_constraints(start_utc: str, orbit: Mapping[str, float] | None, given: M
     check_constraints(constraints)
     if (dwells := int(60.0 * constraints.minutes / constraints.dwell_s)) > MOST_DWELLS:
         raise RefusedInputError(
-            f"{constraints.minutes:g} minutes have room for {dwells:,} dwells of {constraints.dwell_s:g} s: ask a server for up to "
-            f"{MOST_DWELLS}, with fewer minutes or longer dwells; `boresight plan` on your own machine has no such limit."
+            f"{constraints.minutes:g} minutes allow {dwells:,} dwells of {constraints.dwell_s:g} s, but a server plans at most "
+            f"{MOST_DWELLS}: use fewer minutes or longer dwells; `boresight plan` on your own machine has no such limit."
         )
     return constraints
 

@@ -112,7 +112,7 @@ def get_sensor_at(
     return {"at": at, "baseline": baseline, "onboard": _on_board(onboard)}
 
 
-Time = Annotated[str | None, Query(description="ISO 8601, UTC; now when left out.", examples=["2026-11-21T03:04:05Z"])]
+Time = Annotated[str | None, Query(description="ISO 8601, UTC; now if omitted.", examples=["2026-11-21T03:04:05Z"])]
 
 
 @router.get(
@@ -159,7 +159,7 @@ def list_sensor_timeline(
 trend_router = operations("/sensors/{sensor_id}/trend", tags=["sensors"])
 
 MODELS = ", ".join(CAMERA_MODELS)
-Model = Annotated[str | None, Query(description=f"A camera model; the baseline's when left out. One of {MODELS}.")]
+Model = Annotated[str | None, Query(description=f"A camera model; the baseline's if omitted. One of {MODELS}.")]
 IN_CSV: dict[int | str, dict[str, Any]] = {200: {"description": "One row per calibration, numbers in SI."}}
 
 
@@ -207,30 +207,31 @@ class PlanConditions(console_schemas.Shape):
 
     start_utc: str = Field(description="ISO 8601, UTC.", examples=["2026-10-01T00:00:00Z"])
     minutes: float = Field(
-        description=f"How long it may take; with room for at most {pointings.MOST_DWELLS} dwells.", examples=[10.0]
+        description=f"Total duration; it may allow at most {pointings.MOST_DWELLS} dwells.", examples=[10.0]
     )
     criterion: Criterion = Field(
-        "A", description="A: least sum of variances in typical sigmas. D: least volume of the confidence region."
+        "A", description="A: smallest sum of variances in typical sigmas. D: smallest volume of the confidence region."
     )
     prior_set_id: Id | None = Field(
-        None, description="A parameter set, approved or active, whose covariance is known before; left out, nothing is."
+        None,
+        description="Approved or active parameter set that gives the prior covariance; if omitted, no prior knowledge is assumed.",
     )
-    prior_run_id: Id | None = Field(None, description="The same by a run that has ended; give at most one of the two.")
+    prior_run_id: Id | None = Field(None, description="The same from a finished run; give at most one of the two.")
     candidates: list[Annotated[list[float], Field(min_length=3, max_length=3)]] | None = Field(
         None,
         min_length=1,
         max_length=pointings.MOST_CANDIDATES,
-        description="Attitudes that may be chosen, each as ra_deg, dec_deg, roll_deg; left out, the whole sky.",
+        description="Attitudes that may be chosen, each as ra_deg, dec_deg, roll_deg; if omitted, the whole sky.",
     )
-    orbit: OrbitMeasures | None = Field(None, description="Left out, the Earth is in nobody's way.")
-    dwell_s: float = Field(Constraints.dwell_s, description="How long a pointing is held.")
+    orbit: OrbitMeasures | None = Field(None, description="If omitted, the Earth never obstructs the view.")
+    dwell_s: float = Field(Constraints.dwell_s, description="Duration of a pointing.")
     exposure_s: float = Field(Constraints.exposure_s, description="From one exposure to the next.")
-    slew_deg_s: float = Field(Constraints.slew_deg_s, description="Rate of a turn.")
-    settle_s: float = Field(Constraints.settle_s, description="Wait after a turn.")
-    sun_deg: float = Field(Constraints.sun_deg, description="Least angle from the Sun.")
-    moon_deg: float = Field(Constraints.moon_deg, description="Least angle from the Moon.")
-    earth_deg: float = Field(Constraints.earth_deg, description="Least angle from the Earth's limb.")
-    visits: int = Field(Constraints.visits, description="How often one pointing may be held.")
+    slew_deg_s: float = Field(Constraints.slew_deg_s, description="Slew rate.")
+    settle_s: float = Field(Constraints.settle_s, description="Settling time after a slew.")
+    sun_deg: float = Field(Constraints.sun_deg, description="Minimum angle from the Sun.")
+    moon_deg: float = Field(Constraints.moon_deg, description="Minimum angle from the Moon.")
+    earth_deg: float = Field(Constraints.earth_deg, description="Minimum angle from the Earth's limb.")
+    visits: int = Field(Constraints.visits, description="Maximum number of visits to a pointing.")
 
 
 #: Of the conditions, those that are constraints as they stand.

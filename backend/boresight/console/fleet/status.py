@@ -226,12 +226,12 @@ def list_findings(known: SensorFacts) -> Iterator[tuple[str, str]]:
     """Yield every finding on a sensor as a status word and its sentence; there is always one."""
     yield from _onboard_findings(known)
     if known.drift is not None:
-        yield known.drift.level, f"It drifts: alarm {known.drift.id}."
+        yield known.drift.level, f"Drift detected: alarm {known.drift.id}."
     yield from _run_findings(known.last_run)
     if known.ground_shifted:
         yield "caution", GROUND_SHIFTED
     if known.waiting is not None:
-        yield "caution", f"{known.waiting} waits for a signature."
+        yield "caution", f"{known.waiting} is waiting for a signature."
     if known.baseline is None:
         yield "serious", "There is no baseline; register the sensor again."
     elif known.days is not None and known.days > OLD_DAYS:

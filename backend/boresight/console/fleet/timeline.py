@@ -110,8 +110,8 @@ def _profile(reader: TimelineReader, row: GateProfile) -> EventText:  # noqa: AR
 
 def _request(reader: TimelineReader, row: Approval) -> EventText:
     name = reader.name(row.parameter_set_id)
-    asked = f"rolling back to {name}" if row.kind == "ROLLBACK" else f"making {name} the baseline"
-    told = EventText("request", f"Request {row.id} for {asked}; it is {row.state}.", row.parameter_set_id)
+    asked = f"to roll back to {name}" if row.kind == "ROLLBACK" else f"to make {name} the baseline"
+    told = EventText("request", f"Request {row.id} {asked}; now {row.state}.", row.parameter_set_id)
     return replace(told, person=row.submitted_by, said=row.reason, subject=f"approvals/{row.id}")
 
 
@@ -219,10 +219,10 @@ class AsOf:
             f"{row.name} MISMATCH" for row, known in self.on_board if known.onboard_state == "MISMATCH"
         )
         if self.active is not None:
-            board = f"{self.active[0].name} ACTIVE: {'differs' if self.differs else 'the same'}"
+            board = f", on board {self.active[0].name} ACTIVE: {'differs' if self.differs else 'the same'}"
         else:
-            board = "no set known to be active"
-        return f"{ground}, on board {board}{'; ' + mismatched if mismatched else ''}"
+            board = "; no set is known to be active on board"
+        return f"{ground}{board}{'; ' + mismatched if mismatched else ''}"
 
 
 def get_state_at(session: Session, sensor_id: int, time: str | None = None) -> AsOf:

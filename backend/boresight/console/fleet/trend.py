@@ -40,7 +40,7 @@ from boresight.verdicts.numbers import fixed, number, quantity
 from boresight.verdicts.verdict import RunSummary, parse_run_summary
 
 SAME_VALUE = 1e-6  # in typical sigmas: fixed parameters that differ by less are the same
-BEFORE_TRENDS = "its summary has no covariance: it is from an older version; clone it and run it again"
+BEFORE_TRENDS = "no covariance in its summary (made by an older version): clone the run and run it again"
 
 
 @dataclass(frozen=True)
@@ -223,7 +223,7 @@ def _comparable(point: TrendPoint, sensor: Sensor, baseline: ParameterSet | None
     odd = [name for name in sorted(known.symmetric_difference(point.names)) if not _same(point, held, typical, name)]
     if not odd:
         return point
-    return replace(point, left_out=f"its {', '.join(odd)} is free or held differently from the baseline")
+    return replace(point, left_out=f"its list of free parameters differs from the baseline: {', '.join(odd)}")
 
 
 def _same(point: TrendPoint, held: Mapping[str, float], typical: Mapping[str, float], name: str) -> bool:
@@ -238,7 +238,7 @@ def _counted_once(points: Sequence[TrendPoint]) -> Iterator[TrendPoint]:
     for point in sorted(points, key=lambda one: (one.ends_utc, one.method == "batch", one.run_id), reverse=True):
         twin = next((other for other in counted if point.overlaps(other)), None)
         if not point.left_out and twin is not None:
-            yield replace(point, left_out=f"its data overlap those of run {twin.run_id}, which is used")
+            yield replace(point, left_out=f"its data overlap with run {twin.run_id}, which is used instead")
             continue
         if not point.left_out:
             counted.append(point)
@@ -400,7 +400,7 @@ def _nothing_newer(trend: Trend) -> str:
     name = trend.baseline.name if trend.baseline else "the baseline"
     left = sum(bool(point.left_out) for point in trend.points)
     more = (
-        f" {left} of {len(trend.points)} calibrations are not used; Calibrations used on the page Trend says why."
+        f" {left} of {len(trend.points)} calibrations are not used; see “Calibrations used” on the Trend page."
         if left
         else ""
     )
@@ -428,6 +428,11 @@ def make_baseline_epoch(baseline: ParameterSet, own: TrendPoint | None, names: S
     return Epoch(0.0, value, matrix[np.ix_(order, order)], warmth)
 
 
+def describe_test(test: tests.ChiSquareTest) -> str:
+    """Write a statistic, its degrees of freedom and its limit."""
+    return f"χ² {number(test.statistic, 3)} for {test.dof} degrees of freedom, limit {number(test.limit, 3)}"
+
+
 def _with_sentence(found: DriftResult, baseline: ParameterSet) -> DriftResult:
     """Add a sentence on the findings, tests that reject first."""
     first = [GROUND_SHIFTED] if found.verdict == "GROUND SHIFT" else []
@@ -439,19 +444,21 @@ def _say_baseline(found: DriftResult, baseline: ParameterSet) -> str:
     if found.holds is None or found.newest is None or found.largest is None:
         return ""
     name, worth = found.largest
-    numbers = f"χ² {number(found.holds.statistic, 3)} of {found.holds.dof}, limit {number(found.holds.limit, 3)}"
+    numbers = describe_test(found.holds)
     if found.holds.rejects:
-        moved = f"{quantity(name).symbol} changed most, {fixed(worth, 1)} σ of the difference"
+        moved = f"the largest change is in {quantity(name).symbol}: {fixed(worth, 1)} σ of the difference"
         return f"Run {found.newest.run_id} does not agree with {baseline.name} ({numbers}); {moved}."
     return f"Run {found.newest.run_id} agrees with {baseline.name} ({numbers})."
 
 
 def _say_slope(found: DriftResult) -> list[str]:
     if found.slope is None or found.line is None:
-        return ["Too few calibrations since the baseline for a slope: it takes three at different times."]
+        return [
+            "Too few calibrations since the baseline to estimate a slope; at least three at different times are needed."
+        ]
     said = "change with time" if found.slope.rejects else "do not change with time"
-    numbers = f"χ² {number(found.slope.statistic, 3)} of {found.slope.dof}, limit {number(found.slope.limit, 3)}"
-    sentences = [f"{found.counted} calibrations since the baseline {said} ({numbers})."]
+    numbers = describe_test(found.slope)
+    sentences = [f"The parameters of {found.counted} calibrations since the baseline {said} ({numbers})."]
     if found.line.inflation > 1.0:
         factor = fixed(found.line.inflation**0.5, 2)
         sentences.append(
@@ -467,7 +474,7 @@ def _say_temperature(found: DriftResult) -> list[str]:
     if statistic is None:
         return []
     test = tests.chi_square_test(statistic, len(found.names), FALSE_ALARM_RATE)
-    return ["They change with temperature; the slope is what remains."] if test.rejects else []
+    return ["The parameters also change with temperature; the slope excludes this effect."] if test.rejects else []
 
 
 def document(found: DriftResult) -> documents.Drift:

@@ -80,10 +80,8 @@ def _rules(drift: DriftResult, data: UnseenTelemetry, baseline: ParameterSet, ag
     name, ratio = baseline.name, data.ratio
     more: documents.Answer = "MORE DATA NEEDED"
     if drift.verdict == "DRIFT" and drift.is_jump and drift.newest is not None:
-        apart = (
-            f"Run {drift.newest.run_id} agrees neither with {name} nor with the line through the calibrations before it"
-        )
-        said = f"{apart}, a jump or wrong data: calibrate another pass before you decide."
+        apart = f"Run {drift.newest.run_id} agrees neither with {name} nor with the trend of earlier calibrations"
+        said = f"{apart}. This is a jump or wrong data: calibrate another pass before deciding."
         yield Advice(more, said, "trend_jump")
     if drift.verdict == "DRIFT":
         yield Advice("YES", f"Recalibrate: {name} is no longer valid.", "trend_drift")
@@ -96,15 +94,13 @@ def _rules(drift: DriftResult, data: UnseenTelemetry, baseline: ParameterSet, ag
         said = f"Recalibrate: {name} was made on the ground, and there is telemetry to replace it."
         yield Advice("YES", said, "trend_ground")
     if ratio is not None and ratio > TOO_COARSE:
-        coarse = f"With the {count(data.stars)} stars available a sigma would be {fixed(ratio, 1)} times the baseline's"
+        coarse = f"With the {count(data.stars)} stars available, one sigma would be {fixed(ratio, 1)} times that of the baseline"
         yield Advice(more, f"{coarse}: wait for more frames.", "trend_coarse")
     if age_d is not None and age_d > OLD_DAYS:
         said = f"Recalibrate: {name} is older than {OLD_DAYS:.0f} days and newer data are available."
         yield Advice("YES", said, "trend_old")
     if ratio is not None and ratio <= HALVED:
-        said = (
-            f"Recalibrate: with the data available every sigma would be {fixed(ratio, 2)} times the baseline's or less."
-        )
+        said = f"Recalibrate: with the data available, every sigma would be at most {fixed(ratio, 2)} times that of the baseline."
         yield Advice("YES", said, "trend_halved")
     if drift.verdict == "NOT TESTED":
         said = f"Calibrate {data.sets[-1].name}: it is newer than {name} and not calibrated yet."
@@ -155,15 +151,15 @@ def _reasons(drift: DriftResult, data: UnseenTelemetry, baseline: ParameterSet, 
         said.append(f"Newer than the baseline's data: {kinds}{untried}.")
     if data.failed:
         name = f"{data.failed[-1].name}{f' and {len(data.failed) - 1} more' if len(data.failed) > 1 else ''}"
-        said.append(
-            f"Not counted: {name}, whose newest calibration failed; its page under Runs says why and what to do."
-        )
+        said.append(f"Not counted: {name}, whose latest calibration failed; see its run page for the cause.")
     if data.ratio is not None:
-        said.append(f"With them every sigma is predicted to be at most {fixed(data.ratio, 2)} times the baseline's.")
+        said.append(
+            f"With them, every sigma is predicted to be at most {fixed(data.ratio, 2)} times that of the baseline."
+        )
     if age_d is not None:
         days = round(age_d)
         when = f"{days} day{'s' * (days > 1)} ago" if days else "today"
-        said.append(f"{baseline.name} became baseline {when}; the limit is {OLD_DAYS:.0f}.")
+        said.append(f"{baseline.name} became the baseline {when}; the age limit is {OLD_DAYS:.0f} days.")
     return said
 
 

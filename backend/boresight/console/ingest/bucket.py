@@ -71,7 +71,8 @@ class WatchedBucket:
             UnavailableError
         ) as error:  # a store tells a bucket that is not there from a network that fails in its message alone
             raise UnavailableError(
-                f"The watched bucket {self.address} cannot be listed: make it, or correct BORESIGHT_WATCH_BUCKET or the network."
+                f"The watched bucket {self.address} cannot be listed: create the bucket, or correct BORESIGHT_WATCH_BUCKET "
+                "or the network connection."
             ) from error
         self._waiting = {sensor: sum(one.sensor == sensor for _, one in found) for sensor in sensors}
         return [one for _, one in sorted(found, key=lambda pair: (pair[0], pair[1].address))]

@@ -18,7 +18,7 @@ that a set is asked about although nothing changed is alpha at most.
 As long as there are too few calibrations for a forecast, the baseline is the forecast, and its test alone has the level alpha: D^2
 is that of theta, with P + B. All these tests share the baseline's error, so their false alarms come in bursts, as many on average.
 
-A dry run walks over the calibrations of the past by the same functions. A set that would have been asked as a drift is the next
+A rehearsal walks over the calibrations of the past by the same functions. A set that would have been asked as a drift is the next
 reference, as though people had promoted it; of a jump the advice is to wait for the next set, and that is taken. Nothing is
 calibrated again: sets without a calibration that counts are counted, and the gates are not judged.
 """
@@ -32,12 +32,20 @@ from typing import Any
 
 import numpy as np
 
-from boresight.console.fleet.trend import Followed, Follower, Trend, TrendPoint, make_baseline_epoch, make_epoch
+from boresight.console.fleet.trend import (
+    Followed,
+    Follower,
+    Trend,
+    TrendPoint,
+    describe_test,
+    make_baseline_epoch,
+    make_epoch,
+)
 from boresight.console.ingest.rules import PolicyRules
 from boresight.estimation.pass_forecast import FEWEST
 from boresight.estimation.statistics import drift as tests
 from boresight.estimation.statistics.drift import ChiSquareTest, Epoch
-from boresight.verdicts.numbers import fixed, number, quantity
+from boresight.verdicts.numbers import fixed, quantity
 
 
 @dataclass(frozen=True)
@@ -131,9 +139,7 @@ def judge_newest(trend: Trend, run_id: int, rules: PolicyRules) -> PolicyFinding
         )
     own = trend.find_run(reference.run_id)
     if own is not None and (point.overlaps(own) or point.at_utc <= own.at_utc):
-        return _not_judged(
-            "OLDER", f"The data are not newer than those of {reference.name}; nothing is to be decided on them."
-        )
+        return _not_judged("OLDER", f"The data are not newer than those of {reference.name}, so no decision is needed.")
     if (refusal := _refuse(point, reference, rules)) is not None:
         return refusal
     follower = make_follower(rules)
@@ -204,11 +210,13 @@ def _refuse(point: TrendPoint, reference: Reference, rules: PolicyRules) -> Poli
     if point.left_out:
         return _not_judged("LEFT OUT", f"Run {point.run_id} does not count: {point.left_out}.")
     if not point.timed:
-        return _not_judged("NO TIME", "The telemetry has no times, so nothing tells whether it is newer; add time_utc.")
+        return _not_judged(
+            "NO TIME", "The telemetry has no times, so it cannot be checked whether it is newer; add time_utc."
+        )
     if point.stars < rules.least_stars:
         return _not_judged(
             "FEW STARS",
-            f"The fit has {point.stars} stars, and the policy asks for {rules.least_stars}; wait for a longer set.",
+            f"The fit has {point.stars} stars, but the policy requires {rules.least_stars}; wait for a longer set.",
         )
     if not point.names or not set(point.names) <= set(reference.names):
         return _not_judged(
@@ -240,17 +248,17 @@ def _describe_outcome(point: TrendPoint, reference: Reference, found: PolicyFind
         verb = "does not agree with" if holds is not None and holds.rejects else "agrees with"
         return f"Run {point.run_id} {verb} {reference.name} ({_numbers(holds)})."
     if forecast.rejects:
-        return f"Run {point.run_id} is outside of what the sets before forecast ({_numbers(forecast)})."
+        return f"Run {point.run_id} is outside the forecast from earlier sets ({_numbers(forecast)})."
     if holds is not None and holds.rejects:
-        return f"All sets together do not agree with {reference.name} any longer ({_numbers(holds)})."
+        return f"All sets together no longer agree with {reference.name} ({_numbers(holds)})."
     return (
-        f"Run {point.run_id} is where the sets before forecast it ({_numbers(forecast)}), and {reference.name} holds "
-        f"({_numbers(holds)})."
+        f"Run {point.run_id} agrees with the forecast from earlier sets ({_numbers(forecast)}), and {reference.name} is still "
+        f"valid ({_numbers(holds)})."
     )
 
 
 def _numbers(test: ChiSquareTest | None) -> str:
-    return "" if test is None else f"χ² {number(test.statistic, 3)} of {test.dof}, limit {number(test.limit, 3)}"
+    return "" if test is None else describe_test(test)
 
 
 def _reasons(point: TrendPoint, found: PolicyFinding, rules: PolicyRules) -> list[Reason]:
@@ -260,7 +268,10 @@ def _reasons(point: TrendPoint, found: PolicyFinding, rules: PolicyRules) -> lis
         return []
     said = [Reason("OUTSIDE", _describe_outcome(point, reference, found))]
     said.append(
-        Reason("LARGEST", f"{quantity(largest[0]).symbol} changed most, {fixed(largest[1], 1)} σ of the difference.")
+        Reason(
+            "LARGEST",
+            f"The largest change is in {quantity(largest[0]).symbol}: {fixed(largest[1], 1)} σ of the difference.",
+        )
     )
     if not reference.measured:
         said.append(Reason("GROUND", f"{reference.name} is a ground calibration, declared and not measured."))
@@ -268,19 +279,21 @@ def _reasons(point: TrendPoint, found: PolicyFinding, rules: PolicyRules) -> lis
         said.append(
             Reason(
                 "NO FORECAST",
-                f"There are fewer than {FEWEST} sets to forecast one, so a drift cannot be told from a jump.",
+                f"Fewer than {FEWEST} sets are available for a forecast, so a drift cannot be distinguished from a jump.",
             )
         )
     elif found.is_forecast:
-        said.append(Reason("DRIFT", "It is where the sets before forecast it: a drift, not a jump."))
+        said.append(Reason("DRIFT", "It agrees with the forecast from earlier sets, so this is a drift, not a jump."))
     else:
         said.append(
             Reason(
-                "JUMP", "A jump, or wrong data: the next set tells which; where it agrees with this one, it was a jump."
+                "JUMP",
+                "A jump or wrong data. The next set will show which: if it agrees with this one, it was a jump.",
             )
         )
-    of = f"of {rules.confirmations} that the policy asks for" if found.in_row < rules.confirmations else "in a row"
-    said.append(Reason("IN ROW", f"{found.in_row} set{'s' if found.in_row != 1 else ''} {of} outside it."))
+    of = f"of {rules.confirmations} required " if found.in_row < rules.confirmations else ""
+    sets = "set" if not of and found.in_row == 1 else "sets"
+    said.append(Reason("IN ROW", f"{found.in_row} {of}consecutive {sets} outside the baseline."))
     return said
 
 

@@ -89,7 +89,7 @@ class WatchedFolder:
         """Copy a file, or return None where it changed meanwhile; refuse what is no plain file, and one that is too large."""
         if not arrival.is_file:
             raise RefusedInputError(
-                f"{arrival.name} is no plain file but a link, folder or device; send the file itself.",
+                f"{arrival.name} is a link, folder or device, not a regular file; send the file itself.",
                 code="not-a-plain-file",
             )
         refuse_too_large(arrival.name, arrival.size_bytes, most_bytes)
@@ -131,7 +131,7 @@ def refuse_too_large(name: str, size_bytes: int, most_bytes: int) -> None:
     """Refuse a file that has more bytes than an upload may have."""
     if size_bytes > most_bytes:
         raise RefusedInputError(
-            f"{name} has {size_bytes / 1e6:.0f} MB and {most_bytes / 1e6:.0f} MB are allowed: split it, or "
+            f"{name} is {size_bytes / 1e6:.0f} MB; the limit is {most_bytes / 1e6:.0f} MB: split it, or "
             "have an administrator raise BORESIGHT_UPLOAD_LIMIT_MB."
         )
 

@@ -67,7 +67,7 @@ router = APIRouter(dependencies=[Depends(csrf)])
 
 DECISIONS = Table(
     "ingest-decisions",
-    "What was made of new telemetry",
+    "Decisions on new telemetry",
     (
         TableColumn("state", "State", "state", "nowrap", csv=("state", "answer")),
         TableColumn("decision", "Decision", "-decision", "nowrap", head=True, csv=("decision",)),
@@ -83,22 +83,22 @@ DECISIONS = Table(
 )
 RECENT = 12
 TITLES = {
-    "SUBMIT": "Submit this set for approval",
+    "SUBMIT": "Submit the parameter set for approval",
     "WAIT": "Wait",
     "MORE DATA": "More data first",
-    "RECALIBRATE": "Recalibrate otherwise",
+    "RECALIBRATE": "Recalibrate with other settings",
 }
 DONE = {
     "SUBMIT": "Submitted: an approver signs next.",
-    "WAIT": "Answered: the same change is not asked again meanwhile.",
-    "MORE DATA": "Answered: the next set asks again.",
-    "RECALIBRATE": "Answered: launch the calibration, and submit what it finds.",
+    "WAIT": "Answered: no decision on the same change is requested until then.",
+    "MORE DATA": "Answered: the next set will request a decision again.",
+    "RECALIBRATE": "Answered: launch the calibration, and submit its result.",
 }
 STEPS = {
-    "rehearse": "Rehearsed on the past; nothing else happened.",
+    "rehearse": "Rehearsed on past data; nothing else changed.",
     "enable": "The policy is in force.",
-    "pause": "Paused: files stay where they are.",
-    "resume": "Resumed: its limits count again.",
+    "pause": "Paused: files are not ingested and stay where they are.",
+    "resume": "Resumed: the limits apply again, counted from now.",
     "switch-off": "Switched off.",
 }
 
@@ -302,7 +302,7 @@ async def draft_policy(request: Request, actor: Who, sensor_id: int, watcher: Se
 
     again = partial(_policy, request, actor, sensor_id, watcher, None, typed)
     address = f"/sensors/{sensor_id}/ingest"
-    return await make_change(request, change, address, "Drafted: rehearse it on the past next.", again=again)
+    return await make_change(request, change, address, "Drafted: next, rehearse it on past data.", again=again)
 
 
 @router.post("/sensors/{sensor_id:int}/ingest/{step}", response_class=HTMLResponse)

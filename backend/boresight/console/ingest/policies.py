@@ -50,7 +50,7 @@ def draft(session: Session, actor: Actor, sensor_id: int, document: Mapping[str,
         number=rows.read_next_number(session, sensor_id),
         document=rules.to_dict(),
         sha256=compute_sha256(rules.to_dict()),
-        reason=_check_reason(reason, "why the policy is as it is"),
+        reason=_check_reason(reason, "for this policy"),
         created_utc=utc_now(),
         created_by=actor.user_id,
         state="DRAFT",
@@ -69,7 +69,7 @@ def _refuse_unknown(session: Session, rules: PolicyRules) -> None:
         raise RefusedInputError(f"There is no archive {rules.feed!r}; choose from {', '.join(TITLES)}, or none.")
     if rules.feed and profile is None:
         raise RefusedInputError(
-            f"{TITLES[rules.feed]} is asked for what a mapping profile names, and the policy has none; choose one."
+            f"Pulling from {TITLES[rules.feed]} requires a mapping profile, but the policy has none; choose one."
         )
 
 
@@ -104,7 +104,9 @@ def enable(session: Session, actor: Actor, policy_id: int, seen_version: int | N
     if row.state != "DRAFT":
         raise ConflictError(f"Policy {row.number} is {row.state}, not a DRAFT; write a new version to enable.")
     if row.rehearsal is None:
-        raise ConflictError(f"Policy {row.number} was not rehearsed; see what it would have asked in the past first.")
+        raise ConflictError(
+            f"Policy {row.number} has not been rehearsed; rehearse it first to see which decisions it would have requested."
+        )
     _refuse_unknown(session, read_rules(row))
     before = rows.find_policy_in_force(session, row.sensor_id)
     if before is not None:
@@ -139,7 +141,7 @@ def pause_by_person(
     require_seen(session, row, seen_version)
     if row.state != "ACTIVE":
         raise ConflictError(f"Policy {row.number} is {row.state}; choose an ACTIVE one to pause.")
-    _pause(session, actor, row, "PERSON", _check_reason(reason, "why it is paused"))
+    _pause(session, actor, row, "PERSON", _check_reason(reason, "for pausing it"))
     return row
 
 
@@ -151,7 +153,7 @@ def resume(session: Session, actor: Actor, policy_id: int, reason: str, seen_ver
     require_seen(session, row, seen_version)
     if row.state != "PAUSED":
         raise ConflictError(f"Policy {row.number} is {row.state}; choose a PAUSED one to resume.")
-    said = _check_reason(reason, "why it can go on")
+    said = _check_reason(reason, "for resuming it")
     row.resumed_utc = utc_now()
     row.pause_code = row.pause_reason = row.paused_utc = None
     move(session, actor, row, "ACTIVE", "resumed", reason=said)
@@ -167,7 +169,7 @@ def switch_off(session: Session, actor: Actor, policy_id: int, reason: str, seen
     require_seen(session, row, seen_version)
     if row.state == "OFF":
         raise ConflictError(f"Policy {row.number} is OFF already; there is nothing to switch off.")
-    move(session, actor, row, "OFF", "switched off", reason=_check_reason(reason, "why it is switched off"))
+    move(session, actor, row, "OFF", "switched off", reason=_check_reason(reason, "for switching it off"))
     update_alarms(session, [row.sensor_id])
     return row
 
@@ -175,5 +177,5 @@ def switch_off(session: Session, actor: Actor, policy_id: int, reason: str, seen
 def _check_reason(reason: str, what: str) -> str:
     refuse_control_characters(reason=reason)
     if not reason.strip() or len(reason) > LONGEST_REASON:
-        raise RefusedInputError(f"Give the reason {what}, in up to {LONGEST_REASON} characters.")
+        raise RefusedInputError(f"Enter the reason {what}, up to {LONGEST_REASON} characters.")
     return reason.strip()

@@ -57,13 +57,15 @@ class IngestPolicy(Row):
     created_by: int | None
     state: PolicyState
     version: int = Field(description='Counts transitions; the ETag is `"v<version>"`.')
-    rehearsal: Document | None = Field(description="What it would have asked in the past; null until it is rehearsed.")
+    rehearsal: Document | None = Field(
+        description="The decisions it would have requested in the past; null until it is rehearsed."
+    )
     rehearsed_utc: str | None
     enabled_utc: str | None
     pause_code: str | None = Field(description="Why it is paused, for programs.", examples=["BAD CLOCK"])
     pause_reason: str | None
     paused_utc: str | None
-    resumed_utc: str | None = Field(description="Limits count from here.")
+    resumed_utc: str | None = Field(description="Time from which the limits are counted.")
 
 
 class IngestDecision(Row):
@@ -83,7 +85,7 @@ class IngestDecision(Row):
     received_by: int | None = Field(description="Who sent it; null for the watched folder and an archive.")
     telemetry_set_id: int | None
     run_id: int | None
-    parameter_set_id: int | None = Field(description="The candidate that was prepared, where people are asked.")
+    parameter_set_id: int | None = Field(description="The candidate that was prepared, if a decision is requested.")
     approval_id: int | None = Field(description="The request for approval that a person's answer opened.")
     state: DecisionState
     version: int = Field(description='Counts transitions; the ETag is `"v<version>"`.')
@@ -190,7 +192,9 @@ class GivenAnswer(Shape):
         description="SUBMIT opens the request for approval of the set that was prepared."
     )
     reason: str = Field(max_length=service.LONGEST_REASON, examples=["The focus moved after safe mode."])
-    days: float = Field(service.QUIET_DAYS, description="Of WAIT: for how long the same change is not asked again.")
+    days: float = Field(
+        service.QUIET_DAYS, description="For WAIT: how long no decision on the same change is requested."
+    )
 
 
 @decision_router.get("", summary="List ingest decisions", response_model=Page[IngestDecision])
@@ -232,7 +236,7 @@ class NewPolicy(Shape):
     """The next version of a sensor's policy."""
 
     sensor_id: Id
-    rules: Document = Field(default_factory=dict, description="Rules by name; those left out are at their defaults.")
+    rules: Document = Field(default_factory=dict, description="Rules by name; omitted ones are at their defaults.")
     reason: str = Field(max_length=policies.LONGEST_REASON, examples=["Passes come twice a day."])
 
 

@@ -40,36 +40,63 @@ def _rule(
 class PolicyRules:
     """How new telemetry of a sensor is read, calibrated and judged, and how much of it at most."""
 
-    profile: str = _rule("", "Mapping profile", "Files are imported with it; none: they are telemetry as it is.")
+    profile: str = _rule(
+        "", "Mapping profile", "Profile used to import files; if none, files must already be in telemetry format."
+    )
     preset: str = _rule("first-calibration", "Preset", "Settings of the calibration of each file.")
     false_alarm_rate: float = _rule(
-        0.001, "False-alarm rate", "Chance that a set is asked about although nothing changed.", "", 1e-9, 0.05
-    )  # fmt: skip
+        0.001,
+        "False-alarm rate",
+        "Probability that a decision is requested for a set although nothing has changed.",
+        "",
+        1e-9,
+        0.05,
+    )
     confirmations: int = _rule(
-        1, "Sets in a row", "So many in a row outside the baseline before people are asked.", "sets", 1, 20
+        1,
+        "Consecutive sets",
+        "Number of consecutive sets outside the baseline before a decision is requested.",
+        "sets",
+        1,
+        20,
     )
     least_stars: int = _rule(
-        200, "Least stars", "A set with fewer stars in its fit is not judged.", "stars", 4, 10_000_000
+        200, "Minimum stars", "A set with fewer stars in its fit is not judged.", "stars", 4, 10_000_000
     )
-    sets_per_day: int = _rule(24, "Most sets a day", "More files pause the policy.", "sets", 1, 1000)
-    requests_per_week: int = _rule(3, "Most requests a week", "More requests pause the policy.", "requests", 1, 100)
+    sets_per_day: int = _rule(24, "Maximum sets per day", "The policy is paused if more files arrive.", "sets", 1, 1000)
+    requests_per_week: int = _rule(
+        3, "Maximum requests per week", "The policy is paused if more requests are prepared.", "requests", 1, 100
+    )
     failures_in_row: int = _rule(
-        3, "Failures in a row", "So many files refused or not judged pause the policy.", "files", 1, 100
+        3,
+        "Consecutive failures",
+        "Number of consecutive files refused or not judged after which the policy is paused.",
+        "files",
+        1,
+        100,
     )
     oldest_days: float = _rule(
-        400.0, "Oldest data", "Data older than this, or from the future, pause the policy.", "d", 1.0, 20_000.0
+        400.0, "Oldest data", "The policy is paused by data older than this, or from the future.", "d", 1.0, 20_000.0
     )
 
     feed: str = _rule(
-        "", "Archive", "Telemetry is pulled from it by the mapping profile; none: files are sent or dropped."
+        "",
+        "Archive",
+        "Source from which telemetry is pulled by the mapping profile; if none, files are sent by REST or placed in the watched "
+        "folder.",
     )
-    pull_minutes: int = _rule(10, "Pull every", "How often the archive is asked.", "min", 1, 1440)
+    pull_minutes: int = _rule(10, "Pull every", "Interval between requests to the archive.", "min", 1, 1440)
     settle_minutes: int = _rule(
-        10, "A pass is over after", "So long without a new row, and what came is taken as one set.", "min", 1, 1440
+        10,
+        "A pass is over after",
+        "If no new row arrives for this time, the rows received are taken as one set.",
+        "min",
+        1,
+        1440,
     )
-    longest_hours: int = _rule(24, "Longest set", "A pass that goes on for longer is cut.", "h", 1, 720)
+    longest_hours: int = _rule(24, "Longest set", "A pass that lasts longer is split.", "h", 1, 720)
     lookback_hours: int = _rule(
-        48, "Look-back", "Rows that arrive up to so long after the newest set are still taken.", "h", 1, 720
+        48, "Look-back", "Rows that arrive up to this long after the newest set are still accepted.", "h", 1, 720
     )
 
     def to_dict(self) -> dict[str, Any]:

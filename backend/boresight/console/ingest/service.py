@@ -92,7 +92,7 @@ def get_active_policy(session: Session, sensor_id: int) -> IngestPolicy:
         raise ConflictError(f"Ingest of {sensor.name} is paused: {row.pause_reason} Have a person resume it.")
     if is_held(session):
         raise ConflictError(
-            "The clock of this server jumped, so nothing is taken in; have a person acknowledge its alarm."
+            "The clock of this server jumped, so nothing is ingested; have a person acknowledge its alarm."
         )
     return row
 
@@ -107,7 +107,7 @@ def explain_flood(session: Session, policy: IngestPolicy) -> str | None:
     rules, since = policies.read_rules(policy), max(utc_after(-DAY_S), policy.resumed_utc or "")
     if rows.count_received(session, policy.sensor_id, since) < rules.sets_per_day:
         return None
-    return f"More than {rules.sets_per_day} files came within a day; see who sends them."
+    return f"More than {rules.sets_per_day} files arrived within a day; check the sender."
 
 
 def receive(
@@ -145,7 +145,7 @@ def _doubt_times(prepared: PreparedUpload, rules: PolicyRules) -> str | None:
         return None
     begins, ends = (utc_text(datetime.fromisoformat(text)) for text in (time.start_utc, time.end_utc))
     if ends > utc_after(AHEAD_S):
-        return f"The telemetry ends at {ends}, which is in the future: check the clock on board, and of this server."
+        return f"The telemetry ends at {ends}, which is in the future: check the on-board clock and the clock of this server."
     if begins < utc_after(-rules.oldest_days * DAY_S):
         return (
             f"The telemetry begins at {begins}, more than {rules.oldest_days:g} days ago: "
@@ -285,9 +285,10 @@ def _report_other_sensor(found: PolicyFinding, name: str, other: OtherSensor) ->
     """Say whose set it is, with the numbers; nothing is asked, and `conclude` pauses the policy."""
     instead, own = other.other, other.own
     said = (
-        f"The stars fit {other.name} better than {name}: χ² {number(instead.statistic, 3)} of {instead.dof} against what the sets "
-        f"of {other.name} say, {number(own.statistic, 3)} against those of {name}, limit {number(own.limit, 3)}. Send the file to "
-        f"{other.name}, and see who puts files into the folder of {name}; where {name} really moved there, submit its run by hand."
+        f"The stars fit {other.name} better than {name}: χ² {number(instead.statistic, 3)} for {instead.dof} degrees of freedom "
+        f"against the sets of {other.name}, {number(own.statistic, 3)} against those of {name}, limit {number(own.limit, 3)}. Send "
+        f"the file to {other.name}, and check who puts files into the folder of {name}. If the camera of {name} has really changed "
+        "this way, submit its run manually."
     )
     return replace(found, state="NOT JUDGED", reasons=(Reason("WRONG SENSOR", said), *found.reasons), other=other)
 
@@ -304,7 +305,7 @@ def _as_answered(
     """Return why nothing is asked again although a set is outside the baseline: it waits for signatures, or was answered."""
     waiting = approval_rows.read_newest_open(session, [row.sensor_id]).get(row.sensor_id)
     if waiting is not None:
-        said = f"Request {waiting} of this sensor waits for signatures already."
+        said = f"Request {waiting} of this sensor is already waiting for signatures."
         return _quiet(found, "REQUEST OPEN", said)
     quiet = rows.find_quiet(session, row.sensor_id, utc_now())
     same_baseline = (
@@ -340,15 +341,23 @@ def _list_alternatives(found: PolicyFinding, run: Run) -> tuple[Mapping[str, Any
     name = found.reference.name if found.reference else "the baseline"
     summary = parse_run_summary(run.summary)
     before, after = summary.rms_initial_arc_rad, summary.rms_final_arc_rad
-    price = f"Arcs of this set are off by {urad(before)} µrad with {name}" if before is not None else f"{name} stays"
-    gain = f", and by {urad(after)} µrad with this set" if before is not None and after is not None else ""
-    more, sets = found.in_row + 1, "this set" if found.in_row == 1 else f"the {found.in_row} sets since then together"
+    price = (
+        f"The arcs in this telemetry have an error of {urad(before)} µrad with {name}"
+        if before is not None
+        else f"{name} stays"
+    )
+    gain = f", and {urad(after)} µrad with the new parameter set" if before is not None and after is not None else ""
+    more = found.in_row + 1
+    sets = "this telemetry set" if found.in_row == 1 else f"the {found.in_row} sets since then together"
     said = {
-        "SUBMIT": f"Ask that this set become the baseline: an approver signs, an operator promotes. {price}{gain}.",
-        "WAIT": f"{name} stays, and the same change is not asked again for the days that you give; a jump is. {price}.",
-        "MORE DATA": f"{name} stays, and the next set asks again: {more} in a row, with sigmas smaller by √{more} together.",
-        "RECALIBRATE": f"Calibrate {sets} with other settings, or a longer pass, and submit what that finds. Where a gate of "
-        "validation stops this set, its frames may be older than the change: upload some that were taken since.",
+        "SUBMIT": f"Request that the new parameter set become the baseline; an approver signs and an operator promotes it. "
+        f"{price}{gain}.",
+        "WAIT": f"{name} stays the baseline. No decision on the same change is requested for the number of days you enter, unless "
+        f"there is a jump. {price}.",
+        "MORE DATA": f"{name} stays the baseline, and the next set will request a decision again. {more} consecutive sets together "
+        f"reduce the sigmas by √{more}.",
+        "RECALIBRATE": f"Calibrate {sets} with other settings, or a longer pass, and submit the result. If a validation "
+        "gate blocks the new parameter set, the validation frames may predate the change: upload newer ones.",
     }
     return tuple({"answer": one, "sentence": said[one]} for one in ANSWERS)
 
@@ -393,7 +402,7 @@ def conclude(session: Session, found: Found, assessment: GateAssessment | None =
         "recalibrate": None if found.advice is None else asdict(found.advice),
     }
     row.parameter_set_id = assessment.parameter_set_id
-    _supersede(session, row, f"Decision {row.id} asks with newer telemetry.")
+    _supersede(session, row, f"Replaced by decision {row.id}, which uses newer telemetry.")
     _end(session, row, "ASKED", judged.reasons, evidence)
     since, rules = max(utc_after(-7 * DAY_S), policy.resumed_utc or ""), policies.read_rules(policy)
     if rows.count_asked_since(session, row.sensor_id, since) > rules.requests_per_week:
@@ -446,7 +455,7 @@ def _stop_after_failures(session: Session, policy: IngestPolicy) -> None:
             session,
             policy,
             "FAILURES",
-            f"{failed} files in a row were refused or not judged; read the reasons of their decisions.",
+            f"{failed} consecutive files were refused or not judged; read the reasons of their decisions.",
         )
 
 
@@ -491,9 +500,9 @@ class DecisionAnswer:
         if self.answer not in ANSWERS:
             raise RefusedInputError(f"There is no answer {self.answer[:40]!r}; choose from {', '.join(ANSWERS)}.")
         if not self.reason.strip() or len(self.reason) > LONGEST_REASON:
-            raise RefusedInputError(f"Give the reason of your answer, in up to {LONGEST_REASON} characters.")
+            raise RefusedInputError(f"Enter the reason for your answer, up to {LONGEST_REASON} characters.")
         if not 0.0 < self.days <= MOST_QUIET_DAYS:
-            raise RefusedInputError(f"WAIT holds for up to {MOST_QUIET_DAYS:.0f} days; give a number of days above 0.")
+            raise RefusedInputError(f"WAIT can last up to {MOST_QUIET_DAYS:.0f} days; enter a number greater than 0.")
 
 
 def answer(
@@ -513,7 +522,7 @@ def answer(
     require_seen(session, row, seen_version)
     given.check()
     if row.state != "ASKED":
-        raise ConflictError(f"Decision {row.id} is {row.state}: nothing waits for an answer. Choose one that is ASKED.")
+        raise ConflictError(f"Decision {row.id} is {row.state}; it needs no answer. Choose one that is ASKED.")
     if given.answer == "SUBMIT":
         prepared = session.get_known(ParameterSet, row.parameter_set_id or 0)
         request = approvals.submit(session, actor, blobs, prepared.id, given.reason, prepared.version, policy=policy)
@@ -579,7 +588,7 @@ def hold_intake(
         except Exception as error:
             log.exception("%s could not be read", name)
             raise RefusedInputError(
-                f"{name} could not be read because of a defect; send it with the log of the server to who maintains it."
+                f"{name} could not be read because of a software error; send it with the server log to the maintainers."
             ) from error
         sources.blobs.send_ahead(prepared.original, prepared.table)
         yield prepared

@@ -100,15 +100,18 @@ class FileQueue:
         if one is None:
             return ""
         seconds = self._clock() - one.since_s
-        slow = "; other sensors do not wait for it" if seconds >= SLOW_S else ""
-        return f"reads {one.name}, for {seconds:.0f} s now{slow}"
+        slow = "; other sensors are not affected" if seconds >= SLOW_S else ""
+        return f"reading {one.name} for {seconds:.0f} s{slow}"
 
     @property
     def fault(self) -> str:
         """What is wrong: every place taken by files that do not end."""
         if len(self._under_way) < MOST or self._list_quick():
             return ""
-        return f"{MOST} files do not end, and no other is taken in: take them out of the folder and restart the server."
+        return (
+            f"Reading {MOST} files does not finish, so no more files are accepted: remove them from the folder and restart the "
+            "server."
+        )
 
     def close(self) -> None:
         """Wait a while for what is under way."""

@@ -288,9 +288,7 @@ class Maintenance(PeriodicWorker):
         """Return the result of the last verification, marked stale when the next one is long overdue."""
         found = self._found
         if found.state == "verified" and time.monotonic() - self._looked_s > LATE * self._pause_s:
-            return ChainStatus(
-                "stale", found.last_id, found.at_utc, f"{found.sentence} It has not been verified since."
-            )
+            return ChainStatus("stale", found.last_id, found.at_utc, f"{found.sentence} Not verified since then.")
         return found
 
     @property

@@ -82,7 +82,7 @@ def _tell_signature_waits(of: Source) -> News | None:
     named = of.session.get_one(ParameterSet, row.parameter_set_id)
     return News(
         named.sensor_id,
-        f"request {row.id} for {named.name} waits for your signature",
+        f"request {row.id} for {named.name} is waiting for your signature",
         f"/approvals/{row.id}",
         waits_for,
     )
@@ -107,7 +107,7 @@ def _tell_alignment_signature_waits(of: Source) -> News | None:
     own = {row.submitted_by, made.created_by, *(run.launched_by for run in runs)} if of.policy.four_eyes else set()
     people = user_rows.list_users(of.session)
     able = [one.id for one in people if "approver" in one.roles and "administrator" not in one.roles]
-    said = f"alignment {made.id} waits for your signature"
+    said = f"alignment {made.id} is waiting for your signature"
     return News(made.sensor_a_id, said, f"/alignment-requests/{row.id}", set(able) - own)
 
 
@@ -142,7 +142,7 @@ def _tell_on_board(of: Source) -> News:
 
 def _tell_alarm(of: Source) -> News:
     row = of.session.get_one(Alarm, of.number)
-    again = " again, or graver" if of.record.outcome.event == "RAISED AGAIN" else ""
+    again = " again, or with higher severity" if of.record.outcome.event == "RAISED AGAIN" else ""
     return News(row.sensor_id, f"alarm {row.id}, {row.kind}, {row.level}, is raised{again}", f"/alarms/{row.id}")
 
 
@@ -172,7 +172,7 @@ def _tell_ingest_asks(of: Source) -> News | None:
     if row.state != "ASKED":
         return None
     analysts = [user.id for user in user_rows.list_users(of.session) if "analyst" in user.roles]
-    said = f"new telemetry is outside of the baseline: decision {row.id} waits for an answer"
+    said = f"new telemetry no longer agrees with the baseline: decision {row.id} is waiting for an answer"
     return News(row.sensor_id, said, f"/ingest/{row.id}", analysts)
 
 
@@ -191,7 +191,7 @@ def _tell_change_waits(of: Source) -> News | None:
     if row.state != "OPEN":
         return None
     may = [user.id for user in user_rows.list_users(of.session) if set(user.roles) & set(MAY_CONFIRM[row.kind])]
-    said = f"proposal {row.id}, new {TITLES[row.kind]}, waits for a second person"
+    said = f"proposal {row.id}, new {TITLES[row.kind]}, is waiting for a second person"
     return News(row.sensor_id, said, f"/change-proposals/{row.id}", {*may} - {row.proposed_by})
 
 
@@ -205,9 +205,9 @@ def _tell_account(of: Source) -> News | None:
 KINDS: Mapping[str, MessageKind] = {
     kind.name: kind
     for kind in (
-        MessageKind("signature-waits", "A request waits for my signature",
+        MessageKind("signature-waits", "A request is waiting for my signature",
                     Records("approvals", {AuditAction.OPENED}), _tell_signature_waits),
-        MessageKind("request-decided", "A request that I have a part in is decided, stale or expired",
+        MessageKind("request-decided", "A request I am involved in is decided, becomes stale or expires",
                     Records("approvals", DECIDED), _tell_decided),
         MessageKind("mention", "Somebody mentions me",
                     Records("approvals", {AuditAction.REMARKED}, "remarks"), _tell_mentioned),
@@ -219,7 +219,7 @@ KINDS: Mapping[str, MessageKind] = {
                     Records("parameter-sets", {AuditAction.PROMOTED}), _tell_promoted),
         MessageKind("on-board", "What is on board changes",
                     Records("parameter-sets", {*ONBOARD_ACTIONS.values()}), _tell_on_board),
-        MessageKind("alarm", "An alarm is raised, or becomes graver",
+        MessageKind("alarm", "An alarm is raised or its severity increases",
                     Records("alarms", {AuditAction.ALARM_RAISED, AuditAction.ALARM_RAISED_AGAIN}), _tell_alarm),
         MessageKind("run-failed", "A run of mine fails or is lost", Records("runs", {AuditAction.ENDED}),
                     lambda of: _tell_run(of, ("FAILED", "LOST"))),
@@ -227,11 +227,11 @@ KINDS: Mapping[str, MessageKind] = {
                     lambda of: _tell_run(of, ("SUCCEEDED", "CANCELLED"))),
         MessageKind("ingest-asks", "New telemetry needs an answer",
                     Records("ingest-decisions", {AuditAction.DECIDED}), _tell_ingest_asks),
-        MessageKind("change-waits", "New limits or table layouts wait for a second person",
+        MessageKind("change-waits", "A new gate profile or table definition is waiting for a second person",
                     Records("change-proposals", {AuditAction.PROPOSED}), _tell_change_waits),
-        MessageKind("alignment-waits", "An alignment waits for my signature",
+        MessageKind("alignment-waits", "An alignment is waiting for my signature",
                     Records("alignment-requests", {AuditAction.SUBMITTED}), _tell_alignment_signature_waits),
-        MessageKind("alignment-decided", "A request for an alignment that I have a part in is decided",
+        MessageKind("alignment-decided", "A request for an alignment that I am involved in is decided",
                     Records("alignment-requests", DECIDED), _tell_alignment_decided),
         MessageKind("account", "Somebody else changes my account", Records("users", None), _tell_account),
     )

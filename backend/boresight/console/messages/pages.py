@@ -141,7 +141,7 @@ async def change(
     """Choose kinds and quiet hours."""
     choice = AddressChoice(tuple(kinds or ()), quiet_from.strip(), quiet_until.strip(), quiet_zone.strip())
     make = partial(messages.change_address, actor=actor, address_id=address_id, choice=choice)
-    return await make_change(request, make, f"/preferences/messages/{address_id}", "Saved: it holds from now on.")
+    return await make_change(request, make, f"/preferences/messages/{address_id}", "Saved.")
 
 
 @router.post("/{address_id:int}/try", response_class=HTMLResponse)
@@ -156,4 +156,4 @@ async def try_address(request: Request, actor: Who, address_id: int) -> Response
 async def remove(request: Request, actor: Who, address_id: int) -> Response:
     """Remove an address."""
     make = partial(messages.remove_address, actor=actor, address_id=address_id)
-    return await make_change(request, make, "/preferences/messages", "The address is removed and forgotten.")
+    return await make_change(request, make, "/preferences/messages", "The address was deleted.")

@@ -27,9 +27,9 @@ class MessageAddress(Row):
     id: int
     label: str
     service: str = Field(description="Scheme of apprise; mailto: by this server's mail server.")
-    shown: str = Field(description="What is shown of the address.")
+    shown: str = Field(description="The shortened address.")
     kinds: list[str]
-    quiet_from: str | None = Field(description="Nothing is sent from this time of the day on.")
+    quiet_from: str | None = Field(description="Start of quiet hours (HH:MM).")
     quiet_until: str | None
     quiet_zone: str = Field(description="Time zone of both; empty: UTC.")
     created_utc: str
@@ -43,7 +43,7 @@ class Message(Row):
 
     id: int
     address_id: int
-    audit_id: int | None = Field(description="The audit record that it tells of; null for a test message.")
+    audit_id: int | None = Field(description="Audit record that the message is about; null for a test message.")
     kind: str
     subject: str
     text: str

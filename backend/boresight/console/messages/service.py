@@ -74,15 +74,15 @@ class AddressChoice:
                     f"There are no messages of the kind {kind[:40]!r}; choose from {', '.join(KINDS)}."
                 )
         if bool(self.quiet_from) != bool(self.quiet_until):
-            raise RefusedInputError("Quiet hours have a begin and an end; give both, or neither.")
+            raise RefusedInputError("Quiet hours need a start and an end; enter both or neither.")
         for text in filter(None, (self.quiet_from, self.quiet_until)):
             if CLOCK.fullmatch(text) is None:
                 raise RefusedInputError(f"{text[:20]!r} is not a time of the day; write it like 22:00.")
         if self.quiet_from and self.quiet_from == self.quiet_until:
-            raise RefusedInputError("Quiet hours that end when they begin would never end; give another end.")
+            raise RefusedInputError("Start and end of quiet hours are the same; enter a different end.")
         if self.quiet_zone and self.quiet_zone not in list_zones():
             raise RefusedInputError(
-                f"{self.quiet_zone[:60]!r} is no time zone here; type one such as Europe/Amsterdam."
+                f"{self.quiet_zone[:60]!r} is not a known time zone; type one such as Europe/Amsterdam."
             )
 
 

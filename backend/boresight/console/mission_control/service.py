@@ -101,7 +101,7 @@ def note_waiting(session: Session, asked: Range, rules: PolicyRules) -> None:
 def _read_again(session: Session, asked: Range) -> MissionControlLink:
     row = session.get_known(MissionControlLink, asked.link_id)
     if row.version != asked.version:
-        raise ConflictError("Another server took this range of the archive; look for the next one.")
+        raise ConflictError("Another server has already processed this range of the archive; there is nothing to do.")
     return row
 
 

@@ -55,7 +55,7 @@ def attach(session: Session, actor: Actor, blobs: BlobStore, note_id: int, file:
     user_id = require_attacher(actor)
     note = session.get_known(Note, note_id)
     if note.user_id != user_id:
-        raise ForbiddenError("Only who wrote a note may attach a file to it; write a note of your own.")
+        raise ForbiddenError("Only the author of a note can attach files to it; write your own note.")
     if len(note.attachments) >= MOST_ATTACHMENTS:
         raise ConflictError(f"The note has {MOST_ATTACHMENTS} attachments; write another note.")
     size = len(file.content)

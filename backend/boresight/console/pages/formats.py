@@ -34,6 +34,7 @@ from boresight.verdicts.numbers import (
     unit,
     urad,
 )
+from boresight.verdicts.trend import SHOWN_AS
 from boresight.verdicts.verdict import LEVEL_OF_STATUS, LEVELS
 
 
@@ -78,13 +79,16 @@ def _tag_before(page: str, found: re.Match[str]) -> str:
     return page[max(page.rfind("<", 0, found.start()), 0) : found.start()]
 
 
+def _is_told(tag: str, kept: tuple[str, ...]) -> bool:
+    """Whether what follows is read by people: text outside the elements that are kept, or a tooltip or label."""
+    return not tag.startswith(kept) if ">" in tag else tag.rpartition('="')[0].endswith(TOLD)
+
+
 def show_times(page: str, style: TimeStyle) -> str:
-    """Print every stored time in the texts of a page in a person's form; fields, quoted documents and attributes keep it."""
+    """Print every stored time in texts, tooltips and labels of a page in a person's form; fields and quoted documents keep it."""
 
     def show(found: re.Match[str]) -> str:
-        tag = _tag_before(page, found)
-        is_text = ">" in tag and not tag.startswith(AS_WRITTEN)
-        return _show(found[0], style) if is_text or tag.rpartition('="')[0].endswith(TOLD) else found[0]
+        return _show(found[0], style) if _is_told(_tag_before(page, found), AS_WRITTEN) else found[0]
 
     return STORED_TIME.sub(show, page)
 
@@ -104,11 +108,10 @@ QUOTED = ("<q", "<blockquote", "<title")  # what people wrote
 
 
 def show_numbers(page: str) -> str:
-    """Write the numbers in the sentences of a page as its tables do; fields, attributes and what people wrote keep theirs."""
+    """Write the numbers in sentences, tooltips and labels of a page as its tables do; fields and what people wrote keep theirs."""
 
     def show(found: re.Match[str]) -> str:
-        tag = _tag_before(page, found)
-        if ">" not in tag or tag.startswith((*AS_WRITTEN, *QUOTED)):
+        if not _is_told(_tag_before(page, found), (*AS_WRITTEN, *QUOTED)):
             return found[0]
         text = found[0]
         before = max(found.start() - MOST_DIGITS, 0), found.start()
@@ -169,7 +172,7 @@ def sensor_word(level: str) -> str:
 
 def words(text: str) -> str:
     """Print an identifier as words: `rank_deficient` as `rank deficient`."""
-    return str(escape(text)).replace("_", " ")
+    return str(escape(SHOWN_AS.get(text, text))).replace("_", " ")
 
 
 FILTERS = (

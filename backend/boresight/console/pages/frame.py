@@ -208,13 +208,13 @@ KEYS = (
     (("x", "Shift+x"), "select the row, or all from the last one selected"),
     (("c",), "compare what is selected"),
     (("[", "]"), "previous, next: run, or page of the list"),
-    (("1", "…", "9"), "tab of the page"),
+    (("1", "…", "9"), "switch to tab n"),
     (("d",), "only differences, or all rows"),
     (("e",), "download the list or the run"),
     (("Ctrl+k",), "find anything"),
     (("y",), "copy the address of this view"),
     (("Esc",), "close a dialog, leave a field"),
-    (("?",), "this list"),
+    (("?",), "show this list of keys"),
 )
 
 

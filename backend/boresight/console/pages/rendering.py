@@ -299,15 +299,15 @@ NOBODY = "No administrator is left to give you a role; create one with boresight
 SENTENCE = {404: "There is no page at this address.", 405: "This address does not accept what was sent."}
 ADVICE = {
     400: "Go back, reload the page and submit the form again.",
-    403: "Go back; if you lack a role, ask for it.",
-    404: "It may have another number, or the address was copied incompletely: use the navigation to find it.",
+    403: "Go back. If you need another role, ask an administrator.",
+    404: "The number may be wrong or the address incomplete. Use the navigation to find the page.",
     405: "Open the page by a link or by the navigation, and use its buttons.",
     409: "Reload to see its current state, then decide again.",
     412: "Somebody changed it after you opened the page. Go back, reload, and check the current state.",
     413: "Split the file, or ask an administrator to raise the limit.",
     422: "Nothing was stored. Go back, correct what is named here, and submit it again.",
     428: "Go back, reload the page and do it from there.",
-    429: "Wait as long as the sentence says; nothing was stored.",
+    429: "Wait for the time stated above; nothing was stored.",
     500: "Nothing was stored. Try again; if it fails again, report the request id below.",
     503: "Wait a moment and try again; if it fails again, tell your administrator, with the request id below.",
 }

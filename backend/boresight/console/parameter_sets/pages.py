@@ -235,7 +235,7 @@ def list_lineage(session: Session, row: ParameterSet, requests: Sequence[Approva
             LineageNode("Run", f"#{run.id} {run.own_label}".rstrip(), f"/runs/{run.id}", run.state),
         ]
     else:
-        nodes = [LineageNode("Ground calibration", "declared with the sensor", f"/sensors/{row.sensor_id}")]
+        nodes = [LineageNode("Ground calibration", "declared at registration", f"/sensors/{row.sensor_id}")]
     nodes.append(LineageNode("Set", row.name, None, row.ground_state))
     nodes += [
         LineageNode("Approval", f"request {known.id}", f"/approvals/{known.id}", known.state)

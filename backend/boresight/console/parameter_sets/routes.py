@@ -115,7 +115,7 @@ def convert_parameter_set(
     ],
     allow_px: Annotated[
         float | None,
-        Query(ge=0, allow_inf_nan=False, description="Largest misfit; 1 % of centroid_sigma_px when left out."),
+        Query(ge=0, allow_inf_nan=False, description="Largest misfit; 1 % of centroid_sigma_px if omitted."),
     ] = None,
     *,
     residual: WithResidual = False,

@@ -64,7 +64,9 @@ class RetentionPreview:
 def preview(session: Session, keep_days: float) -> RetentionPreview:
     """Judge every set; only reads."""
     if keep_days <= 0:
-        raise RefusedInputError("Telemetry is kept forever here: give a number of days, above 0, to see what would go.")
+        raise RefusedInputError(
+            "Telemetry is kept forever on this server. Enter a number of days to preview what would be removed."
+        )
     rows = queries.list_sets(session)
     reasons = _find_reasons(session, rows, utc_after(-keep_days * DAY_S), f"{keep_days:g} days")
     sizes = dict(files.list_sizes(session, sorted({address for row in rows for address in _list_files(row)})))
@@ -94,13 +96,13 @@ def _find_reasons(session: Session, rows: Sequence[TelemetrySet], since_utc: str
         if row.uploaded_utc >= since_utc or any(ended_utc.get(run_id, "") >= since_utc for run_id in runs):
             reasons[row.id] = f"It was uploaded or used within {words}."
         elif row.purpose == "validation" and row.archived_utc is None:
-            reasons[row.id] = "It is a validation set in use: gates may hold it out."
+            reasons[row.id] = "It is an active validation set that gates may use."
         elif newest.get(row.sensor_id) == row.id:
             reasons[row.id] = "It is the newest calibration set of its sensor."
         elif of_runs := [f"Run {run_id} used it, and {needed[run_id]}." for run_id in runs if run_id in needed]:
             reasons[row.id] = of_runs[0]
         elif row.table_sha256 in validated:
-            reasons[row.id] = "Gates of a parameter set held its frames out."
+            reasons[row.id] = "Its frames were used as held-out data for the gates of a parameter set."
         elif row.id in undecided:
             reasons[row.id] = f"Decision {undecided[row.id]} on it is open."
     return reasons
@@ -114,13 +116,13 @@ def _find_needed_runs(session: Session) -> tuple[dict[int, str], dict[int, str]]
     needed: dict[int, str] = {}
     for run in runs:
         if run.id in named:
-            needed[run.id] = f"{named[run.id]} was made of it"
+            needed[run.id] = f"{named[run.id]} was created from it"
         elif run.state not in TERMINAL_RUN_STATES:
-            needed[run.id] = f"it is {run.state}"
+            needed[run.id] = f"the run is {run.state}"
         elif run.id in aligned:
-            needed[run.id] = f"alignment {aligned[run.id]} rests on it"
+            needed[run.id] = f"alignment {aligned[run.id]} depends on it"
         elif run.result_sha256 is not None and run.choice_of is None and run.id not in archived:
-            needed[run.id] = "it has a result and is not archived"
+            needed[run.id] = "the run has a result and is not archived"
     for run in reversed(runs):  # a run starts from an earlier one, so each is reached in time
         if run.id in needed and run.prior_run_id is not None:
             needed.setdefault(run.prior_run_id, f"run {run.id} started from it")
@@ -137,7 +139,7 @@ def remove(engine: Engine, blobs: BlobStore, actor: Actor, set_id: int, keep_day
         )
         if row.removed_utc is not None or row.id in reason:
             raise ConflictError(
-                f"The files of {row.name} stay: {reason.get(row.id, 'They were removed before.')} Look again."
+                f"The files of {row.name} are kept: {reason.get(row.id, 'They were removed before.')} Reload the list."
             )
         row.removed_utc = utc_now()
         row.archived_utc = row.archived_utc or row.removed_utc

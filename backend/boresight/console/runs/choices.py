@@ -60,9 +60,9 @@ def request_choice(session: Session, actor: Actor, blobs: BlobStore, run_id: int
 def find_obstacle(session: Session, run: Run) -> str | None:
     """Say why no camera is chosen for a run's data now; None where one can be."""
     if run.choice_of is not None:
-        return f"Run {run.id} is itself the choice of a camera for run {run.choice_of}; choose a calibration run."
+        return f"Run {run.id} is a camera-model choice for run {run.choice_of}, not a calibration; select a calibration run."
     if run.state not in TERMINAL_RUN_STATES:
-        return f"Run {run.id} is {run.state}; choose its camera when it has ended."
+        return f"Run {run.id} is {run.state}; choose a camera model after it has ended."
     for set_id in (run.telemetry_set_id, *run.joint_set_ids, run.validation_set_id):
         used = None if set_id is None else session.get_known(TelemetrySet, set_id)
         if used is not None and used.archived_utc is not None:

@@ -44,9 +44,9 @@ COLUMNS = {
 ASSUMPTION = (
     "The sigma of a difference takes into account which data two runs share. Runs of separate data: the variances add up."
     " A run within the other's data, or the same data with another method or other free parameters: the larger variance minus"
-    " the smaller (Hausman), which holds where the smaller sigma is that of an efficient estimate. Partly shared data: each"
-    " variance counts by the share of exposures that the other run has not. Same data and equal sigmas: the difference"
-    " comes from the methods, no sigma measures it, and it is given in sigmas of the reference instead."
+    " the smaller (Hausman), valid if the smaller sigma belongs to an efficient estimate. Partly shared data: each variance is"
+    " weighted by the share of exposures not in the other run. Same data and equal sigmas: the difference comes from the"
+    " methods and has no sigma of its own, so it is given in sigmas of the reference."
 )
 
 
@@ -208,7 +208,7 @@ def _describe_shared_sets(session: Session, mine: set[int], theirs: set[int]) ->
     shared = SharedData(*(both / max(sum(stars[number] for number in held), 1) for held in (mine, theirs)))
     if mine == theirs:
         return shared, f"the same {len(mine)} sets"
-    return shared, f"{len(mine & theirs)} of the {len(mine)} sets that it rests on, which the other has too"
+    return shared, f"{len(mine & theirs)} of its {len(mine)} sets, also used by the other run"
 
 
 def document(comparison: Comparison) -> dict[str, Any]:

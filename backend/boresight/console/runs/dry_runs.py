@@ -301,11 +301,11 @@ def _warnings(request: RunRequest, free: Sequence[str], pairs: int | None) -> li
     """What to know before a run; `pairs` is None where names do not tell how many arcs there are."""
     warnings = []
     if (held := [one.name for one in request.left_out]) and request.start is not None:
-        warnings.append(
-            f"Not used, because {request.start.name} already contains {'it' if len(held) == 1 else 'them'}: {', '.join(held)}."
-        )
+        warnings.append(f"Not counted again, because {request.start.name} already contains it: {', '.join(held)}.")
     if pairs is not None and request.start is None and pairs < 10 * len(free):
-        warnings.append(f"About {pairs} arcs are few for {len(free)} parameters; free fewer or use a longer set.")
+        warnings.append(
+            f"About {pairs} arcs may be too few for {len(free)} parameters; free fewer or use a longer set."
+        )
     if request.validation is None:
-        warnings.append("Without a validation set nothing independent can show whether the result is better.")
+        warnings.append("Without a validation set, there is no independent check of whether the result is better.")
     return warnings

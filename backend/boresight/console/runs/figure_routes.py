@@ -52,7 +52,7 @@ class FigureView:
     ] = "frame"
     overlay: Annotated[
         Literal["lines", "band"],
-        Query(description="Draw every run, or the first and the span from the lowest to the highest of the others."),
+        Query(description="Draw every run, or the first run and the range of the others."),
     ] = "lines"
     x_from: Annotated[float | None, Query(description="Start of the part of the x axis that is shown in full.")] = None
     x_to: Annotated[float | None, Query(description="End of the part of the x axis that is shown in full.")] = None

@@ -72,7 +72,7 @@ BUILT_IN = (
     _own(
         "enright",
         "Paper's settings (Enright)",
-        "To compare with the paper: its square-root filter without process noise, one linearisation per frame, over-confident.",
+        "To compare with the paper: its square-root filter without process noise, one linearisation per frame (over-confident).",
         method="sqrf",
         linearisations=1,
     ),

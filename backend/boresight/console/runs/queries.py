@@ -79,7 +79,7 @@ class Line:
     @classmethod
     def queued_again(cls, cause: str) -> Line:
         """Make the line of a run that is queued again after an attempt without a result."""
-        return cls("state", f"QUEUED: again, because {cause}", "QUEUED", cause, "warning")
+        return cls("state", f"QUEUED again: {cause}", "QUEUED", cause, "warning")
 
     @classmethod
     def attempt_ended(cls, attempt: int, cause: str, *, is_lost: bool) -> Line:
@@ -498,7 +498,7 @@ def give_up_attempt(
     )
     times = 1 + (lost or 0)
     if times >= max_attempts:
-        reason = f"Given up after {times} lost attempt{'s' * (times > 1)}, the last because {cause}."
+        reason = f"Ended after {times} lost attempt{'s' * (times > 1)}; last cause: {cause}."
         written = finish(session, run_id, attempt, end_state, reason)
         if written is not None:
             write_event(session, run_id, attempt, Line.attempt_ended(attempt, cause, is_lost=True))

@@ -73,11 +73,11 @@ class Launch(BaseModel):
     )
     prior_set_id: Id | None = Field(
         None,
-        description="A parameter set, approved or active, to start from with its covariance; sets that it holds count once.",
+        description="A parameter set, approved or active, to start from with its covariance; sets that it contains count once.",
     )
-    prior_run_id: Id | None = Field(None, description="The same by a run that has ended; give at most one of the two.")
+    prior_run_id: Id | None = Field(None, description="The same from a finished run; give at most one of the two.")
     label: str = ""
-    validate_only: bool = Field(default=False, description="Check everything, change nothing, and describe the result.")
+    validate_only: bool = Field(default=False, description="Validate only, without changes, and describe the result.")
 
 
 class Cancellation(Shape):

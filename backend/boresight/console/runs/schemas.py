@@ -79,7 +79,7 @@ class DryRun(BaseModel):
     telemetry_set: str
     joint_sets: list[str]
     prior: str | None = Field(description="What it would start from; null: the sensor's own parameters.")
-    left_out: list[str] = Field(description="Sets that the prior holds already, so that their stars count once.")
+    left_out: list[str] = Field(description="Sets that the prior already contains, so that their stars count once.")
     frames: int
     stars: int
     pairs: int
@@ -233,7 +233,7 @@ class Preset(Row):
     location = "/presets/{row.id}"
 
     key: str = Field(description="The value of `preset` in a launch.")
-    id: int | None = Field(description="Of a saved version; null for built-in ones.")
+    id: int | None = Field(description="Id of a saved version; null for built-in ones.")
     name: str
     number: int | None = Field(description="Version.")
     sentence: str = Field(description="When to use it.")

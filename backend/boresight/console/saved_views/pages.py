@@ -73,7 +73,7 @@ async def toggle_favourite(
 
 def _toggle(session: Session, actor: Actor, name: str, path: str) -> str:
     is_one = views.toggle_favourite(session, actor, name, path)
-    return "This is one of your favourites now." if is_one else "This is none of your favourites any more."
+    return "Added to your favourites." if is_one else "Removed from your favourites."
 
 
 @router.post("/saved-views/{view_id:int}/remove", response_class=HTMLResponse)

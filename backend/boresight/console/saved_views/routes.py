@@ -32,7 +32,7 @@ class NewView(Shape):
 
     name: str = Field(examples=["Failed runs of ST16-1"])
     path: str = Field(examples=["/runs?sensor=1&state=FAILED"])
-    shared: bool = Field(default=False, description="Whether everybody sees it.")
+    shared: bool = Field(default=False, description="Whether it is visible to everyone.")
 
 
 @router.get("", summary="List saved views", response_model=Page[SavedView])

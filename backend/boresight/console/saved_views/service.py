@@ -59,7 +59,7 @@ def remove_view(session: Session, actor: Actor, view_id: int) -> SavedView:
     user_id = require_person(actor, "remove a view")
     row = session.get_known(SavedView, view_id)
     if row.user_id != user_id:
-        raise ForbiddenError("Only who saved a view may remove it; ask them to.")
+        raise ForbiddenError("Only the owner of a view can remove it; ask them to.")
     session.delete(row)
     return row
 
@@ -69,12 +69,12 @@ def _save(
 ) -> SavedView:
     name = normal_name("name of the view", name, LONGEST_NAME)
     if not name:
-        raise RefusedInputError("A view needs a name by which it is found; give it one.")
+        raise RefusedInputError("A view needs a name; enter one.")
     if not is_own_path(path) or path.startswith(NO_PAGE):
         raise RefusedInputError("A view is a page of this server; give its address from the first slash on.")
     if len(path) > LONGEST_PATH:
         raise RefusedInputError(
-            f"The address has {len(path)} characters; choose less on the page: {LONGEST_PATH} are kept."
+            f"The address has {len(path)} characters; use fewer filters: at most {LONGEST_PATH} characters can be saved."
         )
     if (known := queries.find_of_path(session, user_id, path)) is not None:
         raise ConflictError(f"You have saved this view as {known.name!r}; remove that one first.")

@@ -178,7 +178,7 @@ def _is_kept(upload: Upload) -> bool:
     """Whether a form keeps its set although it is of another sensor's camera: 1, or nothing."""
     said = upload.fields.get("keep_here", "")
     if said not in {"", "1"}:
-        raise RefusedInputError(f"keep_here is 1 or left out, and this is {said[:20]!r}; send 1 to keep the set here.")
+        raise RefusedInputError(f"keep_here is {said[:20]!r}; send 1 to keep the set here, or omit it.")
     return said == "1"
 
 

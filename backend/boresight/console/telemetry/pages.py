@@ -353,7 +353,7 @@ def _parsed_profile(text: str) -> dict[str, Any]:
 async def archive_version(request: Request, actor: Who, profile_id: int) -> Response:
     """Archive a version."""
     change = partial(archive_profile, actor=actor, profile_id=profile_id)
-    return await make_change(request, change, "/import-profiles", "Archived: it is no longer offered.")
+    return await make_change(request, change, "/import-profiles", "Archived: no longer available for new imports.")
 
 
 RUNS_SHOWN = 100
@@ -521,9 +521,7 @@ async def accept_sensor(request: Request, actor: Who, set_id: int) -> Response:
     outcome = await attempt(request, partial(_mend_sensor, actor, set_id, version))
     if outcome.refusal is not None:
         raise outcome.refusal.error
-    flash = (
-        f"{outcome.made.name} is corrected; new runs start from it. Diagnose the set again to check that it matches."
-    )
+    flash = f"{outcome.made.name} was corrected; new runs use the corrected file. Diagnose the set again to check that it matches."
     return redirect(f"/telemetry/{set_id}", flash=flash)
 
 
@@ -623,4 +621,4 @@ async def archive(request: Request, actor: Who, set_id: int) -> Response:
     outcome = await attempt(request, change)
     if outcome.refusal is not None:
         raise outcome.refusal.error
-    return redirect("/telemetry", flash=f"{outcome.made.name} is archived; runs that used it still have it.")
+    return redirect("/telemetry", flash=f"{outcome.made.name} is archived; runs that used it are not affected.")

@@ -72,7 +72,7 @@ class ImportProfile(Row):
     location = "/import-profiles/{row.id}"
 
     key: str = Field(description="The value of `profile` in an upload.")
-    id: int | None = Field(description="Of a saved version; null for built-in ones.")
+    id: int | None = Field(description="Id of a saved version; null for built-in ones.")
     name: str
     number: int | None = Field(description="Version.")
     document: Document = Field(description="The profile; `docs/import-profile.schema.json` is its schema.")
@@ -101,7 +101,7 @@ FORM = multipart(
     keep_here={
         "type": "string",
         "enum": ["1"],
-        "description": "Keep the set with this sensor although its stars are those of another one's camera.",
+        "description": "Keep the set with this sensor even though its stars match another sensor's camera.",
     },
     elements={"type": "string", "description": "Two-line elements to compute velocities from."},
 )

@@ -275,7 +275,7 @@ def _checked(
     report = quality.report()
     if other is not None:
         said = (
-            f"The stars are those of {_named(other)}, but the set was kept with {sensor.name} on purpose: {other.why}."
+            f"The stars are those of {_named(other)}, but the set was kept with {sensor.name} deliberately: {other.why}."
             if other.cameras
             else f"The stars are not those of {sensor.name}, nor of another registered sensor: {other.why}. Register the sensor "
             f"that took them and upload the set there, or correct the focal length of {sensor.name}."
@@ -289,9 +289,9 @@ def _checked(
 def _make_refusal(other: OtherCameras, name: str, sensor: Sensor, *, keepable: bool) -> OtherCameraError:
     """Say whose set this is, and what to do; a set off the detector can be kept here by nobody."""
     offered = [(one.sensor_id, one.sensor.name) for one in other.cameras[:MOST_OFFERED]]
-    keep = f", or keep it with {sensor.name} on purpose" if keepable else ""
+    keep = f", or keep it with {sensor.name} deliberately" if keepable else ""
     return OtherCameraError(
-        f"{name} is not of {sensor.name} but of {_named(other)}, for {other.why}: upload it there{keep}.",
+        f"The telemetry {name} appears to be from {_named(other)}, not {sensor.name}, because {other.why}. Upload it there{keep}.",
         offered,
         keepable,
     )
@@ -331,7 +331,7 @@ def get_diagnosis(row: TelemetrySet) -> Diagnosis:
     """Return the diagnosis of a set; raises ConflictError where it has none that names a mend."""
     found = find_diagnosis(row.quality)
     if found is None or found.sensor_document is None:
-        raise ConflictError(f"{row.name} has no diagnosis that corrects anything; diagnose it first.")
+        raise ConflictError(f"{row.name} has no diagnosis with a correction; diagnose it first.")
     return found
 
 
@@ -356,7 +356,9 @@ def hold_for_new_sensor(
     """Check a set as one of a sensor under another name that is its own as the set's diagnosis mends it, without the database."""
     mended = mend_document(document, get_diagnosis(row))
     if mended == document:
-        raise ConflictError(f"The diagnosis of {row.name} corrects nothing of its sensor: use the set as it is.")
+        raise ConflictError(
+            f"The diagnosis of {row.name} found nothing to correct in the sensor file; use the set unchanged."
+        )
     mended["name"] = name
     original, catalogue = sources.blobs.path(row.original_sha256), sources.catalogue()
     with hold_prepared(mended, catalogue, original, row.name, limits, sources.catalogue_folder) as prepared:

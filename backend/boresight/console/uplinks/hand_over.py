@@ -62,7 +62,9 @@ def begin(
         raise ConflictError(f"{row.name} is {row.ground_state}: only the baseline is handed over. Promote it first.")
     link = links.get(system)
     if link is None or not link.store:
-        raise ConflictError(f"No store of {system[:20] or 'a system'} is set: name one in the settings of the server.")
+        raise ConflictError(
+            f"No store is configured for {system[:20] or 'this system'}; set one in the server settings."
+        )
     package = next(iter(lists.list_newest(session, Package, set=row.id, limit=1)), None)
     if package is None:
         raise ConflictError(f"{row.name} has no package: build it first.")

@@ -101,14 +101,14 @@ def describe_four_eyes(session: Session, row: ParameterSet, policy: Policy) -> d
     second = None if approval is None else list_second_persons(session, approval, Policy())
     kept = None if approval is None or second is None else len(second) >= approval.needed
     if not policy.four_eyes:
-        sentence = "FOUR EYES ARE OFF: on this installation one person can submit, sign and export alone."
+        sentence = "FOUR-EYES RULE OFF: on this installation one person can submit, sign and export alone."
     elif kept is None:
         sentence = "Nobody signed this set: it is the ground calibration."
     elif kept:
-        sentence = "Four eyes: it was approved by a person who did not submit it, create it or launch its run."
+        sentence = "Four-eyes rule: it was approved by a person who did not submit it, create it or launch its run."
     else:
         sentence = (
-            "FOUR EYES WERE NOT KEPT: it was approved by a person who submitted it, created it or launched its run."
+            "FOUR-EYES RULE NOT FOLLOWED: it was approved by a person who submitted it, created it or launched its run."
         )
     return {"enforced": policy.four_eyes, "kept": kept, "sentence": sentence}
 
@@ -335,7 +335,7 @@ def _refuse_other_versions(
         raise ConflictError(
             f"The table definition of {sensor.name} in force, number {definition.number}, is for "
             f"{_listed({key: definition.document[key] for key in wrong})}, not for {_listed({key: asked[key] for key in wrong})}: "
-            "a table laid out for another version overwrites what it was not meant for. Set the definition of that version first.",
+            "loading a table made for another version could overwrite the wrong memory. Set the definition of that version first.",
             code="other-versions",
         )
 

@@ -173,9 +173,9 @@ def _compare_crc(reference: SentTable, told: str) -> tuple[bool, dict[str, Any]]
     found = checksum.text(int(match[1], 16))
     same = found == expected
     sentence = (
-        f"{checksum.name} is {found}, as it was sent."
+        f"{checksum.name} is {found}, which matches the table sent."
         if same
-        else f"{checksum.name} is {found}, and was another when it was sent: upload the dump to see where they differ."
+        else f"{checksum.name} is {found}, which differs from the table sent: upload the dump to see the differences."
     )
     return same, {"sentence": sentence, "crc": {"name": checksum.name, "expected": expected, "found": found}}
 
@@ -193,7 +193,7 @@ def _compare_bytes(
     found = {**comparison.document(), "dump": kept}
     if not comparison.matches and (other := _find_identical_set(session, row, definition, image)) is not None:
         found["same_as"] = other
-        found["sentence"] += f" The dump is {other}, byte for byte."
+        found["sentence"] += f" The dump is identical to {other}."
     return comparison.matches, found
 
 

@@ -77,11 +77,11 @@ class AsOf(BaseModel):
     sensor_id: int
     time_utc: str
     sentence: str = Field(description="Ground and board in one line.")
-    differs: bool = Field(description="Whether another set was active on board than was baseline.")
+    differs: bool = Field(description="Whether the active set on board differed from the baseline.")
     baseline: ParameterSet | None
     promotion: Promotion | None
     approval: Approval | None = Field(description="The request behind it, with its signatures.")
-    on_board: list[OnBoard] = Field(description="The newest record of every set by then.")
+    on_board: list[OnBoard] = Field(description="The latest record of each set at that time.")
     learned_later: list[OnBoard] = Field(description="Recorded after the time, about what had happened by then.")
     gate_profile: Version | None
     table_definition: Version | None
@@ -163,10 +163,12 @@ class Station(Shape):
     """One station between a run and the spacecraft, and how the set stands there."""
 
     title: str = Field(examples=["Promoted"])
-    level: str = Field(description="Severity: `normal` is done, `standby` is next, `off` is to come or not needed.")
+    level: str = Field(
+        description="Severity: `normal` is done, `standby` is next, `off` means still to come or not needed."
+    )
     word: str = Field(description="`done`, `next`, `to come`, or what came of it: a verdict, REFUSED, MISMATCH.")
     at_utc: str | None
-    who: str = Field(description="The printed name; empty where nobody did it.")
+    who: str = Field(description="The printed name; empty if no person did it.")
     source: str
 
 

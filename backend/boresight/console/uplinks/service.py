@@ -94,7 +94,7 @@ def refuse_shown_mismatch(session: Session, row: ParameterSet) -> None:
     """Refuse to leave a mismatch that a dump showed without another dump or sending again."""
     if has_shown_mismatch(session, row):
         raise ConflictError(
-            f"A dump of {row.name} showed the mismatch; upload a dump that matches, or send the table again.",
+            f"The mismatch of {row.name} was found by a dump; upload a dump that matches, or send the table again.",
             code="dump-mismatched",
         )
 
@@ -262,13 +262,13 @@ def _refuse_statement(actor: Actor, row: ParameterSet, onboard_state: str) -> No
     """Refuse a state that cannot be recorded by statement, and name the operation for it."""
     if onboard_state == "VERIFIED":
         raise ConflictError(
-            f"VERIFIED is not recorded by statement: give the dump or the CRC of {row.name} to `:read-back`, which compares.",
+            f"VERIFIED cannot be recorded as a statement: send the dump or CRC of {row.name} to `:read-back` for comparison.",
             code="not-by-statement",
         )
     if onboard_state == "ACTIVE":
         require_person(actor, "sign that a set is active")
         raise ConflictError(
-            f"ACTIVE is not recorded by statement: have an operator sign it for {row.name} with password and meaning, "
+            f"ACTIVE cannot be recorded as a statement: have an operator sign it for {row.name} with password and meaning, "
             "by `:activate`.",
             code="not-by-statement",
         )

@@ -40,11 +40,11 @@ UPLINK_STEPS = {
     "LOADED": ("Compare what was read back with what was sent.", "Read back", "read-back"),
     "VERIFIED": ("Sign when telemetry shows that the table is active.", "Sign ACTIVE", "activate"),
     "MISMATCH": (
-        "It did not read back as it was sent: read it back again, or send it again.",
+        "The read-back differs from what was sent: read it back or send it again.",
         "Read back",
         "read-back",
     ),
-    "UNKNOWN": ("Its state on board is not known: send it again, or read it back.", "Record", "record"),
+    "UNKNOWN": ("Its on-board state is unknown: send it again, or read it back.", "Record", "record"),
 }
 PASSED_BY = "not on record"
 DECLARED = "not needed: the set came with its sensor"
@@ -252,7 +252,7 @@ def find_exported_package(packages: Sequence[Package], records: Sequence[Uplink]
 def _step_of_run(viewer: _Viewer, run: Run | None) -> NextStep:
     """What follows for a run that no set was made of."""
     if run is None or run.state not in TERMINAL_RUN_STATES:
-        return NextStep("This page updates by itself.")
+        return NextStep("No action needed; this page updates automatically.")
     again = f"/runs/new?clone={run.id}"
     if runs.lacks_times(viewer.session, run):
         said, address = (
@@ -267,7 +267,7 @@ def _step_of_run(viewer: _Viewer, run: Run | None) -> NextStep:
         said = f"It ended with {str(status).replace('_', ' ')}, so no parameter set can be made: follow the advice and run again."
         return viewer.step_for(("analyst",), said, "Run it again", again)
     address = f"/runs/{run.id}/parameter-set"
-    said = "Review the four views; then make a parameter set from the result and assess its gates."
+    said = "Review the four views, then create a parameter set from the result and assess its gates."
     return viewer.step_for(("analyst",), said, "Create parameter set", address, posts=True)
 
 
@@ -295,7 +295,8 @@ def _step_of_candidate(viewer: _Viewer, row: ParameterSet, report: GateReport | 
         said = f"Assess {row.name} against the gates and the baseline."
         return viewer.step_for(gates.ASSESSORS, said, "Assess", f"{address}/assess", posts=True)
     if stopped := gates.lay_waivers(viewer.session, report).blocking:
-        said = f"{row.name} is stopped by {_count_gates(stopped)}: waive what can be waived, or calibrate again."
+        which = "it" if len(stopped) == 1 else "them"
+        said = f"{row.name} is blocked by {_count_gates(stopped)}: waive {which} if possible, or recalibrate."
         return viewer.step_for(gates.ASSESSORS, said, "Open its gates", f"{address}/gates")
     return viewer.step_for(
         ("analyst",), f"Submit {row.name} with a reason; another person signs it.", "Submit", f"{address}#reason"
@@ -309,10 +310,11 @@ def _count_gates(stopped: Sequence[object]) -> str:
 
 def _step_of_former(viewer: _Viewer, row: ParameterSet) -> NextStep:
     if row.ground_state == "REJECTED":
-        said = f"{row.name} was refused: calibrate again, and submit that set."
+        said = f"{row.name} was refused: recalibrate and submit the new set."
         return viewer.step_for(("analyst",), said, "Run again", f"/runs/new?clone={row.run_id}")
     baseline = set_queries.find_baseline(viewer.session, row.sensor_id)
-    said = f"{baseline.name if baseline else 'Another set'} replaced it; a roll-back is signed and promoted like any other set."
+    other = baseline.name if baseline else "another set"
+    said = f"It was replaced by {other}; a roll-back is signed and promoted like any other set."
     return viewer.step_for(("analyst", "operator"), said, "Roll back", f"/parameter-sets/{row.id}#roll-back")
 
 
@@ -328,7 +330,7 @@ def _signing_step(viewer: _Viewer, request: Approval, report: GateReport | None)
     names = tuple(user.printed_name for user in able)
     stopped = () if report is None else gates.lay_waivers(viewer.session, report).blocking
     if stopped:
-        said = f"It is stopped by {_count_gates(stopped)}: it can be refused, and approved only once they are waived."
+        said = f"It is blocked by {_count_gates(stopped)}: it can be refused, and approved only once they are waived."
         return NextStep(said, "Review", f"/approvals/{request.id}#gates", is_mine=mine, who=names, role="approver")
     return NextStep(said, "Review and sign", f"/approvals/{request.id}#sign", is_mine=mine, who=names, role="approver")
 

@@ -34,7 +34,7 @@ class Webhook(Row):
     state: Literal["ENABLED", "DISABLED", "PAUSED"] = Field(
         description="PAUSED: its secret cannot be decrypted with this server's key, so its messages wait; renew the secret."
     )
-    former_secret_until_utc: str | None = Field(description="Until then the former secret also signs.")
+    former_secret_until_utc: str | None = Field(description="Until then the previous secret also signs.")
 
 
 class NewWebhook(Webhook):
@@ -80,7 +80,7 @@ class WantedWebhook(BaseModel):
 
 
 class Renewal(Shape):
-    """How long the former secret signs beside the new one."""
+    """How long the previous secret signs beside the new one."""
 
     overlap_hours: float = Field(
         OVERLAP_HOURS, ge=0.0, le=webhooks.LONGEST_OVERLAP_HOURS, description="0: it ends at once."
@@ -128,7 +128,7 @@ def create_webhook(wanted: WantedWebhook, actor: Who, box: SecretKeeper, session
 def renew_webhook_secret(
     webhook_id: Id, actor: Who, box: SecretKeeper, session: Writing, renewal: Renewal | None = None
 ) -> OperationResponse:
-    """Give a webhook a new secret; the former one also signs for some hours, so that the receiver can change over."""
+    """Give a webhook a new secret; the previous one also signs for some hours, so that the receiver can change over."""
     hours = OVERLAP_HOURS if renewal is None else renewal.overlap_hours
     row, secret = webhooks.renew_secret(session, actor, box, webhook_id, overlap_hours=hours)
     return _with_secret(row, secret, box)

@@ -125,7 +125,7 @@ def renew_secret(
     row = get_webhook(session, actor, webhook_id)
     if not 0.0 <= overlap_hours <= LONGEST_OVERLAP_HOURS:
         raise RefusedInputError(
-            f"The former secret cannot sign for that long; give 0 to {LONGEST_OVERLAP_HOURS:g} hours."
+            f"The previous secret cannot sign for that long; give 0 to {LONGEST_OVERLAP_HOURS:g} hours."
         )
     overlaps = overlap_hours > 0.0 and box.open(row.secret) is not None
     row.previous_secret = row.secret if overlaps else None

@@ -52,8 +52,8 @@ ARC_UNCERTAINTY = part_figure(
     title="Arc uncertainty",
     guide=(
         "Each place shows the uncertainty of an arc of five degrees (a quarter of a narrower field) around it, from the "
-        "uncertainty of the parameters alone. Everywhere well below the noise of a centroid is good; in a bright corner this "
-        "calibration extrapolates."
+        "uncertainty of the parameters alone. Values well below the centroid noise everywhere are good; in bright corners the "
+        "calibration is extrapolated."
     ),
     advanced=True,
     forms={"narrow": partial(draw, beside=1)},

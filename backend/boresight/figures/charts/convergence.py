@@ -342,7 +342,9 @@ def draw_small(traces: Sequence[Trace]) -> go.Figure:
     words = {"xref": "paper", "yref": "paper", "showarrow": False, "font": {"size": 10}}
     title = f"{axis_title(history.axis, traces)}; band ±3σ"
     figure.add_annotation(text=title, x=1, y=0, xanchor="right", yanchor="top", yshift=-16, **words)
-    figure.add_annotation(text="from the end, final σ", x=0, y=0.5, xanchor="right", xshift=-26, textangle=-90, **words)
+    figure.add_annotation(
+        text="difference from final value (final σ)", x=0, y=0.5, xanchor="right", xshift=-26, textangle=-90, **words
+    )
     follow_parameters(figure, [panel for panel in panels if panel], traces)
     return share_cursor(figure, counted(history.axis, traces))
 
@@ -387,9 +389,10 @@ CONVERGENCE = Figure(
     name="convergence",
     title=TITLE,
     guide=(
-        "Each panel shows the change of one parameter from its initial value (dotted line at zero), with its own ±3σ band, "
-        "and the last two show the cost and the step; double-click a panel to see the wide first bands. A trustworthy run "
-        "settles (dotted upright line), its band narrows around the curve, and the curve stays inside its earlier bands."
+        "Each panel shows the change of one parameter from its initial value (dotted line at zero), with its own ±3σ "
+        "band, the last two panels show the cost and the step; double-click a panel to see the full range of the first "
+        "bands. A trustworthy run settles (dotted upright line), its band narrows around the curve, and the curve "
+        "stays inside its earlier bands."
     ),
     draw=draw,
     table=table,

@@ -110,8 +110,8 @@ CORRELATION = make_figure(
     title="Parameter correlations",
     guide=(
         "Each cell shows how the errors of two parameters are correlated: blue in the same direction, orange in opposite "
-        "directions, empty not at all. A pair near ±1 is known only as a sum or a difference: do not use its two sigmas one "
-        "by one, but look at the distortion and at the weakest direction."
+        "directions, blank for none. A pair near ±1 is known only as a sum or a difference: do not use the two sigmas "
+        "separately; look at the distortion and at the weakest direction."
     ),
     advanced=True,
     forms={"narrow": partial(draw, beside=1, numbers=False)},

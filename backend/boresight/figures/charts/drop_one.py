@@ -87,8 +87,8 @@ DROP_ONE = part_figure(
     name="drop-one",
     title="Leaving one parameter out",
     guide=(
-        "Each column fixes one parameter at its initial value and fits the others: above, how much chi-square rises (dotted: "
-        "what chance alone reaches in one case of a hundred), below, how much the others change. A hatched parameter is not "
+        "Each column fixes one parameter at its initial value and fits the others; top: increase of chi-square (dotted: "
+        "exceeded by chance in 1 % of cases); bottom: how much the others change. A hatched parameter is not "
         "needed, and freeing it only widens the sigmas of the rest."
     ),
     advanced=True,

@@ -68,8 +68,8 @@ EFFICIENCY = part_figure(
     title="Cramér-Rao efficiency",
     guide=(
         "Each bar is the sigma that the run claims, divided by the smallest that any unbiased estimator can reach with these "
-        "stars (dotted, 1). A little above 1 is good; below 1 the claim is too good to be true, far above it the method "
-        "wastes data."
+        "stars (dotted, 1). A little above 1 is good; below 1 the claim is too good to be true; far above 1 the method "
+        "does not use all the information."
     ),
     advanced=True,
 )

@@ -31,8 +31,8 @@ from boresight.figures.style.axes import share_cursor
 from boresight.verdicts.numbers import quantity
 
 TITLE = "Observability per frame"
-NOT_YET = "Not yet: single frames are judged when the run ends."
-NEVER = "This result has no judgement of single frames: clone its run and run it again to get one."
+NOT_YET = "Not yet: single frames are assessed when the run ends."
+NEVER = "This result has no assessment of single frames: clone its run and run it again to get one."
 MODELS = {f"model_{model}": f"Model {model}" for model in (1, 2, 3, 4)}
 VALUES = {f"sigma_{k}": f"σ{k} alone" for k in (1, 2, 3)}
 #: What stands for each row of panels where several runs are compared.
@@ -143,10 +143,11 @@ FRAME_OBSERVABILITY = make_figure(
     name="frame-observability",
     title=TITLE,
     guide=(
-        "Each line is the smallest singular value of one frame's scaled Jacobian for one choice of star combinations (above) "
-        "or of singular values (below): the higher, the more a parameter error changes the measurements, and a gap is a "
-        "frame that cannot determine all parameters alone. It ranks frames and choices but does not measure precision, "
-        "because a row given twice counts twice; for precision see the information of each reference."
+        "Each line shows, frame by frame, the smallest singular value of the scaled Jacobian for one choice of star "
+        "combinations (top) or singular values (bottom): the higher, the more a parameter error changes the "
+        "measurements, and a gap is a frame that cannot determine all parameters alone. It ranks frames and choices "
+        "but does not measure precision, because a duplicated row counts twice; for precision, see “Information of "
+        "each reference”."
     ),
     wide=True,
     advanced=True,
@@ -232,9 +233,10 @@ REFERENCE_INFORMATION = make_figure(
     name="reference-information",
     title="Information of each reference",
     guide=(
-        "Each bar is the share of the information about the parameters in the centroids (dotted, 1) that a reference keeps, "
+        "Each bar is the share of the information about the parameters in the centroids (dotted, 1) that each measurement "
+        "type retains, "
         "weighted by its full covariance: arcs, all pairs of stars, the four models with σ2 and σ3, and single values under "
-        "Model 4. A bar of 0.8 loses as much as leaving out a fifth of the frames; adding σ1 to the other two must change "
+        "Model 4. A value of 0.8 is equivalent to losing a fifth of the frames; adding σ1 to the other two must not change "
         "nothing."
     ),
     advanced=True,

@@ -167,8 +167,8 @@ WHITENESS = part_figure(
     name="whiteness",
     title="Whiteness of residuals",
     guide=(
-        "Each bar is the correlation of the residuals of frames that far apart, for the worst parameter; the dotted bounds "
-        "are those that chance alone keeps in nineteen lags of twenty. Bars that stay inside are good; a slow decay is a "
+        "Each bar is the correlation between residuals of frames at that lag, for the worst parameter; by chance, 95 % of the "
+        "lags stay within the dotted bounds. Bars that stay inside are good; a slow decay is a "
         "drift that constant parameters cannot follow, and makes every sigma too small."
     ),
     advanced=True,

@@ -26,7 +26,7 @@ PANELS: dict[str, Callable[[Cycle], float | None]] = {
     "RMS arc (µrad)": lambda cycle: None if cycle.rms_arc_rad is None else 1e6 * cycle.rms_arc_rad,
 }
 LEAST_CYCLES = 3  # the axis has room for so many, that one alone is no wall
-GIVEN = "This run used the given matches without the removed stars: nothing was matched again."
+GIVEN = "This run used the given matches, except for removed stars; no matching was done."
 NOT_YET = "Not yet: matching is reported when the run ends."
 NO_CYCLES = "This run matched its stars without cycles."
 

@@ -90,7 +90,7 @@ def round_ticks(values: FloatArray) -> list[float]:
 
 def _dress(figure: go.Figure, drawn: Sequence[Part[MoreData]], n_rows: int, columns: int, n_panels: int) -> None:
     many = len(drawn) > 1
-    title = "Predicted sigma over frames in all, the mark at the left is now"
+    title = "Predicted sigma against total number of frames; the mark on the left is this run"
     theme.dress(figure, title=title, height_px=90 + n_rows * PANEL_HEIGHT_PX, legend=many, hovermode="closest")
     if not many:
         figure.update_traces(showlegend=False)
@@ -110,11 +110,11 @@ MORE_DATA = part_figure(
     table,
     "more_data",
     name="more-data",
-    title="What more data would buy",
+    title="Benefit of more data",
     guide=(
         "Each panel shows the sigma that a parameter would have with more frames of the same kind; the large mark is this "
-        "run. A curve that halves with four times the frames makes more frames worth waiting for; a flat curve needs other "
-        "frames, not more of them."
+        "run. If the curve halves with four times as many frames, more frames are worthwhile; if it is flat, different frames "
+        "are needed."
     ),
     wide=True,
     advanced=True,

@@ -13,6 +13,7 @@ rows and along columns. More frames like these divide the sigma of a direction b
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -31,10 +32,11 @@ from boresight.figures.chart import Table
 from boresight.figures.factory import Part, make_figure
 from boresight.figures.style import theme
 from boresight.verdicts.answers import describe_weak
-from boresight.verdicts.numbers import count, number, percent, quantity
+from boresight.verdicts.numbers import MINUS, count, number, percent, quantity
 
 THRESHOLD = 1.0 / WEAK
 WEAK_COLOUR = theme.RUN_COLOURS[1]
+HYPHEN_MINUS = re.compile(r"(?<![\w-])-(?=[\d.])")
 
 
 def read_observability(result: Calibration) -> Observability | None:
@@ -183,7 +185,7 @@ def _window(drawn: Sequence[Part[Observability]], room: float) -> list[float]:
 
 
 def _sentence(seen: Observability) -> str:
-    words = theme.escape(seen.weakest.sentence)
+    words = theme.escape(HYPHEN_MINUS.sub(MINUS, seen.weakest.sentence))
     return "<br>".join(textwrap.wrap(f"Weakest direction: {words}", 88)) if words else ""
 
 
@@ -211,8 +213,8 @@ OBSERVABILITY = make_figure(
     name="observability",
     title="Observability",
     guide=(
-        "Each column is one direction in parameter space: the bar, its singular value, is how many times better the "
-        "stars determine it than the spread between sensors of this kind; the colours below are the parameters it mixes. "
+        "Each column is one direction in parameter space: the bar (its singular value) shows by what factor the "
+        "stars improve on the spread between sensors of this kind; the colours below are the parameters it mixes. "
         f"Below {THRESHOLD:g} (dotted) a direction is weak: amber and hatched."
     ),
     wide=True,
@@ -272,7 +274,9 @@ def _reach(result: Calibration) -> list[str]:
     reached = result.radial.data_radius_px if result.radial else None
     corner = (result.radial.radius_px or [0.0])[-1] if result.radial else None
     if reached is not None and corner is not None and corner > 0 and reached < ENOUGH * corner:
-        said.append(f"Stars reach {percent(reached / corner, 0)} of the way to the farthest corner: go farther out.")
+        said.append(
+            f"Stars reach only {percent(reached / corner, 0)} of the way to the farthest corner: add stars closer to the corner."
+        )
     counts = np.array(result.coverage.counts if result.coverage else [], dtype=np.float64)
     empty = int((counts == 0).sum())
     if empty:

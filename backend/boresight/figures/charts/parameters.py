@@ -166,9 +166,9 @@ PARAMETERS = make_figure(
     name="parameters",
     title="Parameter changes",
     guide=(
-        "On the left is each change in units of its own sigma (with misfit), on a log axis: beyond the dotted line at 3 it "
-        "is more than noise, and paler bars are not. On the right is the same change in typical sigmas, the spread between "
+        "On the left is each change in units of its own sigma (with misfit), on a log axis: changes beyond the dotted "
+        "line at 3 are significant; paler bars are not. On the right is the same change in typical sigmas, the spread between "
         "sensors of this kind, with a ±3σ bar, its thick part from noise alone: a wide bar means that the data determine "
-        "little, a far point that you should check the sensor or the matches."
+        "the parameter poorly; a large change means that you should check the sensor or the matches."
     ),
 )

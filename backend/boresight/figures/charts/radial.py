@@ -216,9 +216,9 @@ RADIAL = make_figure(
     name="radial",
     title=TITLE,
     guide=(
-        "Above is how far along the radius the new parameters move a star compared with the old ones, below that its ±3σ "
-        "band alone, and at the bottom the number of stars at that radius. Trust it where there are stars and the band is "
-        "narrow: in the hatched part there was no star and the curve is extrapolated."
+        "Top: radial displacement of a star between the new and the old parameters; middle: its ±3σ band; bottom: number of "
+        "stars at each radius. Trust it where there are stars and the band is narrow: there are no stars in the hatched "
+        "region, and the curve is extrapolated there."
     ),
     wide=True,
     forms={"small": draw_small},
@@ -227,9 +227,9 @@ RADIAL = make_figure(
 
 RADIAL_CONTRAST_TITLE = "Radial difference to the reference"
 GUIDE = (
-    "Each curve is how far along the radius a run places a star from where the reference run places it, with the ±3σ band of "
-    "that difference. Runs that agree stay at zero within their bands out to where stars reach; the hatched radii beyond are "
-    "extrapolated."
+    "Each curve is how far along the radius a run places a star from where the reference run places it, with the ±3σ "
+    "band of that difference. Runs that agree stay at zero within their bands out to where stars reach; the hatched "
+    "radii beyond are extrapolated."
 )
 MARGIN = 0.06  # of the height drawn, above and below
 CROWDED = 8  # above so many bands nothing is seen through them
@@ -388,9 +388,10 @@ DISTORTION = make_figure(
     name="distortion",
     title="Radial distortion, old and new",
     guide=(
-        "Each curve is how far along the radius the optics move a star from a pinhole of the old focal length: the old "
-        "parameters dotted, the new ones with their ±3σ band. The two should have the same shape and differ only as much as "
-        "a launch or a change of temperature can explain; in the hatched part there was no star and both are extrapolated."
+        "Each curve is the radial displacement relative to a pinhole camera with the old focal length: the old "
+        "parameters dotted, the new ones with their ±3σ band. The two should have the same shape and differ only as "
+        "much as a launch or a change of temperature can explain; there are no stars in the hatched region, and both "
+        "are extrapolated there."
     ),
     wide=True,
 )

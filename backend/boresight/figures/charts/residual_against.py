@@ -26,7 +26,7 @@ from boresight.figures.style.axes import grid_place
 
 PART = "residual_against"
 #: What an axis is called where that is not the cause's own name.
-TITLES = {"colour": "B-V", "row_phase": "row phase", "column_phase": "column phase"}
+TITLES = {"colour": "B−V", "row_phase": "row phase", "column_phase": "column phase"}
 NARROW_LINE_PX = 170  # the height that a phone gives a panel of lines
 REASON_LETTERS = 24  # a line of a reason inside its panel
 REACH_SIGMA = 1.96
@@ -144,9 +144,9 @@ RESIDUAL_AGAINST = part_figure(
     name="residual-against",
     title="Residual against causes",
     guide=(
-        "Each panel bins the residual, radial (outward positive) or along the axis for row, column and pixel phase, by one "
-        "possible cause: the mean with its 95 % bar, and its RMS dotted. Means that are zero within their bars are good; a "
-        "slope shows what the model or the centroiding does not include."
+        "Each panel shows the binned residual against one possible cause: mean with 95 % bar, and RMS (dotted); the "
+        "residual is radial (outward positive), or along the axis for row, column and pixel phase. Means that are zero "
+        "within their bars are good; a slope shows what the model or the centroiding does not include."
     ),
     advanced=True,
     forms={"narrow": partial(draw, beside=1)},

@@ -29,7 +29,7 @@ NORMAL = np.linspace(-6, 6, 121)
 
 def draw(drawn: Sequence[Part[ResidualDistribution]], beside: int = 2) -> go.Figure:
     """Draw the histograms of all runs over the normal curve, and their quantiles beside or below."""
-    titles = ["share of residuals", "quantile less the normal's"]
+    titles = ["share of residuals", "quantile − normal quantile"]
     rows, (one_panel, other) = 2 // beside, (grid_place(number, beside) for number in range(2))
     figure = make_subplots(
         rows, beside, horizontal_spacing=0.1, vertical_spacing=BETWEEN_PANELS / rows, subplot_titles=titles
@@ -129,10 +129,10 @@ RESIDUAL_DISTRIBUTION = part_figure(
     name="residual-distribution",
     title="Distribution of residuals",
     guide=(
-        "On the left is the share of residuals over their sigmas in each bin, with the normal curve and the result of the "
-        "old parameters; on the right are their quantiles minus the normal's, with the band that chance allows. Steps on the "
-        "curve and a line inside the band are good; ends that leave the band outwards are wrong stars, a slope is a wrong "
-        "noise."
+        "On the left is the share of residuals over their sigmas in each bin, with the normal curve and the result of "
+        "the old parameters; on the right are their quantiles minus those of a normal distribution, with the band "
+        "expected by chance. Steps on the curve and a line inside the band are good; tails outside the band indicate "
+        "wrong stars; a slope indicates a wrong noise."
     ),
     wide=True,
     forms={"narrow": partial(draw, beside=1)},

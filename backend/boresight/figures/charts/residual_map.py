@@ -81,7 +81,7 @@ def others(labels: Sequence[str]) -> str:
     if len(labels) <= 1:
         return ""
     more = f" and {len(labels) - 3} more" if len(labels) > 3 else ""
-    return f"<br>of {labels[0]} alone; open {', '.join(labels[1:3])}{more} for theirs"
+    return f"<br>for {labels[0]} only; open {', '.join(labels[1:3])}{more} to see the others"
 
 
 def _stars(part: Residuals) -> ArrowField:
@@ -161,7 +161,7 @@ RESIDUAL_MAP = part_figure(
     guide=(
         "Each line points from where a star was measured to where the camera model and the best attitude of its exposure put "
         "it, enlarged as stated; on the right are the means of cells, with a diamond where a mean exceeds its noise. Arrows "
-        "in all directions are good; arrows that turn together are a distortion that the model does not have."
+        "in all directions are good; a common pattern of arrows indicates distortion that the model does not describe."
     ),
     wide=True,
     advanced=True,
@@ -393,7 +393,8 @@ RESIDUAL_QUIVER = part_figure(
     guide=(
         "Each arrow is the mean residual of the stars in one cell, with the old parameters on the left and the new on the "
         "right, to the scale of the bar; the circle around its foot is three sigmas of that mean. Arrows that end inside "
-        "their circles are noise and good; longer arrows that turn together are a distortion that the model does not have."
+        "their circles are noise and good; a common pattern of longer arrows indicates distortion that the model does not "
+        "describe."
     ),
     wide=True,
     forms={"narrow": partial(draw_quiver, beside=1)},

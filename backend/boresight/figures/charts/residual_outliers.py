@@ -137,9 +137,9 @@ RESIDUAL_OUTLIERS = part_figure(
     name="residual-outliers",
     title="Outliers and what was left out",
     guide=(
-        "On the left is every sighting whose residual is beyond four of its sigmas, a larger mark being farther off; on the "
-        "right is what was not used in the fit, by reason. About as many as expected is good; many in one place or of one "
-        "star mean a wrong match or a wrong catalogue place: open their frames."
+        "On the left is every sighting whose residual is beyond four of its sigmas, larger marks are further off; on "
+        "the right are data not used in the fit, by reason. A number close to the expected one is good; many in one "
+        "place or of one star mean a wrong match or a wrong catalogue place: open their frames."
     ),
     wide=True,
     advanced=True,

@@ -112,7 +112,7 @@ RESIDUAL_SPLINE = part_figure(
     guide=(
         "The colour is how far stars are from where the fitted camera puts them, as a smooth surface whose stiffness the "
         "data choose; a diamond marks what is more than three sigmas from zero. A pale detector without diamonds is good; a "
-        "pattern is a distortion that the camera model does not have, and the advice says which model has it."
+        "pattern is distortion that the camera model does not describe; the advice names a model that does."
     ),
     wide=True,
     advanced=True,

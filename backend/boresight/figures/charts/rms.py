@@ -232,8 +232,8 @@ RMS = Figure(
     name="rms",
     title=TITLE,
     guide=(
-        "Tail is the error of the whole set with the parameters at that moment, with its ±3σ scatter by chance; aggregate is "
-        "the running error of the frames so far, each with the parameters it had at the time. The two should agree and be "
+        "Tail: error of the whole set with the parameters at that point, with ±3σ random scatter; aggregate: cumulative error "
+        "of all frames so far, each with the parameters at its own time. The two should agree and be "
         "flat near the final level; an aggregate well below the tail means that the filter follows single frames instead of "
         "the sensor."
     ),
@@ -381,8 +381,8 @@ RMS_AXES = make_figure(
     title="Residual RMS by axis",
     guide=(
         "On the left is the residual's RMS along rows and columns and along and across the radius, with ±3σ bars; on the "
-        "right is how the last two change over the frames. All four should agree within their bars and be flat: more along "
-        "the radius is remaining distortion, a rise in time is a sensor that changes."
+        "right is how the last two change over the frames. All four should agree within their bars and be flat: a larger "
+        "radial value indicates remaining distortion; an increase over time indicates that the sensor is changing."
     ),
     wide=True,
     advanced=True,

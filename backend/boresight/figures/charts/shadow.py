@@ -23,8 +23,8 @@ from boresight.verdicts.numbers import count
 POINT_BUDGET = 6000  # of all runs and curves together
 SIDES = ("baseline", "candidate")
 ALONE = {
-    "candidate": ("only the candidate solves it", "triangle-up-open"),
-    "baseline": ("only the baseline solves it: lost", "x-thin-open"),
+    "candidate": ("only the new parameters solve it", "triangle-up-open"),
+    "baseline": ("only the old parameters solve it: lost", "x-thin-open"),
 }
 
 
@@ -38,7 +38,7 @@ def draw(drawn: Sequence[Part[tuple[str, ShadowOfSet]]]) -> go.Figure:
         if len(drawn) == 1:
             figure.add_trace(_baseline(frame[kept], stars["baseline"][kept]))
         hover = f"frame %{{x}}: %{{y}} stars<extra>{style.label}</extra>"
-        named = {"name": "candidate" if len(drawn) == 1 else style.label, "hovertemplate": hover}
+        named = {"name": "new parameters" if len(drawn) == 1 else style.label, "hovertemplate": hover}
         figure.add_trace(theme.line(style, frame[kept], stars["candidate"][kept], **named))
         for side in ALONE:
             figure.add_trace(_alone(style, view, side, limit // 4, single=len(drawn) == 1))
@@ -61,14 +61,14 @@ def _stars(view: ShadowOfSet, side: str) -> FloatArray:
 
 
 def _baseline(frame: FloatArray, stars: FloatArray) -> go.Scatter:
-    """Draw the baseline as a reference that no run looks like."""
+    """Draw the old parameters as a reference that no run looks like."""
     return go.Scatter(
         x=theme.short(frame),
         y=theme.short(stars),
         mode="lines",
-        name="baseline",
+        name="old parameters",
         line={"color": theme.REFERENCE_COLOUR, "width": 1.2, "dash": "dot"},
-        hovertemplate="frame %{x}: %{y} stars<extra>baseline</extra>",
+        hovertemplate="frame %{x}: %{y} stars<extra>old parameters</extra>",
     )
 
 
@@ -126,13 +126,13 @@ SHADOW = make_figure(
     draw,
     table,
     find_shown_set,
-    lambda _: "Not yet: baseline and candidate are compared when the run ends.",
+    lambda _: "Not yet: old and new parameters are compared when the run ends.",
     name="shadow",
-    title="Baseline and candidate side by side",
+    title="Old and new parameters side by side",
     guide=(
-        "Each frame is matched with the baseline and with the candidate, and the lines count the stars that the simulated "
-        "check of the flight code accepts; triangles are frames that only the candidate solves, crosses frames that it would "
-        "lose. A candidate worth flying is above the baseline everywhere and has no cross."
+        "Each frame is matched with the old and with the new parameters, and the lines count the stars that the simulated "
+        "check of the flight code accepts; triangles are frames that only the new parameters solve, crosses frames that they "
+        "would lose. New parameters worth flying are above the old ones everywhere and have no cross."
     ),
     wide=True,
     advanced=True,

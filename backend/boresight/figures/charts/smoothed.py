@@ -78,7 +78,9 @@ def _headline(drawn: Sequence[Trace]) -> str:
         return f"Change since the initial parameters, {len(drawn)} runs, bands ±3σ"
     smoothed = drawn[0].result.smoothed
     unsettled = "" if smoothed is None or smoothed.settled else ": the smoother did not converge, so do not use it"
-    return f"Change since the initial parameters, at the time and given all frames, bands ±3σ{unsettled}"
+    return (
+        f"Change since the initial parameters: filter (frames so far) and smoother (all frames), bands ±3σ{unsettled}"
+    )
 
 
 @dataclass(frozen=True)

@@ -88,7 +88,7 @@ STARS = part_figure(
     guide=(
         "Each mark is one star: how often it was seen, and how many sigmas its mean residual is from zero; a diamond with "
         "its Hipparcos number is a suspect. One star far above the others is a wrong identity, a double or a wrong position: "
-        "flag it; many together are a fault of the model."
+        "flag it; many such stars indicate a fault of the model."
     ),
     wide=True,
     advanced=True,

@@ -100,9 +100,9 @@ TWO_HALVES = part_figure(
     name="two-halves",
     title="Two halves",
     guide=(
-        "The set is cut in two and each half is calibrated separately; the map shows where their arcs differ, the bars by "
-        "how many sigmas each parameter differs. Bars within ±3 (dotted) and a small map without pattern are good; more "
-        "means that the model, the matches or the noise are not what the sigmas assume."
+        "The set is cut in two and each half is calibrated separately; the map shows where their arcs differ, the bars "
+        "show the difference of each parameter in sigmas. Bars within ±3 (dotted) and a small map without pattern are good; larger "
+        "differences mean that the model, the matches or the noise are not what the sigmas assume."
     ),
     wide=True,
     forms={"narrow": partial(draw, beside=1)},

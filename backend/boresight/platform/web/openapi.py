@@ -56,7 +56,7 @@ TAGS = [
     {"name": "events", "description": "The live feed, as server-sent events."},
     {"name": "audit", "description": "The append-only, hash-chained log, and its signed heads."},
     {"name": "backups", "description": "Scheduled backups, and whether each can be restored."},
-    {"name": "users", "description": "People and their roles."},
+    {"name": "users", "description": "Users and their roles."},
     {"name": "API keys", "description": "Keys for programs."},
     {"name": "webhooks", "description": "Programs that are notified of events."},
     {"name": "sessions", "description": "Logging in and out."},

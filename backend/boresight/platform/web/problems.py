@@ -26,11 +26,12 @@ class ProblemKind:
 
     status: int
     title: str
+    name: str = ""  #: where it is not the title in lower case
 
     @property
     def address(self) -> str:
         """The `type` of the problem."""
-        return "urn:boresight:problem:" + self.title.lower().replace(" ", "-")
+        return "urn:boresight:problem:" + (self.name or self.title.lower().replace(" ", "-"))
 
 
 KINDS: Mapping[type[Exception], ProblemKind] = {
@@ -41,12 +42,12 @@ KINDS: Mapping[type[Exception], ProblemKind] = {
     errors.StaleError: ProblemKind(412, "Stale"),
     errors.PreconditionRequiredError: ProblemKind(428, "Precondition required"),
     errors.ForbiddenError: ProblemKind(403, "Forbidden"),
-    errors.PasswordDueError: ProblemKind(403, "Password to be set"),
-    errors.FactorEnrolmentDueError: ProblemKind(403, "Second factor to be enrolled"),
+    errors.PasswordDueError: ProblemKind(403, "Password change required", "password-to-be-set"),
+    errors.FactorEnrolmentDueError: ProblemKind(403, "Second factor required", "second-factor-to-be-enrolled"),
     errors.UnauthenticatedError: ProblemKind(401, "Unauthenticated"),
     errors.SecondFactorError: ProblemKind(401, "Second factor needed"),
     errors.SingleSignOnError: ProblemKind(401, "Single sign-on refused"),
-    errors.SessionEndedError: ProblemKind(401, "Session ended"),
+    errors.SessionEndedError: ProblemKind(401, "Log-in ended", "session-ended"),
     errors.TooManyAttemptsError: ProblemKind(429, "Too many attempts"),
     errors.TooLargeError: ProblemKind(413, "Too large"),
     errors.OverloadedError: ProblemKind(503, "Overloaded"),
@@ -54,7 +55,7 @@ KINDS: Mapping[type[Exception], ProblemKind] = {
     errors.StorageError: ProblemKind(503, "Storage unavailable"),
     errors.CancelledError: ProblemKind(409, "Cancelled"),
 }
-UNFORESEEN = ProblemKind(500, "Unforeseen error")
+UNFORESEEN = ProblemKind(500, "Unexpected error", "unforeseen-error")
 UNKNOWN_ADDRESS = "There is nothing at this address; see /api/v1/openapi.json."
 
 
@@ -114,9 +115,15 @@ def _malformed(error: RequestValidationError) -> Problem:
     place = first["pointer"] or first["where"]
     return Problem(
         ProblemKind(422, "Malformed request"),
-        f"The request is malformed at {place}: {first['detail']}; correct it and send it again.",
+        f"The request has an invalid or missing value at {place}: {_lower(str(first['detail']))}. Correct it and send it again.",
         places,
     )
+
+
+def _lower(detail: str) -> str:
+    """Write what the framework finds wrong as the rest of a sentence."""
+    said = detail.replace("Input should", "it should", 1).replace("Field required", "it is required", 1)
+    return said[:1].lower() + said[1:]
 
 
 def _faults(error: Exception) -> list[dict[str, Any]]:

@@ -51,7 +51,7 @@ WHAT_A_ROLE_MAY = {
     "analyst": "upload telemetry, launch runs, submit parameter sets",
     "operator": "promote approved sets, record what is on board",
     "approver": "sign requests for approval",
-    "administrator": "manage people and keys; cannot sign",
+    "administrator": "manage users and keys; cannot sign",
 }
 
 
@@ -191,7 +191,7 @@ async def reset_password(
 async def reset_second_factor(request: Request, actor: Who, user_id: int) -> Response:
     """Remove the second factors of a person who lost theirs."""
     change = partial(second_factors.reset, actor=actor, user_id=user_id)
-    said = "{.printed_name} is logged out and has no second factor any more."
+    said = "{.printed_name} was logged out and their second factors were removed."
     return await _change(request, actor, change, said)
 
 
@@ -343,9 +343,9 @@ def set_password(actor: Actor, user_id: int, session: Session, password: NewPass
 
 preference_router = APIRouter(prefix="/preferences", dependencies=[Depends(csrf)])
 FORMS: Mapping[TimeForm, str] = {
-    "day_of_year": "UTC with the day of the year",
-    "iso": "UTC by the calendar (ISO 8601)",
-    "local": "UTC by the calendar, local time beside it",
+    "day_of_year": "UTC with day of year",
+    "iso": "UTC calendar date (ISO 8601)",
+    "local": "UTC calendar date with local time in brackets",
 }
 EXAMPLE = datetime(2026, 11, 21, 3, 4, 5, tzinfo=UTC)
 
@@ -387,7 +387,7 @@ async def choose_preferences(
     outcome = await attempt(request, partial(_keep, actor=actor, chosen={"times": asdict(typed), "theme": theme}))
     if outcome.refusal is not None:
         return await run_in_threadpool(_preferences_page, request, typed, theme, outcome.refusal)
-    answer = redirect("/preferences", flash="Pages are shown so from now on. Times are taken in every form.")
+    answer = redirect("/preferences", flash="Preferences saved. You can type times in any of the formats.")
     cookie.write_theme(answer, theme)
     return answer
 

@@ -93,7 +93,7 @@ async def _confirmed(request: Request, begun: Attempt, person: ProviderAnswer) -
     outcome = await attempt(request, partial(external_identities.confirm, actor=actor, person=person, attempt=begun))
     if outcome.refusal is not None:
         raise outcome.refusal.error
-    return redirect(local_path(begun.back), flash="You are confirmed for one signature within 5 minutes.")
+    return redirect(local_path(begun.back), flash="Identity confirmed. You can sign once within the next 5 minutes.")
 
 
 def _refused(request: Request, begun: Attempt | None, error: BoresightError) -> Response:

@@ -515,7 +515,7 @@ async def remark(
         typed = TypedText("remark", text=text)
         page = partial(request_page, request, session, actor, approval_id, refusal=outcome.refusal, typed=typed)
         return await run_in_threadpool(page)
-    return redirect(f"/approvals/{approval_id}#discussion", flash="Your remark is added.")
+    return redirect(f"/approvals/{approval_id}#discussion", flash="Your comment was added.")
 
 
 @router.post("/approvals/{approval_id:int}/assign")

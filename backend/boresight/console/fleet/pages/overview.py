@@ -85,7 +85,7 @@ def _signatures(session: Session, actor: Actor, policy: Policy) -> WaitingItems:
     signatory = approvals.find_signatory(session, actor, policy=policy)
     if signatory is None:
         return NOTHING
-    return _requests(session, {"open_to": signatory}, "standby", "waits for your signature", "Review")
+    return _requests(session, {"open_to": signatory}, "standby", "is waiting for your signature", "Review")
 
 
 def _requests(session: Session, where: Mapping[str, Any], level: str, words: str, label: str) -> WaitingItems:
@@ -127,7 +127,10 @@ def _proposals(session: Session, actor: Actor) -> WaitingItems:
     ]
     return _count_waiting(
         (
-            (f"A change of the {proposals.TITLES[row.kind]} waits for a second person.", f"/change-proposals/{row.id}")
+            (
+                f"A change of the {proposals.TITLES[row.kind]} is waiting for a second person.",
+                f"/change-proposals/{row.id}",
+            )
             for row in able
         ),
         "Review",
@@ -142,7 +145,7 @@ def _alignments(session: Session, actor: Actor, policy: Policy) -> WaitingItems:
     ]
     return _count_waiting(
         (
-            (f"Alignment {row.alignment_id} waits for your signature.", f"/alignments/{row.alignment_id}")
+            (f"Alignment {row.alignment_id} is waiting for your signature.", f"/alignments/{row.alignment_id}")
             for row in able
         ),
         "Review",
@@ -167,7 +170,7 @@ def _questions(session: Session, actor: Actor, names: Mapping[int, str]) -> Wait
     first = [
         WaitingAction(
             "caution",
-            f"{names[row.sensor_id]} no longer agrees with its baseline: decide.",
+            f"{names[row.sensor_id]} no longer agrees with its baseline: answer decision {row.id}.",
             f"/ingest/{row.id}",
             "Decide",
         )
@@ -182,7 +185,7 @@ def _promotions(session: Session, actor: Actor) -> Iterator[WaitingItems]:
         return
     yield _sets(session, {"state": "APPROVED"}, "is approved and can be promoted", "Promote", "#promote")
     unsent = {"state": "BASELINE", "board": "NOT SENT", "of_a_run": True}
-    yield _sets(session, unsent, "is the baseline; nothing is recorded about it on board", "Export", "/uplink")
+    yield _sets(session, unsent, "is the baseline; no on-board state is recorded", "Export", "/uplink")
     for state, (words, label, place) in UPLINK_STEPS.items():
         if state != "NOT SENT":
             on_board = {"state": "BASELINE", "board": state, "of_a_run": True}

@@ -56,20 +56,20 @@ class AskedNumber:
 
 
 TIMES = (
-    AskedNumber("minutes", "Minutes", "How long it may take in all."),
-    AskedNumber("dwell_s", "Dwell (s)", "How long a pointing is held."),
-    AskedNumber("exposure_s", "Exposure every (s)", "From one to the next."),
-    AskedNumber("visits", "Visits", "How often one pointing may be held."),
-    AskedNumber("slew_deg_s", "Turns (°/s)", "Rate of a turn."),
-    AskedNumber("settle_s", "Settling (s)", "Wait after a turn."),
+    AskedNumber("minutes", "Minutes", "Total duration of the plan."),
+    AskedNumber("dwell_s", "Dwell (s)", "Duration of a pointing."),
+    AskedNumber("exposure_s", "Exposure every (s)", "From one exposure to the next."),
+    AskedNumber("visits", "Visits", "Maximum number of visits to a pointing."),
+    AskedNumber("slew_deg_s", "Slew (°/s)", "Slew rate."),
+    AskedNumber("settle_s", "Settling (s)", "Settling time after a slew."),
 )
 ANGLES = (
-    AskedNumber("sun_deg", "Sun (°)", "Least angle."),
-    AskedNumber("moon_deg", "Moon (°)", "Least angle."),
-    AskedNumber("earth_deg", "Earth's limb (°)", "Least angle; needs the orbit."),
+    AskedNumber("sun_deg", "Sun (°)", "Minimum angle."),
+    AskedNumber("moon_deg", "Moon (°)", "Minimum angle."),
+    AskedNumber("earth_deg", "Earth's limb (°)", "Minimum angle; needs the orbit."),
 )
 ORBIT = {"altitude_km": "Altitude (km)", "inclination_deg": "Inclination (°)", "node_hour": "Node (h)"}
-CRITERIA = {"A": "A: least sum of variances", "D": "D: least volume of the confidence region"}
+CRITERIA = {"A": "A: smallest sum of variances", "D": "D: smallest volume of the confidence region"}
 
 
 @router.get("/sensors/{sensor_id:int}/plan", response_class=HTMLResponse, dependencies=[KNOWN])

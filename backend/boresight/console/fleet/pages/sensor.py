@@ -133,7 +133,7 @@ def _interval(ends: Sequence[float | None], factor: float, decimals: int) -> str
     if not ends or not is_number(ends[0]):
         return ""
     if not is_number(ends[1]):
-        return f"over {_number(ends[0], factor, decimals)}"
+        return f"above {_number(ends[0], factor, decimals)}"
     return f"{NARROW_SPACE}to{NARROW_SPACE}".join(_number(end, factor, decimals) for end in ends)
 
 
@@ -359,7 +359,7 @@ async def annotate(
     change = partial(notes.annotate, actor=actor, sensor_id=sensor_id, at=at, text=text)
     again = partial(_trend, request, sensor_id, {"at": at, "text": text})
     address = f"/sensors/{sensor_id}/trend#annotations"
-    return await make_change(request, change, address, "Your annotation stands on the trend.", again=again)
+    return await make_change(request, change, address, "Your annotation was added to the trend.", again=again)
 
 
 EVENTS_A_PAGE = 50

@@ -94,7 +94,7 @@ SUBJECT, LONGEST_TYPED = "The new sensor", 100
 FIELDS = (
     ("name", "Unique in the fleet; becomes part of PS-<sensor>-<n>."),
     ("detector", "rows, columns, and pixel_pitch_m in metres."),
-    ("camera_model", "Which equations turn a pixel into a direction; it fixes the parameters' names."),
+    ("camera_model", "The equations that convert pixels to directions; determines the parameter names."),
     ("parity", "+1: rows, columns and boresight are right-handed. −1: an upright image."),
     ("centroid_sigma_px", "Noise of a centroid along one axis, used where the telemetry gives none."),
     ("initial", "The ground calibration, in SI; becomes set 0 and the first baseline."),
@@ -104,8 +104,8 @@ FIELDS = (
     (
         "readout",
         (
-            "Optional, asked for until declared: mode global, or rolling with line_time_s, axis rows or columns, and corrected."
-            " A rolling readout that the telemetry is not corrected for is corrected here."
+            "Optional; the gate Assumptions has no data until it is declared: mode global, or rolling with line_time_s, axis "
+            "rows or columns, and corrected. If the telemetry is not corrected for a rolling readout, Boresight corrects it."
         ),
     ),
     (
@@ -116,7 +116,7 @@ FIELDS = (
     ),
     (
         "declared",
-        "Optional, asked for until declared: "
+        "Optional; the gate Assumptions has no data until it is declared: "
         + "; ".join(f"{name} {' or '.join(one.words)}" for name, one in DECLARATIONS.items())
         + ".",
     ),

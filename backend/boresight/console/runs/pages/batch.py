@@ -46,7 +46,7 @@ async def batch(
     if unread := [text for text in chosen if not parse_row_id(text)]:
         raise RefusedInputError(f"{unread[0][:20]!r} is not the number of a run; choose runs in the list.")
     if act not in ACTS:
-        raise RefusedInputError(f"Nothing like {act[:20]!r} can be done with runs; choose from {', '.join(ACTS)}.")
+        raise RefusedInputError(f"{act[:20]!r} is not an action for runs; choose from {', '.join(ACTS)}.")
     if not 0 < len(numbers) <= MOST[act]:
         raise RefusedInputError(f"{len(numbers)} runs are chosen; choose 1 to {MOST[act]} in the list.")
     outcomes = [await _take(request, actor, act, number) for number in numbers]
@@ -69,7 +69,7 @@ async def _hide(request: Request, actor: Actor, act: str, run_id: int) -> RunOut
     outcome = await attempt(request, partial(change, actor=actor, run_id=run_id))
     if outcome.refusal is not None:
         return _refused(run_id, outcome.refusal)
-    said = "The lists leave it out." if act == "archive" else "The lists show it again."
+    said = "Archived: hidden from lists." if act == "archive" else "Restored: shown in lists."
     return RunOutcome(run_id, "DONE", said, f"/runs/{run_id}")
 
 
@@ -83,7 +83,9 @@ async def _assess(request: Request, actor: Actor, run_id: int) -> RunOutcome:
     assessed = await assess_set(request, actor, number)
     if assessed.refusal is not None:
         return _refused(run_id, assessed.refusal)
-    return RunOutcome(run_id, assessed.made.verdict, f"So say the gates of {name}.", f"/parameter-sets/{number}/gates")
+    return RunOutcome(
+        run_id, assessed.made.verdict, f"Verdict of the gates of {name}.", f"/parameter-sets/{number}/gates"
+    )
 
 
 def _refused(run_id: int, refusal: RefusalContext) -> RunOutcome:

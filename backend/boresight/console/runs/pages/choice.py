@@ -28,8 +28,8 @@ from boresight.verdicts.numbers import MISSING, count, fixed, urad
 
 VERDICTS = {
     Sufficiency.SUFFICES: ("normal", "suffices"),
-    Sufficiency.NOISE_NOT_AS_STATED: ("caution", "other noise than stated"),
-    Sufficiency.SOMETHING_LEFT: ("serious", "misfit left"),
+    Sufficiency.NOISE_NOT_AS_STATED: ("caution", "noise differs from stated"),
+    Sufficiency.SOMETHING_LEFT: ("serious", "remaining misfit"),
 }
 STATE_WORDS = {
     State.DETERMINED: ("normal", "determined"),

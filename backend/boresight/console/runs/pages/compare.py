@@ -135,22 +135,25 @@ def answer(found: Comparison) -> ComparedAnswer:
     far = [k for k in known if (test := joint(found.contrasts[k])) is not None and test["p"] < UNLIKELY]
     largest = max((_largest(found, k) for k in known), key=lambda one: one[0])
     unit = "σ of the difference" if largest[2] else "σ of the reference"
-    worst = f"at most {number(largest[0], 2)} {unit} ({quantity(largest[1]).symbol})" if largest[1] else "not at all"
+    size = f"{number(largest[0], 2)} {unit} ({quantity(largest[1]).symbol})" if largest[1] else f"0 {unit}"
     same = all(found.shared[k].kind == "same" for k in known)
     if same and largest[0] < NEGLIGIBLE:
         what = "methods" if len({one.run.method for one in found.compared}) > 1 else "runs"
-        return ComparedAnswer("normal", f"Same data: the {what} differ by {worst}, negligible.")
+        return ComparedAnswer("normal", f"Same data: the {what} differ by at most {size}, negligible.")
     if far:
         named = ", ".join(f"#{found.compared[k].run.id}" for k in far)
         return ComparedAnswer(
             "caution",
-            f"{count(len(far))} of {count(len(known))} differ from the reference beyond chance ({named}); {worst}.",
+            f"{count(len(far))} of {count(len(known))} runs differ significantly from the reference ({named}); largest "
+            f"difference {size}.",
         )
     if same and largest[0] > FAR_SIGMAS:
-        return ComparedAnswer("caution", f"Same data: the runs differ by {worst}, more than methods may differ.")
+        return ComparedAnswer(
+            "caution", f"Same data: the runs differ by at most {size}, more than expected between methods."
+        )
     if same:
-        return ComparedAnswer("normal", f"Same data: the runs differ by {worst}, within what methods may differ.")
-    return ComparedAnswer("normal", f"No run differs from the reference beyond chance; {worst}.")
+        return ComparedAnswer("normal", f"Same data: the runs differ by at most {size}, as expected between methods.")
+    return ComparedAnswer("normal", f"No run differs significantly from the reference; largest difference {size}.")
 
 
 def _largest(found: Comparison, k: int) -> tuple[float, str, bool]:
@@ -183,7 +186,7 @@ def together(found: Comparison) -> list[ComparedCell]:
         if k == found.reference:
             cells.append(ComparedCell("reference", ""))
         elif test is None:
-            cells.append(ComparedCell(MISSING, "no result" if against is None else "no σ: the same data, other method"))
+            cells.append(ComparedCell(MISSING, "no result" if against is None else "no σ: same data, different method"))
         else:
             far = test["p"] < UNLIKELY
             words = "differ" if far else "no difference found"
@@ -277,26 +280,27 @@ def _lines(compared: Sequence[ComparedRun]) -> list[MethodLine]:
             "Cost",
             "ms / frame",
             [number(score.ms_per_frame, 3) for score in scores],
-            "Processor time of the method alone, matching left out, measured once: differences below a factor of two mean nothing. "
-            "A replay has none; paired rounds of every method are in the report of boresight reproduce wu.",
+            "Processor time of the method without matching, measured once: differences below a factor of two are not "
+            "significant. Not available for replays. For a paired timing of all methods, see the report of boresight "
+            "reproduce wu.",
         ),
         MethodLine(
             "Converged after",
             "",
             [_settled(one, score) for one, score in zip(compared, scores, strict=True)],
-            f"From there on, all free parameters stay within {SETTLED_SIGMAS:.0f} final σ of their final values.",
+            f"From this point on, all free parameters stay within {SETTLED_SIGMAS:.0f} final σ of their final values.",
         ),
         MethodLine(
             "Condition number",
             "1",
             [number(score.condition, 3) for score in scores],
-            "Of the whole set's scaled Jacobian at the end: equal where the methods agree.",
+            "For the scaled Jacobian of the whole set at the end: equal if the methods agree.",
         ),
         MethodLine(
             "χ² / dof",
             "1",
             [_verdict(score.chi2_per_dof, score.consistent, 3) for score in scores],
-            "Of all arcs at the end, whatever was measured, with the verdict of its 95 % bounds.",
+            "For all arcs at the end, independent of what the method measures, compared with its 95 % bounds.",
         ),
     ]
     return [*lines[:2], *_against_truth(scores), *lines[2:]]

@@ -140,8 +140,8 @@ ATTITUDE = (
     "σ about x, y, z (arcsec)",
     "Quaternion x, y, z, w",
     "Stars used",
-    "RMS residual (px, an axis)",
-    "χ² of its residuals, of degrees of freedom",
+    "RMS residual (px, per axis)",
+    "χ² of its residuals, and degrees of freedom",
     "Rotation from the telemetry's quaternion (arcsec, about x, y, z)",
 )
 GONE = "No frame can be shown: {}"

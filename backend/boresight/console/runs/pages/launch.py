@@ -148,7 +148,7 @@ class TypedForm:
         if not self.prior:
             return {}
         if kind not in {"set", "run"}:
-            raise RefusedInputError(f"{self.prior[:20]!r} is nothing to start from; choose from the list.")
+            raise RefusedInputError(f"A run cannot start from {self.prior[:20]!r}; choose from the list.")
         return {f"prior_{kind}_id": whole(number, "prior")}
 
     def settings(self) -> dict[str, Any]:
@@ -470,7 +470,8 @@ def _expected(summary: Mapping[str, Any]) -> str:
     low, high = map(duration, summary["predicted_range_s"])
     runs = summary["paced_by"]
     known = f"from the last {runs} of this method" if runs > 1 else "from the one run of this method"
-    return f"about {duration(summary['predicted_s'])} ({low} to {high}, {known if runs else 'a guess before the first run'})"
+    basis = f", {known}" if runs else "; rough estimate, no earlier runs"
+    return f"about {duration(summary['predicted_s'])} ({low} to {high}{basis})"
 
 
 def _other_choices(settings: Mapping[str, Any]) -> str:

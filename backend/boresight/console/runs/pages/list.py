@@ -64,15 +64,13 @@ RUNS = Table(
             "Validation RMS",
             "validation",
             "num",
-            "Of the validation set, before and after; sorted by after",
+            "RMS of the validation set, before and after; sorted by after",
             "µrad",
             optional=True,
             csv=("validation_rms_initial_arc_rad", "validation_rms_final_arc_rad"),
         ),
         TableColumn("chi2", "χ² / dof", "-chi2", "num", csv=("chi2_per_dof",)),
-        TableColumn(
-            "change", "Change", "change", "num", "Of the RMS, against the parameters the sensor had at launch", "%"
-        ),
+        TableColumn("change", "Change", "change", "num", "Change of the RMS relative to the parameters at launch", "%"),
         TableColumn("frames", "Frames", "", "num", optional=True, csv=("frames",)),
         TableColumn("by", "By", "by", csv=("launched_by",)),
         TableColumn("started", "Started", "-started", csv=("launched_utc", "started_utc")),
@@ -268,5 +266,5 @@ def presets_page(request: Request, session: Reading, actor: Who) -> HTMLResponse
 async def archive(request: Request, actor: Who, preset_id: int) -> Response:
     """Archive a version."""
     change = partial(presets.archive_preset, actor=actor, preset_id=preset_id)
-    said = "Archived: it is no longer offered. Runs that used it still name it."
+    said = "Archived: no longer available for new runs. Existing runs still refer to it."
     return await make_change(request, change, "/presets", said)

@@ -32,7 +32,7 @@ WHAT_TO_TRY = (
     "Read the telemetry's quality report, then clone this run and edit it: free fewer parameters, or use another set."
 )
 UPLOAD_WITH_TIMES = (
-    "The directions of its stars need times, which this set does not have, so it fails each time: "
+    "Computing star directions requires times, which this set lacks, so every attempt fails: "
     "upload it again with time_utc."
 )
 NO_WORKERS = (
@@ -109,9 +109,7 @@ def _explain_partial(run: Run) -> list[StateNotice]:
         return []
     so_far = f"It had reached {percent(told.fraction, 0)}{f' ({told.message})' if told.message else ''}"
     return [
-        StateNotice(
-            "off", f"PARTIAL: {so_far}. Its estimate at that point is void and is not shown as a result.", "partial"
-        )
+        StateNotice("off", f"PARTIAL: {so_far}. The estimate at that point is not valid and is not shown.", "partial")
     ]
 
 
@@ -120,7 +118,7 @@ def _explain_attempts(log: Sequence[RunEvent]) -> list[StateNotice]:
     if not again:
         return []
     told = f"Attempt {count(again[-1].attempt)} ended without a result: {again[-1].cause}."
-    return [StateNotice("caution", f"{told} It is computed again from the start.", "again")]
+    return [StateNotice("caution", f"{told} It is being computed again from the start.", "again")]
 
 
 def _explain_silence(run: Run) -> list[StateNotice]:
@@ -128,23 +126,23 @@ def _explain_silence(run: Run) -> list[StateNotice]:
     silent_s = seconds_since(parse_progress(run.progress).at_utc or run.started_utc)
     if silent_s is None or silent_s < SILENT_S:
         return []
-    then = "If its server does not renew its claim, the run is queued again automatically."
-    return [StateNotice("caution", f"The worker has not reported for {duration(silent_s)}. {then}", "silent")]
+    then = "If the server does not renew its lease, the run is queued again automatically."
+    return [StateNotice("caution", f"No report from the worker for {duration(silent_s)}. {then}", "silent")]
 
 
 def _stopping_sentence(run: Run, log: Sequence[RunEvent]) -> str:
     asked = [line.at_utc for line in log if line.state == "CANCELLING"]
-    since = f"Asked at {asked[-1]}, {duration(seconds_since(asked[-1]))} ago. " if asked else ""
+    since = f"Requested at {asked[-1]}, {duration(seconds_since(asked[-1]))} ago. " if asked else ""
     return (
-        f"Stopping: {_reason(run)} {since}The worker checks for this five times a second; one that does not react is "
-        "stopped with its process after some seconds."
+        f"Stopping: {_reason(run)} {since}The worker checks five times per second; if it does not respond, its "
+        "process is stopped after a few seconds."
     )
 
 
 def _lost_sentence(run: Run) -> str:
     """Describe when the worker was last heard of, and that its partial result is void."""
     heard = parse_progress(run.progress).at_utc or run.lease_until_utc or run.ended_utc
-    told = f"The worker stopped reporting at {heard or 'an unknown time'}; no result is trusted."
+    told = f"The worker stopped reporting at {heard or 'an unknown time'}; there is no valid result."
     return " ".join(filter(None, [told, _reason(run), "Run it again to get one."]))
 
 

@@ -200,12 +200,18 @@ def list_history_facts(result: Calibration | None) -> Rows:
     history = read_history(result) if result else None
     if result is None or history is None:
         return []
-    first, steps = settled_step(result), f"{count(len(history.x))} {history.axis}s on record"
+    first, steps = settled_step(result), f"{count(len(history.x))} {history.axis}s stored"
     running = result.status == "running"
     settled = (
         f"{history.axis} {history.x[first]:.6g}" if first is not None else ("not yet" if running else "not settled")
     )
-    rows = [("Settled at", settled, f"From there on within three final sigmas of the final values; {steps}.")]
+    rows = [
+        (
+            "Settled at",
+            settled,
+            f"From here on, all values stay within three final sigmas of the final values; {steps}.",
+        )
+    ]
     if history.axis == "iteration":
         cost = history.cost
         rows.append(
@@ -270,7 +276,10 @@ def sight_facts(result: Calibration | None) -> tuple[Rows, list[str]]:
         (
             "Known to",
             known,
-            f"One sigma along it, in units of the spread between sensors of this kind; up to {WEAK:g} the data determine it.",
+            (
+                f"One sigma along this direction, in units of the spread between sensors of this kind; it counts as determined "
+                f"up to {WEAK:g}."
+            ),
         ),
         ("Condition number", condition, "Largest singular value over the smallest."),
     ]
@@ -590,7 +599,7 @@ def _why_no_set(run: Run) -> str | None:
     status = parse_run_summary(run.summary).status
     if status is None or status in parameter_sets.USABLE_STATUSES:
         return None
-    return f"No parameter set can be made from a result that ended as {words(status)}."
+    return f"A result with status {words(status)} cannot become a parameter set."
 
 
 def make_run_header(review: RunReview, by: str, times: TimeStyle) -> list[tuple[str, Any]]:

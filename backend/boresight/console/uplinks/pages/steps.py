@@ -71,7 +71,7 @@ board_router = APIRouter()
 
 BOARDS = Table(
     "sensors",
-    "Sensors, first what needs somebody",
+    "Sensors, those that need attention first",
     (
         TableColumn("sensor", "Sensor", "sensor", "nowrap", head=True),
         TableColumn("status", "Status", "board", "tight"),
