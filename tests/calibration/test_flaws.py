@@ -1,5 +1,6 @@
 """A flaw at one place, edges and exposures: found where they are, measured, and by chance as seldom as told."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -50,9 +51,7 @@ def test_a_dent_is_found_where_it_is_and_a_sound_window_has_none(sensor, catalog
     test = find_tests(report)["flaw"]
     assert test.noticed
     assert report.causes[0].name == "flaw"
-    flaw = np.array(
-        [float(word.strip(",")) for word in report.causes[0].sentence.split() if word.strip(",").isdigit()][:2]
-    )
+    flaw = np.array([*map(float, re.search(r"row (\d+), column (\d+)", report.causes[0].sentence).groups())])
     assert np.hypot(*(flaw - centre[:, 0])) < 0.5 * width
     assert not find_tests(case(telemetry, sensor, catalogue).report)["flaw"].noticed
 

@@ -278,7 +278,7 @@ def _judge_evidence(result: Calibration) -> PartVerdict:
     doubts = len(trust_doubts(result)) + bool(_chi_square(result).reason)
     doubts += result.matching is not None and not result.matching.rested
     level = max(trust_level(result), _chi_square(result).level, "caution" if doubts else "off", key=LEVELS.index)
-    return PartVerdict(level, f"{doubts} warning{'s' * (doubts != 1)}" if doubts else "nothing noticed")
+    return PartVerdict(level, f"{doubts} warning{'s' * (doubts != 1)}" if doubts else "no deviation found")
 
 
 def _is_worse(one: str, other: str) -> bool:
@@ -339,7 +339,9 @@ def _tests(result: Calibration) -> list[VerdictMark]:
     sentence = " ".join(f"{cause.sentence} {cause.remedy}" for cause in result.causes[:1])
     sound = "No test of the model found a deviation (joint false-alarm rate 1 %)."
     return [
-        _examined("tests", "Tests of the model", ("no deviation", "deviates"), not noticed, value, sentence or sound)
+        _examined(
+            "tests", "Tests of the model", ("no deviation found", "deviates"), not noticed, value, sentence or sound
+        )
     ]
 
 
