@@ -132,7 +132,8 @@ document.addEventListener("click", (event) => {
   if (!toPoint) return;
   event.preventDefault();
   toPoint.closest("dialog")?.close();
-  listOpen()[0]?.focus();
+  const first = listOpen()[0];
+  (first && find(".reason", HTMLInputElement, first.parentElement ?? document))?.focus(); // typing it ticks the point
 });
 for (const own of ["wheel", "touchmove", "keydown"]) addEventListener(own, () => { isLed = false; }, { passive: true }); // who moves by themselves is not led
 

@@ -36,7 +36,20 @@ document.addEventListener("click", (event) => {
 function openOf(input) {
   const name = input instanceof HTMLInputElement && input.files?.length ? input.dataset.opens : undefined;
   const dialog = name && find(`#${CSS.escape(name)}`, HTMLDialogElement);
-  if (dialog && !dialog.open) open(dialog);
+  if (!dialog || dialog.open || !(input instanceof HTMLInputElement)) return;
+  showChosen(dialog, input);
+  open(dialog);
+}
+
+/** Name a chosen file in its dialog, with the SHA-256 where the browser gives one: of two files of one name it tells which. @param {HTMLElement} dialog @param {HTMLInputElement} input */
+async function showChosen(dialog, input) {
+  const place = find(`[data-chosen="${input.id}"]`, HTMLElement, dialog);
+  const file = input.files?.[0];
+  if (!place || !file) return;
+  place.textContent = `File ${file.name}, ${file.size} bytes`;
+  if (!globalThis.crypto?.subtle) return; // not a secure context
+  const digest = new Uint8Array(await crypto.subtle.digest("SHA-256", await file.arrayBuffer()));
+  place.textContent += `, SHA-256 ${Array.from(digest, (one) => one.toString(16).padStart(2, "0")).join("").slice(0, 16)}`;
 }
 
 document.addEventListener("change", ({ target }) => openOf(target));

@@ -8,7 +8,7 @@ import { find, findAll, need } from "./dom.js";
 const WAIT_MS = 1500;
 const SAID_MS = 2500;
 const STORED = "boresight-keys";
-const TYPED = "input:not([type=checkbox], [type=radio]), textarea, select, [contenteditable]";
+const TYPED = "input:not([type=checkbox], [type=radio]), form.ask input, textarea, select, [contenteditable]";
 const list = find("#keys", HTMLDialogElement);
 let goAt = -WAIT_MS;
 

@@ -134,7 +134,7 @@ CAUSES: dict[str, CauseKind] = {
         ),
         CauseKind(
             "flaw",
-            "A local defect displaces nearby stars by up to {size} px: for example a window flaw, a droplet or dust",
+            "A local defect{where} displaces nearby stars by up to {size} px: for example a window flaw, a droplet or dust",
             "leave out stars near it, or load the correction table of the residual spline",
             ("flaw", *GENERAL),
         ),
@@ -490,13 +490,12 @@ def _describe(
             kind,
             sentence="The centroid noise is {size} times the stated one; the sigmas use the measured scale",
         )
-    if isinstance(flaw := examined.fitted.computed.get("flaw"), Flaw) and one.name == "flaw":
-        where = f"row {flaw.row_px:.0f}, column {flaw.col_px:.0f}"
-        kind = replace(kind, sentence=kind.sentence.replace("one place", where))
+    flaw = examined.fitted.computed.get("flaw")
+    where = f" at row {flaw.row_px:.0f}, column {flaw.col_px:.0f}" if isinstance(flaw, Flaw) else ""
     return Cause(
         name=one.name,
         likelihood=share,
-        sentence=kind.sentence.format(size=f"{one.size:.2g}") + ".",
+        sentence=kind.sentence.format(size=f"{one.size:.2g}", where=where) + ".",
         remedy=kind.remedy[0].upper() + kind.remedy[1:] + ".",
         tests=[name for name in noticed if name in kind.tests or name in besides],
     )

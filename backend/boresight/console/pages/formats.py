@@ -104,7 +104,7 @@ THOUSANDS = re.compile(r"(?:^|[^\w.,-])\d{1,3}(?:,\d{3})*$")
 #: What stands before the e of a power of ten, and not before an e among the digits of a checksum.
 MANTISSA = re.compile(r"(?:^|[^\w.,-]|(?<!\w)-)\d(?:\.\d+)?$")
 MOST_DIGITS = 40
-QUOTED = ("<q", "<blockquote", "<title")  # what people wrote
+QUOTED = ("<q", "<bdi", "<blockquote", "<title")  # what people wrote
 
 
 def show_numbers(page: str) -> str:

@@ -105,7 +105,7 @@ def describe_four_eyes(session: Session, row: ParameterSet, policy: Policy) -> d
     elif kept is None:
         sentence = "Nobody signed this set: it is the ground calibration."
     elif kept:
-        sentence = "Four-eyes rule: it was approved by a person who did not submit it, create it or launch its run."
+        sentence = "Approved by a person who did not submit it, create it or launch its run."
     else:
         sentence = (
             "FOUR-EYES RULE NOT FOLLOWED: it was approved by a person who submitted it, created it or launched its run."
