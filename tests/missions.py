@@ -13,6 +13,7 @@ from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.blobs.tables import Blob
 from boresight.platform.db.sessions import Session, utc_now, utc_text
 
@@ -35,13 +36,16 @@ def add_set(
     temperature_c: float | None = None,
     timed: bool = True,
     stars: int = STARS,
+    blobs: BlobStore | None = None,
 ) -> TelemetrySet:
+    """Add a set; its file exists only in `blobs`, for stores whose files are looked at."""
     number = session.query(TelemetrySet).count() + 1
-    sha256 = f"{number:064x}"
+    sha256 = f"{number:064x}" if blobs is None else blobs.put(f"set {number}".encode())
     begins = START + timedelta(days=day)
     time = {"start_utc": utc_text(begins), "end_utc": utc_text(begins + timedelta(hours=HOURS))}
     warmth = None if temperature_c is None else {"smallest": temperature_c - 1, "largest": temperature_c + 1}
-    session.add(Blob(sha256=sha256, size_bytes=1, media_type="text/csv", created_utc=utc_now()))
+    size = 1 if blobs is None else blobs.size(sha256)
+    session.add(Blob(sha256=sha256, size_bytes=size, media_type="text/csv", created_utc=utc_now()))
     session.flush()
     row = TelemetrySet(
         sensor_id=sensor_id,

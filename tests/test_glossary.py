@@ -93,3 +93,16 @@ def test_no_function_is_named_by_a_word_that_does_not_say_what_it_does():
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.name.strip("_") in NO_VERBS
     ]
     assert found == []
+
+
+def test_in_sentences_and_tables_plus_minus_is_one_sigma_and_three_are_left_to_the_bands_of_figures():
+    folders = [ROOT / "backend/boresight" / name for name in ("verdicts", "console", "figures/charts")]
+    paths = [path for folder in folders for path in folder.rglob("*.py")]
+    paths += (ROOT / "frontend/templates").rglob("*.html")
+    found = [
+        f"{path.relative_to(ROOT)}: {line.strip()}"
+        for path in paths
+        for line in path.read_text(encoding="utf-8").splitlines()
+        if re.search(r"± 3|\(3 ?σ\)|with three sigmas", line) and "hovertemplate" not in line
+    ]
+    assert found == []

@@ -70,7 +70,7 @@ CHANGES = """async () => {
 def test_no_figure_is_drawn_over_and_over_until_its_labels_have_room(people, batch_run, sequential_run):
     with people.seat("analyst") as window:
         window.open(f"/compare?runs={batch_run},{sequential_run}")
-        window.figures_drawn()
+        window.unfold()
         again = window.page.evaluate(CHANGES)
     assert len(again) > 20
     assert {name: times for name, times in again.items() if times > MOST_AGAIN} == {}

@@ -12,7 +12,7 @@ from boresight.figures.style.theme import TOKENS
 from boresight.verdicts import numbers as server
 from tests.browser.test_every_page import ADDRESSES, REFUSED, VISITORS
 from tests.browser.test_gallery import INKS, WRITTEN, format_rgb
-from tests.browser.window import GLANCE
+from tests.browser.window import GLANCE, OVERLAPS, PHONE
 from tests.browser.work import choose_filter, ends_as, queue
 from tests.effort import effort, few_of
 
@@ -119,9 +119,43 @@ def test_a_live_chart_says_its_frame_and_is_renewed_when_it_or_its_page_comes_in
         ends_as(window, "CANCELLED")
 
 
+WITH_FIGURES = (
+    "approval",
+    "run-convergence",
+    "compare",
+    "trend",
+    *(f"run-{part}" for part in PARTS if part != "record"),
+)
+DRAWN = [*dict.fromkeys(WITH_FIGURES)]
+FIGURE_WIDTHS = (1280, 390, 820, 2560)
+
+
+def open_large(window):
+    """Open a request's views, whose large figures take the places of the small ones."""
+    window.page.locator("[data-open-views]").click()
+    expect(window.page.locator("plot-figure[small]")).to_have_count(0)
+    window.figures_drawn()
+
+
+@pytest.mark.parametrize("name", few_of(DRAWN, 2))
+def test_no_text_of_a_figure_lies_over_another_or_in_a_panel_or_is_cut_at_any_width(people, numbers, name):
+    with people.seat("analyst") as window:
+        for width in FIGURE_WIDTHS:
+            window.page.set_viewport_size({"width": width, "height": 900})
+            window.open(ADDRESSES[name].format(**numbers))
+            window.unfold()
+            assert window.overlaps() == [], f"at {width} px"
+            if name == "approval":
+                open_large(window)
+                assert window.overlaps() == [], f"opened large at {width} px"
+        window.page.set_viewport_size(PHONE)  # where a window becomes narrow its figures are laid out again
+        window.page.wait_for_function(f"() => !({OVERLAPS})().length")
+
+
 A4 = {"width": 718, "height": 1047}  # between margins of 10 mm
 PRINTED = ["/runs/{batch}?part=observability", "/runs/{filter}?part=result", "/runs/{filter}?part=convergence"]
 PRINTED += ["/runs/{batch}?part=distortion", "/runs/{batch}?part=evidence", "/sensors/{sensor}/trend"]
+PRINTED += ["/compare?runs={batch},{filter}", "/approvals/{request}"]
 WIDTHS = """() => [...document.querySelectorAll("plot-figure .main-svg:first-child")].filter(one => one.checkVisibility())
     .map(one => [one.getBoundingClientRect().width, one.closest("plot-figure").getBoundingClientRect().width])"""
 BEFORE_PRINT = "dispatchEvent(new Event('beforeprint'))"  # as the print dialog does, before the page is laid out

@@ -169,6 +169,7 @@ def test_a_sensor_its_telemetry_and_its_run_are_made_and_read_by_keys_alone(peop
     with people.seat() as window:
         keyboard = window.page.keyboard
         window.open("/login")
+        expect(window.page.locator("#name")).to_be_focused()
         keyboard.type("analyst")
         press(window, "Tab")
         keyboard.type(get_password("analyst"))

@@ -32,7 +32,7 @@ def test_a_preset_keeps_what_was_typed_and_its_campaign_is_followed_to_its_end(p
         expect(page.get_by_role("table", name=re.compile("^Predicted sigma"))).to_contain_text("b4_per_m4")
         page.get_by_role("radio", name=re.compile("^Square-root filter")).check()
         expect(page).to_have_url(re.compile(r"preset=quick-look.*method=sqrf"))
-        expect(page.locator("[data-changes]")).to_contain_text("Square-root filter")
+        expect(page.get_by_role("region", name="Changed from Quick look")).to_contain_text("Square-root filter")
         window.shoot("60-launch-forecast")
         assert window.barriers() == []
 
@@ -205,7 +205,7 @@ def test_a_sensor_of_a_large_fleet_is_found_and_chosen_and_what_was_typed_stays(
     analyst.fits()
     assert analyst.barriers() == []
     page.get_by_label("Find a sensor").fill("")
-    page.get_by_role("button", name="Find").click()
+    page.get_by_role("main").get_by_role("button", name="Find").click()
     expect(page.locator("#sensor_id option")).to_have_count(201)
     sensor.select_option(label="ST-0007")
     expect(page).to_have_url(re.compile("sensor=8"))

@@ -12,6 +12,7 @@ from boresight.console.fleet import service as sensors
 from boresight.console.fleet.pages.sensors import EXAMPLE
 from boresight.console.runs.tables import Run
 from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.blobs.opening import open_blobs
 from boresight.platform.db.sessions import open_engine, open_writing
 from boresight.settings import read_settings
 from boresight.simulation.sensors import st16_sensor
@@ -106,13 +107,14 @@ def store(installation):
 
 
 @pytest.fixture(scope="module")
-def drifting(store):
+def drifting(store, installation):
+    blobs = open_blobs(read_settings(installation.environment).blob_location)
     rng = np.random.default_rng(4)
     with open_writing(store) as session:
         document = sensor_document(st16_sensor(NUMBER))
         sensor = sensors.register_sensor(session, COMMAND_LINE, document, simulated=True)
         for month in range(10):
-            data = add_set(session, sensor.id, 30.0 * month, temperature_c=20 + 6 * np.sin(month))
+            data = add_set(session, sensor.id, 30.0 * month, temperature_c=20 + 6 * np.sin(month), blobs=blobs)
             run = add_run(session, data, rng, 0.05 * month * np.eye(8)[0])
             if month == 2:
                 make_baseline(session, run)
@@ -158,6 +160,19 @@ def test_a_drift_alarm_is_seen_handled_understood_and_over(people, store, drifti
 
 TICKS = "[...document.querySelectorAll('plot-figure .xaxislayer-above text')].map(tick => tick.textContent)"
 HOVERED = "[...document.querySelectorAll('plot-figure .figure-canvas')].flatMap(it => it.data.flatMap(one => one.hovertext ?? []))"
+#: Texts of the top bar that lie over each other.
+OVER = """() => {
+    const texts = [], walker = document.createTreeWalker(document.querySelector('.top'), NodeFilter.SHOW_TEXT);
+    for (let node = walker.nextNode(); node; node = walker.nextNode()) {
+        if (!node.data.trim() || node.parentElement.closest('.sr, dialog') || !node.parentElement.checkVisibility()) continue;
+        const range = document.createRange();
+        range.selectNodeContents(node);
+        texts.push([node.data.trim(), range.getBoundingClientRect()]);
+    }
+    return texts.flatMap(([name, a], at) => texts.slice(at + 1)
+        .filter(([, b]) => a.left < b.right - 1 && b.left < a.right - 1 && a.top < b.bottom - 1 && b.top < a.bottom - 1)
+        .map(([other]) => `${name} / ${other}`));
+}"""
 LOOK_OF_FORM = {"iso": r"\d{4}-\d\d-\d\d", "day_of_year": r"\d{4}-\d{3}"}
 
 
@@ -173,6 +188,9 @@ def test_clock_and_time_axes_are_in_the_form_that_was_chosen(people, drifting):
             expect(window.page.locator("html")).to_have_attribute("data-times", form)
             window.open(f"/sensors/{drifting}/trend")
             window.figures_drawn()
+            for width in (820, 1280, 1440):
+                window.page.set_viewport_size({"width": width, "height": 720})
+                assert window.page.evaluate(OVER) == []
             day = LOOK_OF_FORM.get(form, LOOK_OF_FORM["iso"])
             expect(window.page.locator("#clock")).to_have_text(re.compile(rf"^{day} "))
             ticks = window.page.evaluate(TICKS)

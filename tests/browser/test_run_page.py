@@ -1,16 +1,18 @@
 """A run's page: it grows from events, steps through frames, keeps its views in the address, and draws the result's numbers."""
 
 import itertools
+import json
 import re
 
 import numpy as np
 import pytest
 from playwright.sync_api import expect
 
+from boresight.cameras import CAMERA_MODELS
 from boresight.console.runs.pages.run import PARTS
 from boresight.figures import CHAPTERS
-from tests.browser.window import GLANCE, OVERLAPS, PHONE
-from tests.browser.work import choose_filter, ends_as, queue
+from tests.browser.window import GLANCE, PHONE
+from tests.browser.work import choose_filter, ends_as, queue, upload
 from tests.effort import effort, few_of
 
 pytestmark = pytest.mark.browser
@@ -193,6 +195,7 @@ def test_a_frame_is_stepped_through_scaled_and_found_again_by_its_address(people
 
 ONE_A_SECOND, FIFTY_A_SECOND = 1.0, 50.0
 LONGEST_EVIDENCE_PX = 3600  # at 1280 px, with what is for research folded away
+MOST_LINES_PX = 45  # two lines
 SINGLE = 1e-6  # figures travel in single precision
 
 
@@ -320,16 +323,86 @@ def test_trust_appears_by_itself_when_the_run_that_is_watched_ends(people, batch
         expect(window.page.locator("#parts")).to_contain_text("doubt")
 
 
-@pytest.mark.parametrize("part", few_of(["result", "evidence", "convergence", "distortion", "observability"], 1))
-def test_no_text_of_a_figure_lies_over_another_or_is_cut_on_a_phone_or_a_desk(people, sequential_run, part):
+LAUNCHED = ("joint", "cancelled", *(name for name in CAMERA_MODELS if name != "inverted_wang"), "real sky")
+
+
+def launch(window, sensor_id, set_id, label, **more):
+    window.open("/runs")
+    token = window.page.locator("input[name=csrf_token]").first.input_value()
+    asked = {"sensor_id": sensor_id, "telemetry_set_id": set_id, "settings": {"method": "batch"}, "label": label} | more
+    answer = window.page.request.post("/api/v1/runs", data=asked, headers={"X-CSRF-Token": token})
+    assert answer.ok, answer.text()
+    return answer.json()["id"]
+
+
+def register(window, document):
+    window.open("/sensors")
+    window.page.get_by_label("Sensor file (JSON)").fill(json.dumps(document))
+    window.page.get_by_role("button", name="Register").click()
+    window.page.wait_for_url("**/sensors/*")
+    return int(window.page.url.rpartition("/")[2])
+
+
+def describe_camera(installation, files, model):
+    """A sensor file of the simulated optics in another camera model."""
+    known, path = json.loads((files / "sensor.json").read_text()), installation.folder / f"{model}.json"
+    detector = known["detector"]
+    installation.command(
+        *("sensor", "new", "--rows", str(detector["rows"]), "--columns", str(detector["columns"]), "--model", model),
+        *(
+            "--pixel-pitch-um",
+            str(1e6 * detector["pixel_pitch_m"]),
+            "--focal-length-mm",
+            str(1e3 * known["initial"]["f_m"]),
+        ),
+        *("--out", str(path)),
+    )
+    kept = {name: known[name] for name in ("parity", "centroid_sigma_px", "magnitude_limit", "readout", "declared")}
+    return json.loads(path.read_text()) | kept | {"name": f"As {model}"}
+
+
+@pytest.fixture
+def launched(request, people, installation, files, sensor_id, telemetry):
+    """A run that is joint, cancelled, of real stars, or of a camera model."""
+    name = request.param
     with people.seat("analyst") as window:
-        for size in (PHONE, GLANCE):
-            window.page.set_viewport_size(size)
-            window.open(f"/runs/{sequential_run}?part={part}")
-            window.unfold()
-            assert window.overlaps() == [], f"at {size['width']} px"
-        window.page.set_viewport_size(PHONE)  # where a window becomes narrow its figures are laid out again
-        window.page.wait_for_function(f"() => !({OVERLAPS})().length")
+        if name == "joint":
+            run_id = launch(window, sensor_id, telemetry["calibration"], name, joint_set_ids=[telemetry["validation"]])
+        elif name == "cancelled":
+            slow = {"method": "sqrf", "replay_frames_per_s": 1.0}
+            run_id = launch(window, sensor_id, telemetry["calibration"], name, settings=slow)
+            window.open(f"/runs/{run_id}")
+            window.send(f"/runs/{run_id}/cancel", {})
+        elif name == "real sky":
+            real_sky = request.getfixturevalue("real_sky")
+            own = register(window, json.loads((real_sky / "esa.sensor.json").read_text()))
+            run_id = launch(window, own, upload(window, own, real_sky / "esa-5-frames.csv"), name)
+        else:
+            own = register(window, describe_camera(installation, files, name))
+            run_id = launch(window, own, upload(window, own, files / "calibration.csv"), name)
+        window.open(f"/runs/{run_id}")
+        ends_as(window, "CANCELLED" if name == "cancelled" else "SUCCEEDED")
+        yield window, run_id
+
+
+@pytest.mark.parametrize("launched", few_of(LAUNCHED, 2), indirect=True)
+def test_every_part_of_every_kind_of_run_begins_high_and_its_worst_warning_is_read_whole(launched):
+    window, run_id = launched
+    for part in PARTS:
+        window.begins_high(f"/runs/{run_id}?part={part}")
+        worst = window.page.locator("#verdict .worst")
+        if worst.count():
+            assert worst.evaluate(
+                "one => one.scrollWidth <= one.clientWidth && getComputedStyle(one).textOverflow === 'clip'"
+            )
+            assert worst.evaluate("one => one.getBoundingClientRect().height") <= MOST_LINES_PX
+
+
+@pytest.mark.parametrize("run", ["batch", "filter"])
+def test_every_part_of_a_promoted_run_and_of_a_filter_begins_high(people, numbers, run):
+    with people.seat("analyst") as window:
+        for part in PARTS:
+            window.begins_high(f"/runs/{numbers[run]}?part={part}")
 
 
 def test_the_parts_stay_in_sight_and_a_view_opens_its_large_figure(window, sequential_run):

@@ -59,6 +59,8 @@ SETTLED = """new Promise(done => {
     setTimeout(done, 5000);
 })"""
 HIGHEST_PX = 420
+FIRST_TABLE = SCREENSHOTS.parent / "first-figure.csv"
+FIRST_TOPS: dict[tuple[str, str, str], int] = {}
 #: Where the first figure's axes begin, as soon as they are drawn, or what stands in its place.
 FIRST = """() => {
     const first = document.querySelector("plot-figure, .answer, main .empty, main .log");
@@ -74,13 +76,20 @@ FORGET_THEME = """() => {
 FITS = "() => document.documentElement.scrollWidth <= document.documentElement.clientWidth"
 OVERLAPS = """() => [...document.querySelectorAll("plot-figure .js-plotly-plot")].flatMap(figure => {
     const boxes = [...figure.querySelectorAll("svg text")].filter(one => one.checkVisibility() && one.textContent.trim())
-        .map(one => [one.textContent, one.getBoundingClientRect()]).filter(([, box]) => box.width);
+        .map(one => [one.textContent, one.getBoundingClientRect(), one]).filter(([, box]) => box.width);
     const place = figure.getBoundingClientRect(), name = figure.closest("[id]").id;
+    const isSlanted = ([, , one]) => /rotate\\((?!0[,)]|-?90[,)])/.test(one.getAttribute("transform") ?? "");
     const over = ([, a], [, b]) => Math.min(a.right, b.right) - Math.max(a.left, b.left) > 2
         && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 2;
-    const isCut = ([, a]) => a.left < place.left - 2 || a.right > place.right + 2 || a.bottom > place.bottom + 2;
-    return [...boxes.filter(isCut).map(([text]) => [name, text, "is cut"]), ...boxes.flatMap((one, k) =>
-        boxes.slice(k + 1).filter(other => over(one, other)).map(other => [name, one[0], other[0]]))];
+    const panels = [...figure.querySelectorAll(".nsewdrag")].map(one => one.getBoundingClientRect());
+    const axes = boxes.filter(([, , one]) => one.closest("[class$=tick], [class^=g-x], [class^=g-y]"));
+    const isCut = ([, a]) => a.left < place.left - 2 || a.top < place.top - 2
+        || a.right > place.right + 2 || a.bottom > place.bottom + 2;
+    return [...boxes.filter(isCut).map(([text]) => [name, text, "is cut"]),
+        ...axes.filter(one => panels.some(panel => over(one, [, panel]))).map(([text]) => [name, text, "lies in a panel"]),
+        ...boxes.flatMap((one, k) =>
+        boxes.slice(k + 1).filter(other => over(one, other) && !(isSlanted(one) && isSlanted(other)))
+            .map(other => [name, one[0], other[0]]))];
 })"""
 CUT = """() => [...document.querySelectorAll("table.data")].map(table => table.parentElement)
     .filter(place => place.scrollWidth > place.clientWidth && !place.closest("details:not([open])")
@@ -263,7 +272,18 @@ class Window:
         top = self.page.wait_for_function(FIRST).json_value()
         assert top <= HIGHEST_PX, f"the first figure of {address} begins at {top} px"
         last = self.page.evaluate(LAST_VIEW)
+        self._note_first(address, top)
         assert last <= GLANCE["height"], f"the views of {address} end at {last} px"
+
+    def _note_first(self, address: str, top: float) -> None:
+        """Keep where the first figure of a run's part begins, with `--full` in a table of all that were looked at."""
+        state = self.page.locator("#run-head .page-head > .status").first.inner_text()
+        name = self.page.locator("h1").inner_text()
+        FIRST_TOPS[name, state, address.partition("part=")[2] or "result"] = round(top)
+        if effort(0, 1):
+            rows = [",".join((*map(quoted, key), str(px))) for key, px in sorted(FIRST_TOPS.items())]
+            FIRST_TABLE.parent.mkdir(exist_ok=True)
+            FIRST_TABLE.write_text("\n".join(["run,state,part,first_figure_px", *rows, ""]))
 
     def overlaps(self) -> list[list[str]]:
         """Texts of the drawn figures that lie over each other or are cut: the figure, the one, and the other."""
@@ -344,6 +364,10 @@ class Window:
         self.page.unroute("**/*", _stay)
         self.page.remove_listener("request", note)
         assert sent == []
+
+
+def quoted(text: str) -> str:
+    return f'"{text}"'
 
 
 def _read_look(name: str) -> tuple[str, dict[str, int], dict[str, Any]]:

@@ -249,11 +249,25 @@ def test_free_parameters_have_panels_and_fixed_ones_null_sigmas_and_none(sequent
     assert FIGURES["convergence"].table(fixed)["sigma_g_y"] == [None] * 200
 
 
+def panel_names(drawn):
+    """The names that stand over the panels, by their y axes."""
+    return {one.yref.removesuffix(" domain"): one.text for one in drawn.layout.annotations}
+
+
+def test_many_panels_are_named_at_one_distance_above_them_in_as_many_columns_as_there_is_room_for(sequential_result):
+    for form, columns in (("large", 4), ("medium", 2), ("narrow", 1)):
+        drawn = FIGURES["convergence"].draw_for(form, [Trace("Run", sequential_result)])
+        assert len({axis.domain for axis in drawn.select_xaxes()}) == columns
+        assert len(panel_names(drawn)) == len(list(drawn.select_yaxes({"visible": None}))) == 10
+        assert {(one.x, one.y, one.yshift) for one in drawn.layout.annotations} == {(0, 1, 2)}
+        assert not any(axis.title.text for axis in drawn.select_yaxes())
+
+
 def test_the_focal_length_is_in_millimetres_since_its_start_with_a_band_of_three_sigmas(sequential_result):
     drawn = draw("convergence", sequential_result)
     change_m = sequential_result.parameters.f_m - sequential_result.initial.f_m
     assert named(drawn, "Run")[0].y[-1] == pytest.approx(change_m * 1e3, rel=1e-4)
-    assert "mm" in drawn.layout.yaxis.title.text
+    assert "mm" in panel_names(drawn)["y"]
     outline = np.array(named(drawn, "Run ±3σ")[0].y, dtype=float)
     upper, lower = outline[: len(outline) // 2], outline[len(outline) // 2 :][::-1]
     sigma_mm = np.array(sequential_result.history.sigma)[:, 0] * 1e3
@@ -284,7 +298,7 @@ def test_batch_and_baseline_are_levels_beside_a_filter_over_frames_that_share_th
 
 def test_the_cost_of_a_batch_is_on_a_log_axis_and_its_step_in_final_sigmas_on_either_scale(batch_result):
     drawn = draw("convergence", batch_result)
-    assert (drawn.layout.yaxis9.title.text, drawn.layout.yaxis9.type) == ("cost", "log")
+    assert (panel_names(drawn)["y9"], drawn.layout.yaxis9.type) == ("cost", "log")
     value, sigma = (np.array(rows) for rows in (batch_result.trace.parameters, batch_result.trace.sigma))
     expected = np.sqrt(np.mean((np.diff(value, axis=0) / sigma[-1]) ** 2, axis=1))
     step = next(trace for trace in named(drawn, "Run") if trace.yaxis == "y10")

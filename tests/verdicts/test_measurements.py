@@ -343,6 +343,15 @@ def test_the_numbers_of_a_row_share_one_power_of_ten_and_a_pure_number_has_no_un
     assert [unit(name) for name in ("f_m", "g_y", "k1")] == ["mm", "", ""]
 
 
+@pytest.mark.parametrize("start_value", [0.0, -0.0, 4e3, -4e3])
+def test_a_zero_has_no_power_of_ten(start_value):
+    rows = [parameter(start_value, "b4_per_m4", sigma_si, 8) for sigma_si in (1.4e6, None)]
+    assert rows[0] == "0.000"
+    assert (rows[1] == "0") == (start_value == 0)
+    assert grouped("-0.00e+08") == "0.00"
+    assert grouped("-0.01e+08") == f"{MINUS}0.01·10⁸"
+
+
 @given(
     st.floats(allow_nan=False, min_value=-1e12, max_value=1e12),
     st.floats(min_value=1e-9, max_value=1e9),

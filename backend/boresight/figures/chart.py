@@ -53,7 +53,8 @@ class Figure:
 
     `table`: One calibration to the columns of its CSV: complete, in SI, never thinned. `wide`: It takes a page's width.
     `advanced`: For research; a run's page folds it away. `forms`: What else than `draw` draws it: `small` in a view of about
-    430 by 200 px, `narrow` on a phone where that is laid out otherwise.
+    430 by 200 px, `medium` in half of a page and `narrow` on a phone, where those are
+    laid out otherwise.
     """
 
     name: str
@@ -66,7 +67,7 @@ class Figure:
     forms: Mapping[str, Callable[[Sequence[Trace]], go.Figure]] = field(default_factory=dict)
 
     def draw_for(self, size: str, traces: Sequence[Trace]) -> go.Figure | None:
-        """Draw the form for a size, `large`, `narrow` or `small`; None where there is no small one."""
+        """Draw the form for a size, `large`, `medium`, `narrow` or `small`; None where there is no small one."""
         drawing = self.forms.get(size) or (None if size == "small" else self.draw)
         return drawing(traces) if drawing else None
 

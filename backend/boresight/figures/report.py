@@ -13,7 +13,7 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from boresight import __version__
-from boresight.calibration.calibration import Calibration, Change, to_plain
+from boresight.calibration.calibration import Calibration, Change, Evaluation, to_plain
 from boresight.calibration.options import OPTIONS, CalibrationSettings, format_value
 from boresight.figures import CHAPTERS, FIGURES
 from boresight.figures.chart import Trace, figure_json
@@ -39,7 +39,14 @@ from boresight.figures.tables import (
 )
 from boresight.resources import folder
 from boresight.verdicts.numbers import count, number
-from boresight.verdicts.verdict import make_verdict, prospects, trust_marks, why_absent
+from boresight.verdicts.verdict import (
+    describe_iterations,
+    describe_rms,
+    make_verdict,
+    prospects,
+    trust_marks,
+    why_absent,
+)
 
 NUMBERS_JS = (folder("frontend") / "static" / "shared" / "numbers.js").read_text(encoding="utf-8")
 
@@ -127,14 +134,15 @@ def _summary(result: Calibration) -> Iterator[tuple[str, str]]:
         yield "Exposures", count(result.exposures)
         yield "Stars", count(result.stars)
         yield "Pairs", count(result.pairs)
-        yield "Iterations", count(result.iterations)
-    yield "RMS arc error", _pair(result.rms_arc_rad)
+        yield "Iterations", describe_iterations(result)
+    yield "RMS arc error", _pair(result.evaluation, result.rms_arc_rad, result.pairs)
     if result.chi2_per_dof is not None:
         yield "χ² per degree of freedom", number(result.chi2_per_dof)
     condition = result.observability.condition_number if result.observability else None
     yield "Condition number", number(condition)
     validation = result.validation
-    yield "Validation RMS", _pair(validation.rms_arc_rad) if validation else "no validation set was given"
+    told = _pair(validation, validation.rms_arc_rad, validation.common_pairs) if validation else ""
+    yield "Validation RMS", told or "no validation set was given"
     for term in result.noise.terms if result.noise else ():
         if term.needed:
             yield "Centroid noise", term.sentence
@@ -143,8 +151,8 @@ def _summary(result: Calibration) -> Iterator[tuple[str, str]]:
         yield f"{one.name.replace('_', ' ').capitalize()}, {word}", one.sentence
 
 
-def _pair(rms: Change) -> str:
-    return " → ".join("–" if value is None else f"{value * 1e6:.1f}" for value in (rms.initial, rms.final)) + " µrad"
+def _pair(scores: Evaluation | None, rms: Change, arcs: float | None) -> str:
+    return f"{describe_rms(scores, rms, arcs)} µrad, 95 % in brackets"
 
 
 def flattened(document: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:

@@ -13,11 +13,13 @@ import numpy as np
 
 from boresight.calibration.calibration import Calibration, Observability, RadialDifference
 from boresight.estimation.statistics.observability import NAMED
-from boresight.verdicts.history import History, read_history, settled_step, sigma_of_rms, summarise_tail
-from boresight.verdicts.numbers import count, number, quantity, signed, urad
+from boresight.verdicts.history import History, interval_of_fit, read_history, settled_step, summarise_tail
+from boresight.verdicts.numbers import count, number, quantity, signed, urad, urad_between
 from boresight.verdicts.verdict import (
     LEVELS,
     count_weak,
+    describe_rms,
+    list_rms,
     make_advice,
     make_verdict,
     make_verdict_marks,
@@ -45,11 +47,12 @@ class RunView:
 
 @dataclass(frozen=True)
 class Headline:
-    """The verdict in a line: its level and word, the numbers behind it, and its warnings, the worst first."""
+    """The verdict in a line: its level and word, the numbers, each RMS with its interval, and its warnings, worst first."""
 
     level: str
     word: str
     numbers: str
+    at_length: str
     warnings: tuple[str, ...]
 
 
@@ -60,17 +63,25 @@ def make_headline(result: Calibration) -> Headline:
     ordered = sorted(doubts, key=lambda mark: -LEVELS.index(mark.level))
     reasons = [make_advice(mark, result) for mark in ordered] if judged.level != "normal" else []
     rms, unseen = result.rms_arc_rad, result.validation.rms_arc_rad if result.validation else None
-    told = []
+    told, at_length = [], []
     if rms.initial is not None and rms.final is not None:
-        told.append(f"RMS {urad(rms.initial, 3)} → {urad(rms.final, 3)} µrad")
+        both = list_rms(result.evaluation, rms, result.pairs)
+        told.append(f"RMS {urad(rms.initial, 3)} → {both[1]} µrad")
+        at_length.append(f"RMS {' → '.join(both)} µrad")
     if result.validation and unseen and unseen.initial is not None and unseen.final is not None:
-        sigma = sigma_of_rms(unseen.final, result.validation.common_pairs)
-        reach = "" if sigma is None else f" ± {urad(3 * sigma, 2)}"
-        told.append(f"validation {urad(unseen.initial, 3)} → {urad(unseen.final, 3)}{reach}")
+        both = list_rms(result.validation, unseen, result.validation.common_pairs)
+        told.append(f"validation {urad(unseen.initial, 3)} → {both[1]} µrad")
+        at_length.append(f"validation {' → '.join(both)} µrad")
     seen = result.observability
     if seen and seen.singular_values:
         told.append("no weak direction" if not count_weak(seen) else describe_weak(seen))
-    return Headline(judged.level, judged.word, "; ".join(told), tuple(dict.fromkeys([*reasons, *result.advice])))
+    return Headline(
+        judged.level,
+        judged.word,
+        "; ".join(told),
+        "; ".join(at_length),
+        tuple(dict.fromkeys([*reasons, *result.advice])),
+    )
 
 
 def make_four_views(result: Calibration | None) -> list[RunView]:
@@ -137,27 +148,25 @@ def answer_rms(result: Calibration) -> ViewAnswer:
     """Say whether tail and aggregate meet, and how far the error fell."""
     rms, tail = result.rms_arc_rad, summarise_tail(result)
     if tail is not None and tail.tail_rad is not None and tail.aggregate_rad is not None:
-        both = f"aggregate {urad(tail.aggregate_rad, 3)}, tail {urad(tail.tail_rad, 3)} µrad"
-        old = "" if rms.initial is None else f"; old parameters {urad(rms.initial, 3)}"
+        told = [urad_between(one, interval_of_fit(result, one)) for one in (tail.tail_rad, tail.aggregate_rad)]
+        both = f"tail {told[0]}, aggregate {told[1]} µrad, 95 % in brackets"
         if result.status == "running":
-            return ViewAnswer("standby", f"So far {both}{old}.")
+            return ViewAnswer("standby", f"So far {both}.")
         meet = abs(tail.tail_rad - tail.aggregate_rad) <= 3 * (tail.sigma_rad or 0.0)
         words = "Tail and aggregate agree" if meet else "Tail and aggregate differ"
-        return ViewAnswer("normal" if meet else "caution", f"{words}: {both}{old}.")
+        return ViewAnswer("normal" if meet else "caution", f"{words}: {both}.")
     if rms.initial is None or rms.final is None:
         return _nothing(result, "No RMS arc error was computed.", "Drawn as the run goes on.")
-    sigma = sigma_of_rms(rms.final, result.pairs)
-    reach = "" if sigma is None else f" ± {urad(3 * sigma, 2)}"
     level = "standby" if result.status == "running" else "normal" if rms.final < rms.initial else "caution"
-    return ViewAnswer(level, f"From {urad(rms.initial, 3)} to {urad(rms.final, 3)}{reach} µrad.")
+    return ViewAnswer(level, f"{describe_rms(result.evaluation, rms, result.pairs)} µrad, 95 % in brackets.")
 
 
 @dataclass(frozen=True)
 class LargestChange:
-    """The largest radial change where stars reach: px with its 3 sigma (None where not known), and its radius."""
+    """The largest radial change where stars reach: px with its sigma (None where not known), and its radius."""
 
     change_px: float
-    reach_px: float | None
+    sigma_px: float | None
     radius_px: float
 
 
@@ -170,8 +179,8 @@ def find_largest_change(radial: RadialDifference) -> LargestChange | None:
         return None
     worst = int(np.argmax(np.where(known, np.abs(change), -1.0)))
     sigma = radial.sigma_px[worst] if worst < len(radial.sigma_px) else None
-    reach = 3 * sigma if sigma is not None and np.isfinite(sigma) else None
-    return LargestChange(float(change[worst]), reach, float(radius[worst]))
+    known_sigma = sigma if sigma is not None and np.isfinite(sigma) else None
+    return LargestChange(float(change[worst]), known_sigma, float(radius[worst]))
 
 
 def describe_largest_change(radial: RadialDifference) -> str:
@@ -179,8 +188,11 @@ def describe_largest_change(radial: RadialDifference) -> str:
     found = find_largest_change(radial)
     if found is None:
         return ""
-    spread = "" if found.reach_px is None else f" ± {number(found.reach_px, 2)}"
-    return f"At most {signed(found.change_px)}{spread} px (3σ) where stars reach, at radius {count(found.radius_px)} px"
+    spread = "" if found.sigma_px is None else f" ± {number(found.sigma_px, 2)}"
+    level = "" if found.sigma_px is None else " (1σ)"
+    return (
+        f"At most {signed(found.change_px)}{spread} px{level} where stars reach, at radius {count(found.radius_px)} px"
+    )
 
 
 def answer_radial(result: Calibration) -> ViewAnswer:

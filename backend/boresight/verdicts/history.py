@@ -16,7 +16,9 @@ import numpy as np
 
 from boresight.arrays import FloatArray
 from boresight.calibration import calibration as tree
-from boresight.calibration.calibration import Calibration
+from boresight.calibration.calibration import Calibration, Evaluation, IntervalChange
+
+Ends = tuple[float, float]
 
 SETTLED_SIGMAS = 3.0  # of the end, within which a parameter that has settled stays
 
@@ -139,6 +141,35 @@ class RmsTail:
 def sigma_of_rms(rms_rad: float | None, arcs: float | None) -> float | None:
     """Return one sigma of an RMS over so many arcs, in its unit."""
     return None if rms_rad is None or not arcs else float(rms_rad / np.sqrt(2 * arcs))
+
+
+SIGMAS_OF_INTERVAL = 1.96  # half of a 95 % interval
+
+
+def interval_of_rms(rms_rad: float | None, arcs: float | None, resampled: Sequence[float | None] = ()) -> Ends | None:
+    """Return the 95 % interval of an RMS: by resampled frames where that was done, else as of so many independent arcs."""
+    low, high = resampled or (None, None)
+    if low is not None and high is not None:
+        return low, high
+    sigma = sigma_of_rms(rms_rad, arcs)
+    if rms_rad is None or sigma is None:
+        return None
+    return rms_rad - SIGMAS_OF_INTERVAL * sigma, rms_rad + SIGMAS_OF_INTERVAL * sigma
+
+
+def interval_of_fit(result: Calibration, rms_rad: float | None) -> Ends | None:
+    """Return the 95 % interval of an RMS of the fitted frames at some state: as wide, for its size, as that of the estimate."""
+    known, final = find_rms_intervals(result.evaluation), result.rms_arc_rad.final
+    ends = interval_of_rms(final, result.pairs, known.final)
+    if ends is None or not final or rms_rad is None:
+        return interval_of_rms(rms_rad, result.pairs)
+    return ends[0] * rms_rad / final, ends[1] * rms_rad / final
+
+
+def find_rms_intervals(scores: Evaluation | None) -> IntervalChange:
+    """Return the 95 % intervals of a set's RMS by resampled frames; empty ones where there are none."""
+    found = scores.intervals if scores else None
+    return found.rms_arc_rad if found else IntervalChange(initial=[], final=[])
 
 
 def tail_start(result: Calibration, history: History, tail_from: float | None) -> float:

@@ -73,15 +73,15 @@ def is_number(value: Any) -> bool:
 
 
 def grouped(text: str) -> str:
-    """Write the sign as a true minus, part the digits before the point in threes, and raise the exponent; 0 has no sign."""
+    """Write the sign as a true minus, part the digits before the point in threes, and raise the exponent; 0 has neither."""
     sign, digits = (MINUS, text[1:]) if text.startswith("-") else ("", text)
     mantissa, _, exponent = digits.partition("e")
-    sign = sign if mantissa.strip("0.") else ""
     whole, point, rest = mantissa.partition(".")
     if whole.isdigit() and len(whole) > 3:
         whole = f"{int(whole):,}".replace(",", NARROW_SPACE)
-    power = f"·10{str(int(exponent)).translate(RAISED)}" if exponent else ""
-    return f"{sign}{whole}{point}{rest}{power}"
+    is_zero = not mantissa.strip("0.")
+    power = f"·10{str(int(exponent)).translate(RAISED)}" if exponent and not is_zero else ""
+    return f"{'' if is_zero else sign}{whole}{point}{rest}{power}"
 
 
 def number(value: Any, digits: int = 4) -> str:
@@ -119,6 +119,12 @@ def percent(value: Any, decimals: int = 1) -> str:
 def urad(value_rad: Any, digits: int = 4) -> str:
     """Print an angle in radians as microradians, without the unit (its column has it)."""
     return number(value_rad * 1e6, digits) if is_number(value_rad) else MISSING
+
+
+def urad_between(value_rad: Any, ends_rad: tuple[float, float] | None, digits: int = 3) -> str:
+    """Print an angle in microradians with its 95 % interval in brackets, without the unit."""
+    told = urad(value_rad, digits)
+    return told if ends_rad is None else f"{told} ({' to '.join(urad(end, digits) for end in ends_rad)})"
 
 
 def to_second_digit(value: float, sigma: float, large: float = LARGE, power: int | None = None) -> str:
@@ -176,7 +182,8 @@ def parameter(value: Any, name: str, sigma: Any = None, power: int | None = None
     if is_number(sigma) and sigma > 0:
         return grouped(to_second_digit(value * factor, sigma * factor, power=power))
     if power:
-        return grouped(f"{float(f'{value * factor:.6g}') / 10**power:.6g}e{power}")
+        mantissa = f"{float(f'{value * factor:.6g}') / 10**power:.{power + 5}f}".rstrip("0").rstrip(".")
+        return grouped(f"{mantissa}e{power}")
     return grouped(f"{value * factor:.6g}")
 
 

@@ -11,9 +11,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from boresight.calibration.advice import is_overconfident, to_hold
+from boresight.calibration.advice import STRAIGHT, is_overconfident, to_hold
 from boresight.calibration.calibration import Calibration
 from boresight.calibration.trust.advice import OF_THE_LENS
+from boresight.estimation.statistics.observability import WEAK
 from boresight.verdicts.numbers import count, quantity
 
 #: More iterations than the form begins with, for a fit that was still moving.
@@ -53,9 +54,9 @@ def list_remedies(result: Calibration | None) -> list[Remedy]:
         *_remedy_status(result),
         *_remedy_causes(result),
         *_remedy_suspects(result),
-        *_remedy_weak_directions(result),
     ]
-    found += _remedy_spare(result)
+    weak = list(_remedy_weak_directions(result))
+    found += weak or _remedy_spare(result)
     settings = result.inputs.settings
     return list(
         {
@@ -107,14 +108,14 @@ def _remedy_spare(result: Calibration) -> Iterator[Remedy]:
 
 
 def _remedy_weak_directions(result: Calibration) -> Iterator[Remedy]:
-    """Hold so few parameters that every direction of the others is known."""
+    """Hold so few parameters that every direction of the others is known, and so well that no curvature shows where one did."""
     seen = result.observability
     if seen is None or not seen.singular_values or result.status == "diverged":
         return
     s, V = np.array(seen.singular_values, float), np.array(seen.right_singular_vectors, float)
     if V.shape != (len(s), len(result.free)):
         return
-    held = to_hold((V.T * s**2) @ V)
+    held = to_hold((V.T * s**2) @ V, STRAIGHT if "curved" in result.advice_codes else WEAK)
     if not held or len(held) == len(result.free):
         return
     names = [result.free[place] for place in held]

@@ -12,7 +12,9 @@ from typing import Any
 from boresight.calibration.advice_kinds import ADVICE_KINDS, CAUSE, Advice, list_codes
 from boresight.calibration.calibration import (
     Calibration,
+    Change,
     ChiSquareTest,
+    Evaluation,
     InnovationTest,
     Observability,
     Trust,
@@ -24,8 +26,8 @@ from boresight.calibration.trust.advice import TOO_SMALL
 from boresight.errors import RefusedInputError
 from boresight.estimation.filters import FILTERS
 from boresight.estimation.statistics.observability import WEAK, is_curved
-from boresight.verdicts.history import settled_step, sigma_of_rms
-from boresight.verdicts.numbers import count, number, percent, urad
+from boresight.verdicts.history import find_rms_intervals, interval_of_rms, settled_step, sigma_of_rms
+from boresight.verdicts.numbers import count, number, percent, urad, urad_between
 
 LEVELS = ("off", "standby", "normal", "caution", "serious", "critical")  # of the Astro UX status system, worst last
 LEVEL_OF_STATUS = {
@@ -102,12 +104,19 @@ def _fit(result: Calibration) -> VerdictMark:
     status, steps = result.status, result.iterations
     if status == "running":
         return VerdictMark("fit", "Fit", LEVEL_OF_STATUS[status], status, *_so_far(result), WHY[status])
-    used = f"{count(result.frames)} frames, {count(result.stars)} stars, {count(result.pairs)} pairs"
-    level = LEVEL_OF_STATUS[status]
-    value = f"{count(steps)} iteration{'s' * (steps != 1)}" if steps else ""
+    of_set = {name: getattr(result, name) for name in ("frames", "exposures", "stars", "pairs")}
+    used = ", ".join(f"{count(n)} {name}" for name, n in of_set.items())
+    level, value = LEVEL_OF_STATUS[status], describe_iterations(result) if steps else ""
     return VerdictMark(
         "fit", "Fit", level, status.replace("_", " "), value, used, "" if level == "normal" else WHY[status]
     )
+
+
+def describe_iterations(result: Calibration) -> str:
+    """Say what was iterated: a batch goes over the whole set, a filter over each frame for itself."""
+    steps = result.iterations
+    told = f"{count(steps)} iteration{'s' * (steps != 1)}"
+    return f"{told} in {count(result.frames)} updates" if result.method in FILTERS else told
 
 
 def _so_far(result: Calibration) -> tuple[str, str]:
@@ -181,6 +190,18 @@ def count_weak(seen: Observability) -> int:
     return sum(sigma is None or sigma > WEAK for sigma in seen.sigma_of_direction)
 
 
+def list_rms(scores: Evaluation | None, rms: Change, arcs: float | None) -> list[str]:
+    """Write the RMS of a set before and after in microradians, each with its 95 % interval where that is known."""
+    known = find_rms_intervals(scores)
+    pairs = ((rms.initial, known.initial), (rms.final, known.final))
+    return [urad_between(value, interval_of_rms(value, arcs, ends)) for value, ends in pairs]
+
+
+def describe_rms(scores: Evaluation | None, rms: Change, arcs: float | None) -> str:
+    """Write the same as one change."""
+    return " → ".join(list_rms(scores, rms, arcs))
+
+
 def _validation(result: Calibration) -> VerdictMark:
     name, question, validation = "validation_rms", "Validation RMS", result.validation
     before, after = (validation.rms_arc_rad.initial, validation.rms_arc_rad.final) if validation else (None, None)
@@ -188,8 +209,9 @@ def _validation(result: Calibration) -> VerdictMark:
         return _unknown(name, question, _not_yet(result, "Nothing outside the fitted frames was checked."))
     detail = f"{count(validation.frames)} held-out frames, {percent(validation.availability.final)} available"
     sigma = sigma_of_rms(after, validation.common_pairs)
-    detail += "; σ not stored" if sigma is None else f"; the new RMS is known to ± {urad(3 * sigma, 2)} µrad (3σ)"
-    value = f"{urad(before)} → {urad(after)} µrad"
+    value = f"{describe_rms(validation, validation.rms_arc_rad, validation.common_pairs)} µrad"
+    known = interval_of_rms(after, validation.common_pairs, find_rms_intervals(validation).final)
+    detail += "; no interval was stored" if known is None else "; 95 % intervals in brackets"
     if after < before:
         return VerdictMark(name, question, "normal", "better", value, detail)
     if sigma is not None and after - before < 3 * sigma:  # a calibration that finds what is in use already
@@ -249,7 +271,7 @@ def _judge_evidence(result: Calibration) -> PartVerdict:
     doubts = len(trust_doubts(result)) + bool(_chi_square(result).reason)
     doubts += result.matching is not None and not result.matching.rested
     level = max(trust_level(result), _chi_square(result).level, "caution" if doubts else "off", key=LEVELS.index)
-    return PartVerdict(level, f"{doubts} doubt{'s' * (doubts != 1)}" if doubts else "no doubt")
+    return PartVerdict(level, f"{doubts} doubt{'s' * (doubts != 1)}" if doubts else "nothing noticed")
 
 
 def _is_worse(one: str, other: str) -> bool:

@@ -18,7 +18,7 @@ import { BACKGROUND, Problem, fetchJson, describeError } from "./requests.js";
 import { getZoom, keepZoom } from "./view-address.js";
 
 const SLOW_MS = 10_000;
-const NARROW_PX = 420; // of a phone; half of a page at 1100 px is wider
+const SIZES = { narrow: 420, medium: 820 }; // below these, as a phone and as a column of a page, some figures are laid out otherwise
 const PAPER_PX = { small: 330, large: 680 }; // what A4 leaves of a panel's width
 const WAIT_MS = 250; // a zoom, or another layout, is asked for when it has come to rest: a picture of a whole page squeezes it for a moment
 
@@ -76,7 +76,7 @@ export class PlotFigure extends HTMLElement {
   #layoutTimer = 0;
   #costMs = 0;
   #paper = false;
-  #isNarrow = false;
+  #form = "";
   /** @type {Canvas} */
   canvas = make("div", { className: "figure-canvas", role: "img" });
   #words = make("p", { className: "figure-words", role: "status" });
@@ -223,8 +223,8 @@ export class PlotFigure extends HTMLElement {
   /** The figure's address, with the window that is looked at. @param {[number, number] | null} window */
   #address(window) {
     const address = new URL(this.getAttribute("src") ?? "", location.href);
-    this.#isNarrow = this.#wantsNarrow;
-    if (this.#isNarrow) address.searchParams.set("size", "narrow");
+    this.#form = this.#wantedForm;
+    if (this.#form) address.searchParams.set("size", this.#form);
     for (const [place, name] of ["x_from", "x_to"].entries()) if (window) address.searchParams.set(name, String(window[place]));
     return address.pathname + address.search;
   }
@@ -273,11 +273,13 @@ export class PlotFigure extends HTMLElement {
     return { width, height, autosize: false };
   }
 
-  get #wantsNarrow() {
-    return !this.isSmall && (this.canvas.clientWidth || this.clientWidth) < NARROW_PX; // a canvas without a drawing may be hidden
+  /** The form for the width that there is, empty for a page's. */
+  get #wantedForm() {
+    const width = this.canvas.clientWidth || this.clientWidth; // a canvas without a drawing may be hidden
+    return this.isSmall ? "" : Object.entries(SIZES).find(([, below]) => width < below)?.[0] ?? "";
   }
 
-  /** Fit the drawing to its place; where that came to rest narrow or wide, as by turning a phone, it is laid out again. */
+  /** Fit the drawing to its place; where that came to rest at another size, as by turning a phone, it is laid out again. */
   #resize() {
     if (!isDrawn(this.canvas) || !this.#figure || !this.canvas.clientWidth) return;
     fit(this.canvas, this.#size());
@@ -286,7 +288,7 @@ export class PlotFigure extends HTMLElement {
   }
 
   #layOut() {
-    if (this.isConnected && !matchMedia("print").matches && this.#wantsNarrow !== this.#isNarrow) this.refresh(BACKGROUND);
+    if (this.isConnected && !matchMedia("print").matches && this.#wantedForm !== this.#form) this.refresh(BACKGROUND);
   }
 
   /** @param {unknown} error */

@@ -78,8 +78,8 @@ def test_a_person_may_be_added_with_a_password_for_the_first_log_in_only(engine,
             users.get_actor(session, row.id)
 
 
-AT = "given by Command line at 2026-11-20 12:00:00 UTC"
-RESET = "reset by Root at 2026-11-20 18:00:00 UTC"
+AT = "given by Command line at 2026-11-20T12:00:00Z"
+RESET = "reset by Root at 2026-11-20T18:00:00Z"
 
 
 def _told(engine: Engine, root: Actor, monkeypatch: pytest.MonkeyPatch, *events: tuple[str, str]) -> str | None:
@@ -131,7 +131,7 @@ def test_a_signature_through_a_puppet_says_so_in_its_row_and_on_record(engine, s
         approval = lists.list_newest(session, Approval, set=row.id)[0]
         signature = approve(session, puppet, approval, password=OWN)
         record = audit.find_last_change(session, f"approvals/{approval.id}")
-    assert re.fullmatch(r"reset by Root at \S+ \S+ UTC, changed \d+ s later", str(signature.password_by))
+    assert re.fullmatch(r"reset by Root at \S+Z, changed \d+ s later", str(signature.password_by))
     assert record.after["password_by"] == signature.password_by
     with open_reading(engine) as session:
         assert approval_queries.list_signatures(session, approval.id)[0].password_by == signature.password_by

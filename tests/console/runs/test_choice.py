@@ -206,7 +206,7 @@ def test_the_choice_stands_on_the_tab_sentence_first_with_every_number(site, rea
     for words in (
         "31.00 (27.90 to 34.10)",
         "812.4",
-        "0.120 ± 0.030",
+        "0.120 ± 0.010",
         as_shown("< 1e-6"),
         "undetermined",
         "not needed",

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import re
 from types import SimpleNamespace
 
 import pytest
@@ -14,8 +15,10 @@ from boresight.console.runs.pages.compare import method_panel
 from boresight.console.runs.pages.run import list_history_facts, read_run_view, sight_facts, tail_facts
 from boresight.console.runs.tables import Run
 from boresight.figures import FIGURES
+from boresight.figures.chart import Trace
 from boresight.figures.charts.methods import method_scores
-from boresight.verdicts.verdict import make_verdict_marks
+from boresight.verdicts.answers import make_headline
+from boresight.verdicts.verdict import describe_rms, make_verdict_marks
 from tests.test_refusals import says_what_to_do
 
 
@@ -97,7 +100,7 @@ def test_what_cannot_be_had_falls_back_to_the_usual_view(text, results):
     assert (usual.align, usual.scale, usual.tail_from, usual.query) == ("frame", "log", None, "")
 
 
-def test_a_batch_has_no_axis_to_choose_and_no_tail_and_without_a_held_out_set_it_is_said_how_to_have_one(results):
+def test_a_batch_has_no_axis_to_choose_and_no_tail_and_without_a_unseen_set_it_is_said_how_to_have_one(results):
     asked = view("align=update&tail_from=3", results["batch"])
     assert (dict(asked.aligns), asked.align, asked.tail_from) == ({}, "frame", None)
     tail, rows = tail_facts(parse_calibration({**results["batch"], "validation": None}), asked)
@@ -106,34 +109,65 @@ def test_a_batch_has_no_axis_to_choose_and_no_tail_and_without_a_held_out_set_it
     assert says_what_to_do(rows[-1][2])
 
 
-def test_errors_stand_with_their_three_sigma_and_held_out_ones_by_themselves(results):
+def read_interval(text):
+    """Read `81.5 (79.7 to 83.3)`: the value and the ends of its interval."""
+    return [float(found) for found in re.findall(r"[\d.]+", text.replace("\u202f", ""))]
+
+
+def in_urad(scores, which):
+    return [1e6 * one for one in (scores["rms_arc_rad"][which], *scores["intervals"]["rms_arc_rad"][which])]
+
+
+def test_errors_stand_with_their_95_percent_interval_and_unseen_ones_by_themselves(results):
     result = results["sqrf"]
     tail, rows = tail_facts(parse_calibration(result), view("tail_from=30", result))
-    numbers = {term: number for term, number, _ in rows}
-    final = 1e6 * result["rms_arc_rad"]["final"]
-    value, _, reach = numbers["Fitted data, new parameters"].partition(" ± ")
-    assert float(value) == pytest.approx(final, rel=1e-3)
-    assert float(reach) == pytest.approx(3 * final / (2 * result["pairs"]) ** 0.5, rel=0.05)
-    validation_set = 1e6 * result["validation"]["rms_arc_rad"]["final"]
-    value, _, reach = numbers["Validation data, new parameters"].partition(" ± ")
-    assert float(value) == pytest.approx(validation_set, rel=1e-3)
-    assert float(reach) == pytest.approx(
-        3 * validation_set / (2 * result["validation"]["common_pairs"]) ** 0.5, rel=0.05
-    )
+    numbers = {term: read_interval(number) for term, number, _ in rows}
+    for whose, part in (("Fitted", "evaluation"), ("Validation", "validation")):
+        for which, words in (("initial", "old"), ("final", "new")):
+            expected = in_urad(result[part], which)
+            assert numbers[f"{whose} data, {words} parameters"] == pytest.approx(expected, rel=5e-3)
+    for term in ("Tail, mean over its window", "Aggregate, at the end"):
+        value, low, high = numbers[term]
+        assert [low / value, high / value] == pytest.approx(
+            [end / in_urad(result["evaluation"], "final")[0] for end in in_urad(result["evaluation"], "final")[1:]],
+            rel=5e-3,
+        )
     assert (tail.start, tail.chosen) == (30.0, True)
 
 
-def test_a_result_that_kept_no_number_of_held_out_arcs_shows_the_value_and_says_so(results):
+@pytest.mark.parametrize("method", ["batch", "sqrf"])
+def test_one_number_has_one_interval_wherever_it_stands(results, method):
+    result = parse_calibration(results[method])
+    fitted = describe_rms(result.evaluation, result.rms_arc_rad, result.pairs)
+    unseen = describe_rms(result.validation, result.validation.rms_arc_rad, result.validation.common_pairs)
+    assert len(read_interval(fitted)) == len(read_interval(unseen)) == 6  # two values, with two ends each
+    headline = make_headline(result)
+    assert headline.at_length == f"RMS {fitted} µrad; validation {unseen} µrad"
+    assert all(told.partition(" → ")[2] in headline.numbers for told in (fitted, unseen))
+    mark = next(mark for mark in make_verdict_marks(result) if mark.name == "validation_rms")
+    assert (mark.value, "95 %" in mark.detail) == (f"{unseen} µrad", True)
+    _, rows = tail_facts(result, view("", results[method]))
+    listed = {term: number for term, number, _ in rows}
+    for words, told in (("Fitted", fitted), ("Validation", unseen)):
+        assert " → ".join(listed[f"{words} data, {one} parameters"] for one in ("old", "new")) == told
+    title = FIGURES["rms"].draw([Trace("Run 1", result)]).layout.title.text
+    assert (fitted in title, "95 %" in title) == (True, True)
+
+
+def test_an_rms_without_resampled_frames_has_the_interval_of_as_many_independent_arcs(results):
+    result = parse_calibration({**results["batch"], "evaluation": None})
+    value, low, high = read_interval(describe_rms(None, result.rms_arc_rad, result.pairs).partition(" → ")[2])
+    assert high - low == pytest.approx(2 * 1.96 * value / (2 * result.pairs) ** 0.5, rel=0.1)
+
+
+def test_a_result_that_kept_no_number_of_unseen_arcs_shows_the_value_and_says_so(results):
     result = results["batch"]
-    kept = {key: value for key, value in result["validation"].items() if key != "common_pairs"}
+    kept = {key: value for key, value in result["validation"].items() if key not in {"common_pairs", "intervals"}}
     judged = parse_calibration({**result, "validation": kept})
-    _, value, meaning = tail_facts(judged, view("", result))[1][-1]
-    assert float(value) == pytest.approx(1e6 * kept["rms_arc_rad"]["final"], rel=1e-3)
-    assert meaning.endswith("σ not stored.")
+    _, value, _ = tail_facts(judged, view("", result))[1][-1]
+    assert float(value) == pytest.approx(1e6 * kept["rms_arc_rad"]["final"], rel=5e-3)
     said = {mark.name: mark.detail for mark in make_verdict_marks(judged)}
-    assert said["validation_rms"].endswith("σ not stored")
-    marks = make_verdict_marks(parse_calibration(result))
-    assert "(3σ)" in next(mark.detail for mark in marks if mark.name == "validation_rms")
+    assert said["validation_rms"].endswith("no interval was stored")
 
 
 def test_a_history_says_where_it_settled_or_that_it_has_not_yet(results):

@@ -7,20 +7,21 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from boresight.calibration.calibration import ProcessNoise, parse_calibration
+from boresight.calibration.calibration import LeftOut, ProcessNoise, parse_calibration
+from boresight.calibration.options import METHODS
 from boresight.console.fleet.tables import Sensor
-from boresight.console.runs.pages.run import FORMER, PARTS, warn_of_old_validation
+from boresight.console.runs.pages.run import FORMER, PARTS, list_left_out, warn_of_old_validation
 from boresight.console.runs.queries import Line, write_event
-from boresight.console.runs.tables import RUN_STATES, RunEvent
+from boresight.console.runs.tables import RUN_STATES, Run, RunEvent
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.figures import CHAPTERS, FIGURES
 from boresight.figures.charts.matching import GIVEN
 from boresight.figures.example_calibration import get_example_calibrations
 from boresight.figures.report import render_report
-from boresight.figures.tables import parameter_rows
+from boresight.figures.tables import parameter_rows, unseen_rows
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
-from boresight.platform.db.sessions import open_writing, utc_after, utc_now
+from boresight.platform.db.sessions import open_reading, open_writing, utc_after, utc_now
 from boresight.platform.jobs.worker_news import WorkerState
 from boresight.platform.web import static_files
 from boresight.verdicts.answers import make_four_views, make_headline
@@ -33,6 +34,7 @@ from boresight.verdicts.verdict import (
     PartVerdict,
     judge_parts,
     make_verdict_marks,
+    trust_marks,
 )
 from tests.figures.examined import matching, shadow, trust
 from tests.sites import as_shown, codes, strip_tags
@@ -714,3 +716,45 @@ def test_a_page_that_follows_gets_only_the_lines_after_its_last(site, run_id):
     later = victor.get(f"/runs/{run_id}/log/lines?after={numbers[5]}&level=warning")
     assert re.findall(r'data-line="(\d+)"', later) == numbers[6:]
     assert victor.get(f"/runs/{run_id}/log/lines?after={numbers[-1]}").strip() == ""
+
+
+def test_a_label_that_is_only_the_method_is_not_said_twice_and_compare_names_the_sensor(site, results):
+    title = METHODS["sqrf"].title
+    repeated, own = (
+        site.add_run("sqrf", state="SUCCEEDED", result=results["sqrf"], label=label)
+        for label in (title, "After refocusing")
+    )
+    victor = site.visitor("victor")
+    head = victor.get(f"/runs/{repeated}").partition('class="page-head"')[2].partition('class="actions"')[0]
+    assert head.count(title) == 1
+    assert "After refocusing" in victor.get(f"/runs/{own}").partition("</h1>")[0]
+    assert f'title="{title}">{title}' not in victor.get("/runs")
+    with open_reading(site.engine) as session:
+        sensor = session.get_one(Sensor, session.get_one(Run, own).sensor_id).name
+    page = victor.get(f"/compare?runs={repeated},{own}")
+    heads = re.findall(r'<th scope="row"[^>]*><a href="/runs/\d+">#\d+</a> ([^<]*)</th>', page)
+    assert heads == [sensor, f"{sensor}: After refocusing"]
+    legend = victor.send("GET", f"/api/v1/runs/{repeated}/figures/rms").text
+    assert sensor in legend
+    assert title not in legend
+
+
+def test_the_evidence_tab_claims_no_more_than_its_tests(results):
+    result = parse_calibration(results["batch"])
+    marks = trust_marks(result)
+    assert not any(mark.reason for mark in marks)
+    assert judge_parts(result)["evidence"].word == marks[0].word
+    assert any(row.numbers[1] is None or row.numbers[1] > 0 for row in unseen_rows(result))
+
+
+def test_counts_say_what_they_count(results):
+    result = parse_calibration(results["sqrf"])
+    fit = make_verdict_marks(result)[0]
+    assert {str(result.iterations), str(result.frames)} <= set(re.findall(r"\d+", fit.value))
+    lost = replace(result, left_out=[LeftOut(what="exposures", count=3, reason="too few stars")], exposures=397)
+    assert [re.findall(r"\d+", one) for one in list_left_out(lost)] == [["3", "400"]]
+    some = LeftOut(what="exposures", count=2, reason="on one line")
+    assert [re.findall(r"\d+", one) for one in list_left_out(replace(lost, left_out=[*lost.left_out, some]))] == [
+        ["3", "402"],
+        ["2", "402"],
+    ]

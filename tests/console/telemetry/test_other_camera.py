@@ -8,14 +8,22 @@ import numpy as np
 import pytest
 
 from boresight.calibration.diagnosis.diagnose import sample_exposures
-from boresight.calibration.diagnosis.other_camera import MOST_EXPOSURES, KnownCamera, find_other_cameras
+from boresight.calibration.diagnosis.other_camera import (
+    BORDER,
+    MOST_EXPOSURES,
+    TOO_LIKELY,
+    KnownCamera,
+    _log_chance,
+    find_other_cameras,
+)
 from boresight.calibration.diagnosis.trials import Bench
 from boresight.calibration.options import CalibrationSettings
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.db.sessions import open_reading
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor, st16_truth
-from boresight.telemetry.sensors import sensor_document
+from boresight.telemetry.readers import read_telemetry
+from boresight.telemetry.sensors import read_sensor, sensor_document
 from boresight.telemetry.writing import write_csv
 
 SECONDS = 20.0  # of an upload on a busy machine; the table of star patterns is made before
@@ -114,6 +122,29 @@ def test_a_set_of_a_camera_that_nobody_registered_is_told_to_be_of_none_and_a_go
     assert "times" in find(sets["LONG"]).why
     assert find(sets["WIDE"]) is None
     assert find(replace(sets["WIDE"], star_id=np.roll(sets["WIDE"].star_id, 40))) is None
+
+
+@pytest.mark.parametrize("n", [5, 40])
+def test_evenly_spread_centroids_span_no_more_of_a_side_as_often_as_the_law_of_their_range_says(n):
+    draws = np.ptp(np.random.default_rng(3).random((20_000, n)), axis=1)
+    for probability in (0.02, 0.3, 0.8):
+        f = np.quantile(draws, probability)
+        said = 10 ** _log_chance((1 - 2 * BORDER) * f, n)
+        assert abs(said - probability) < 4 * np.sqrt(probability * (1 - probability) / len(draws)) + 1e-4
+
+
+def test_many_stars_inside_the_border_of_a_detector_are_likely_and_those_of_a_smaller_one_are_not():
+    assert _log_chance(1 - 2 * BORDER, 1_000_000) > TOO_LIKELY
+    assert _log_chance(0.985, 873) > TOO_LIKELY
+    assert _log_chance(0.9, 873) < TOO_LIKELY
+
+
+@pytest.mark.parametrize("number", [2, 3])
+def test_a_real_star_field_sent_to_another_sensor_is_offered_to_its_own(real_sky, catalogue, number):
+    telemetry, sensor = read_telemetry(real_sky / "esa-5-frames.csv"), read_sensor(real_sky / "esa.sensor.json")
+    others = [(sensor, None), (LONG, None)]
+    assert _found(telemetry, (st16_sensor(number), None), others, catalogue) == [sensor.name]
+    assert _found(telemetry, (sensor, None), [(st16_sensor(number), None)], catalogue) == []
 
 
 @pytest.fixture

@@ -6,10 +6,15 @@ has them, theta_i that between their stars, and sigma the error of a direction, 
     scale  r = median theta_d / theta_i        scatter  s = 1.4826 median |theta_d / theta_i - r|
     error  e = 1.4826 median |theta_d - theta_i| / (2^(1/2) sigma)
 
-A camera is a set's where at most `MOST_OFF` of the centroids lie off its detector, where the share of it that they fill would come
-about by chance (share^n > 10^`TOO_LIKELY` for n centroids), where |r - 1| is at most `MOST_SCALE`, more than any launch puts a
-focal length off, and where s is at most `MOST_SCATTER`. Medians bear that some stars are named wrongly. Mirrored and turned images
-keep their angles: they are left to `diagnose`.
+A camera is a set's where at most `MOST_OFF` of the centroids lie off its detector, where the part of it that they span would come
+about by chance, where |r - 1| is at most `MOST_SCALE`, more than any launch puts a focal length off, and where s is at most
+`MOST_SCATTER`. n centroids spread evenly along a side span at most the share f of it with the probability of their range,
+
+    P(f) = f^(n-1) (n - (n-1) f)
+
+(David and Nagaraja, Order Statistics, 2.3); both sides must have log10 P_rows + log10 P_columns > `TOO_LIKELY`. Along each edge a
+`BORDER` of the side may be empty: the window of a centroid and masked pixels keep stars out of it. Medians bear that some stars are
+named wrongly. Mirrored and turned images keep their angles: they are left to `diagnose`.
 
 **Cameras of one design** differ by less than that. Two of them are told apart where stars have measured both in orbit: the set is
 the other's if its own e is over `CLEARLY` times that of the other, which is no more than `AT_NOISE`.
@@ -41,6 +46,8 @@ from boresight.telemetry.sensors import Sensor
 
 MOST_EXPOSURES, BUDGET_S = 20, 4.0
 MOST_OFF, TOO_LIKELY = 0.01, -9.0
+#: Share of a side along each edge where a detector may have no centroids.
+BORDER = 0.02
 #: How far past the edge the centroid of a star cut by it may be fitted, pixels.
 EDGE_PX = 2.0
 MOST_SCALE, MOST_SCATTER = 0.02, 0.02
@@ -191,8 +198,8 @@ def _fit(camera: KnownCamera, stars: _Stars) -> CameraFit:
     sensor = camera.sensor
     off = ~_near_detector(stars, sensor)
     on = np.flatnonzero(~off)
-    filled = _filled(stars.row_px[on], sensor.rows) * _filled(stars.col_px[on], sensor.columns)
-    likely = bool(len(on) * np.log10(max(filled, 1e-300)) > TOO_LIKELY)
+    shares = [_filled(stars.row_px[on], sensor.rows), _filled(stars.col_px[on], sensor.columns)]
+    filled, likely = shares[0] * shares[1], sum(_log_chance(share, len(on)) for share in shares) > TOO_LIKELY
     told = [_compare(sensor, x, stars) for x in (sensor.initial, camera.measured) if x is not None]
     scale, scatter, error = min(told, key=lambda one: one[2])
     measured = np.nan if camera.measured is None else told[-1][2]
@@ -208,6 +215,14 @@ def _near_detector(stars: _Stars, sensor: Sensor) -> BoolArray:
 def _filled(values: FloatArray, size: int) -> float:
     """Share of a side that centroids span."""
     return min(1.0, float(np.ptp(values)) / size) if len(values) else 0.0
+
+
+def _log_chance(filled: float, n: int) -> float:
+    """Return log10 of the probability P(f) that n centroids span no more of a side; 0 where no stars tell."""
+    f = min(1.0, filled / (1.0 - 2.0 * BORDER))
+    if n < 2:
+        return 0.0
+    return float((n - 1) * np.log10(max(f, 1e-300)) + np.log10(n - (n - 1) * f))
 
 
 def _compare(sensor: Sensor, x: FloatArray, stars: _Stars) -> tuple[float, float, float]:

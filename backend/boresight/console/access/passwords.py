@@ -194,7 +194,7 @@ def name_password_setter(session: Session, user_id: int) -> str | None:
     if newest is None or given is None:
         return "given by nobody on record"
     given_at = datetime.fromisoformat(given.at_utc)
-    how = f"{'given' if given.action == CREATED else 'reset'} by {given.actor} at {given_at:%Y-%m-%d %H:%M:%S} UTC"
+    how = f"{'given' if given.action == CREATED else 'reset'} by {given.actor} at {given_at:%Y-%m-%dT%H:%M:%SZ}"
     if newest.id == given.id:
         return f"{how}, not changed since"
     later_s = (datetime.fromisoformat(newest.at_utc) - given_at).total_seconds()

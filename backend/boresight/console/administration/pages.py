@@ -156,7 +156,7 @@ def gallery_page(request: Request, part: str = "figures", of: str = "one") -> HT
 
 
 @gallery_router.get("/gallery/figures/{name}")
-def gallery_figure(name: str, of: str = "one", size: Literal["large", "narrow"] = "large") -> Response:
+def gallery_figure(name: str, of: str = "one", size: Literal["large", "medium", "narrow"] = "large") -> Response:
     """Send a figure of the example as Plotly JSON."""
     if of == "broken":
         raise RefusedInputError("This figure fails on purpose, to show an error in its panel; choose another.")

@@ -90,8 +90,8 @@ BETWEEN = (
     "of both cameras, which more pairs do not lower."
 )
 MEANINGS = {
-    "APPROVE": "I reviewed the evidence and approve this alignment for upload",
-    "REFUSE": "I reviewed the evidence and refuse this alignment",
+    "APPROVE": "I approve this alignment for upload",
+    "REFUSE": "I refuse this alignment",
 }
 LOADED = (
     "The rotation between the attitudes that the trackers report with the parameters of these two runs: load it together with "

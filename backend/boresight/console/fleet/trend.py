@@ -441,7 +441,7 @@ def _say_baseline(found: DriftResult, baseline: ParameterSet) -> str:
     name, worth = found.largest
     numbers = f"χ² {number(found.holds.statistic, 3)} of {found.holds.dof}, limit {number(found.holds.limit, 3)}"
     if found.holds.rejects:
-        moved = f"{quantity(name).symbol} changed most, {fixed(worth, 1)} σ"
+        moved = f"{quantity(name).symbol} changed most, {fixed(worth, 1)} σ of the difference"
         return f"Run {found.newest.run_id} does not agree with {baseline.name} ({numbers}); {moved}."
     return f"Run {found.newest.run_id} agrees with {baseline.name} ({numbers})."
 

@@ -259,7 +259,9 @@ def _reasons(point: TrendPoint, found: PolicyFinding, rules: PolicyRules) -> lis
     if reference is None or holds is None or largest is None:
         return []
     said = [Reason("OUTSIDE", _describe_outcome(point, reference, found))]
-    said.append(Reason("LARGEST", f"{quantity(largest[0]).symbol} changed most, {fixed(largest[1], 1)} σ."))
+    said.append(
+        Reason("LARGEST", f"{quantity(largest[0]).symbol} changed most, {fixed(largest[1], 1)} σ of the difference.")
+    )
     if not reference.measured:
         said.append(Reason("GROUND", f"{reference.name} is a ground calibration, declared and not measured."))
     if found.forecast is None:

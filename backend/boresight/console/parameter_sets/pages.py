@@ -232,7 +232,7 @@ def list_lineage(session: Session, row: ParameterSet, requests: Sequence[Approva
         data = session.get_known(TelemetrySet, run.telemetry_set_id)
         nodes = [
             LineageNode("Telemetry", f"{data.name}{_say_more(len(run.joint_set_ids))}", f"/telemetry/{data.id}"),
-            LineageNode("Run", f"#{run.id} {run.label}".rstrip(), f"/runs/{run.id}", run.state),
+            LineageNode("Run", f"#{run.id} {run.own_label}".rstrip(), f"/runs/{run.id}", run.state),
         ]
     else:
         nodes = [LineageNode("Ground calibration", "declared with the sensor", f"/sensors/{row.sensor_id}")]

@@ -61,9 +61,9 @@ class FigureView:
     ] = None
 
     size: Annotated[
-        Literal["large", "narrow", "small"],
+        Literal["large", "medium", "narrow", "small"],
         Query(
-            description="Draw the figure of a page, the same for a phone, or, for the four views of a result, the small one."
+            description="Draw the figure of a page, the same for half of one or for a phone, or a result's small view."
         ),
     ] = "large"
 
@@ -169,7 +169,7 @@ def _others(text: str, run_id: Id) -> list[int]:
 
 def make_label(session: Session, run: Run) -> str:
     """Name a run in a legend."""
-    return f"Run {run.id} · {run.label or session.get_known(Sensor, run.sensor_id).name}"
+    return f"Run {run.id} · {run.own_label or session.get_known(Sensor, run.sensor_id).name}"
 
 
 def _stacked(tables: Mapping[int, Table]) -> Table:

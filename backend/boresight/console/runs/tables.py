@@ -10,7 +10,7 @@ import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column, relationship
 
 from boresight.calibration.calibration import parse_part
-from boresight.calibration.options import StatedSettings
+from boresight.calibration.options import StatedSettings, get_method_title
 from boresight.errors import RefusedInputError
 from boresight.platform.db.declared import STRICT, Base, Journal, Sealing, allow_only
 from boresight.platform.db.documents import JsonText
@@ -101,6 +101,12 @@ class Run(Base):
     def joint_set_ids(self) -> list[int]:
         """The telemetry sets that it takes with its first."""
         return [one.telemetry_set_id for one in self.further]
+
+    @property
+    def own_label(self) -> str:
+        """What people called it; nothing where that only repeats its method."""
+        repeated = {self.method.casefold(), get_method_title(self.method).casefold()}
+        return "" if self.label.strip().casefold() in repeated else self.label
 
     @property
     def stated_settings(self) -> StatedSettings:

@@ -185,7 +185,9 @@ def _telemetry(row: TelemetrySet) -> Found:
 
 
 def _run(row: Run) -> Found:
-    return Found("Run", f"Run {row.id}: {row.label}" if row.label else f"Run {row.id}", row.state, f"/runs/{row.id}")
+    return Found(
+        "Run", f"Run {row.id}: {row.own_label}" if row.own_label else f"Run {row.id}", row.state, f"/runs/{row.id}"
+    )
 
 
 def _request(row: Approval, of: ParameterSet) -> Found:

@@ -264,7 +264,7 @@ def _step_of_run(viewer: _Viewer, run: Run | None) -> NextStep:
         return viewer.step_for(("analyst",), "Correct what failed, then run it again.", "Run it again", again)
     status = (run.summary or {}).get("status")
     if status not in USABLE_STATUSES:
-        said = f"It ended {status}, so no parameter set can be made: follow the advice and run again."
+        said = f"It ended with {str(status).replace('_', ' ')}, so no parameter set can be made: follow the advice and run again."
         return viewer.step_for(("analyst",), said, "Run it again", again)
     address = f"/runs/{run.id}/parameter-set"
     said = "Review the four views; then make a parameter set from the result and assess its gates."

@@ -32,7 +32,17 @@ from boresight.calibration.calibration import Calibration
 from boresight.figures.chart import Figure, Table, Trace
 from boresight.figures.live_traces import Panel, follow_column, follow_parameters
 from boresight.figures.style import theme
-from boresight.figures.style.axes import axis_title, counted, frame_grid, grid_place, offer_log, share_cursor
+from boresight.figures.style.axes import (
+    ABOVE_NAMED_PX,
+    axis_title,
+    counted,
+    frame_grid,
+    grid_place,
+    name_panel,
+    offer_log,
+    share_cursor,
+    space_panels,
+)
 from boresight.figures.style.thinning import keep_extremes
 from boresight.verdicts.history import History, free_names, read_history, settled_step
 from boresight.verdicts.numbers import LARGE, RAISED, Quantity, change_label, grouped, quantity
@@ -53,13 +63,16 @@ def draw_panels(
             _draw(figure, places[0], history, judged, style, POINT_BUDGET // len(traces))
             _draw(figure, places[1], history, step_norm(history), style, POINT_BUDGET // len(traces))
     cost, step = places
-    figure.update_yaxes(title={"text": "step (σ)", "standoff": 4}, type="log", exponentformat="power", nticks=3, **step)
+    log = {"type": "log", "exponentformat": "power", "nticks": 3}
+    figure.update_yaxes(**log, **step)
+    name_panel(figure, "step (σ)", **step)
     names = [_axis_name(figure, step)]
     if any(history is not None and history.axis == "frame" for history in histories):
         figure.add_hline(y=1, line=theme.LEVEL, **cost)
-        figure.update_yaxes(title={"text": "NIS / dof, so far", "standoff": 4}, **cost)
+        name_panel(figure, "NIS / dof, so far", **cost)
     else:
-        figure.update_yaxes(title={"text": "cost", "standoff": 4}, type="log", exponentformat="power", nticks=3, **cost)
+        figure.update_yaxes(**log, **cost)
+        name_panel(figure, "cost", **cost)
         names.append(_axis_name(figure, cost))
     offer_log(figure, names)
 
@@ -157,9 +170,7 @@ def draw(traces: Sequence[Trace], most_columns: int = 4) -> go.Figure:
     n_panels = len(panels) + PANELS
     columns = _columns(n_panels, most_columns)
     n_rows = -(-n_panels // columns)
-    figure = make_subplots(
-        n_rows, columns, shared_xaxes="all", horizontal_spacing=0.29 / columns, vertical_spacing=0.16 / n_rows
-    )
+    figure = make_subplots(n_rows, columns, shared_xaxes="all", **space_panels(columns, n_rows))
     span = _span([history for history in found if history.axis == axis])
     limit = CONVERGENCE_POINT_BUDGET // (len(panels) * len(found))
     for history, style in zip(histories, theme.run_styles(traces), strict=True):
@@ -185,7 +196,9 @@ def _columns(n_panels: int, most: int) -> int:
 
 
 def _dress(figure: go.Figure, traces: Sequence[Trace], axis: str, n_panels: int, columns: int) -> None:
-    theme.dress(figure, title=_headline(traces), height_px=110 - (-n_panels // columns) * PANEL_HEIGHT_PX)
+    height_px = 130 - (-n_panels // columns) * PANEL_HEIGHT_PX
+    theme.dress(figure, title=_headline(traces), height_px=height_px)
+    figure.update_layout(margin={"t": ABOVE_NAMED_PX})
     figure.update_xaxes(showticklabels=True)
     frame_grid(figure, n_panels, columns, axis_title(axis, traces))
 
@@ -300,8 +313,9 @@ def _draw_references(
 def _frame_panel(figure: go.Figure, panel: ConvergencePanel) -> None:
     low, high = (min(panel.seen), max(panel.seen)) if panel.seen else (-1.0, 1.0)
     margin = 0.08 * (high - low) or 1.0
-    title = {"text": change_label(panel.item), "standoff": 4}
-    figure.update_yaxes(title=title, range=[low - margin, high + margin], row=panel.row + 1, col=panel.column + 1)
+    place = {"row": panel.row + 1, "col": panel.column + 1}
+    figure.update_yaxes(range=[low - margin, high + margin], **place)
+    name_panel(figure, change_label(panel.item), **place)
 
 
 SMALL_COLUMNS = 5  # at most
@@ -380,5 +394,5 @@ CONVERGENCE = Figure(
     draw=draw,
     table=table,
     wide=True,
-    forms={"small": draw_small, "narrow": partial(draw, most_columns=1)},
+    forms={"small": draw_small, "medium": partial(draw, most_columns=2), "narrow": partial(draw, most_columns=1)},
 )

@@ -6,6 +6,7 @@ Both counts of each cycle are drawn: the stars that are matched, and the matches
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 import plotly.graph_objects as go
@@ -16,6 +17,7 @@ from boresight.calibration.calibration import Calibration, Cycle
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, make_figure
 from boresight.figures.style import theme
+from boresight.figures.style.axes import BETWEEN_PANELS, grid_place, stacked_px
 from boresight.verdicts.numbers import count, number
 
 PANELS: dict[str, Callable[[Cycle], float | None]] = {
@@ -29,19 +31,28 @@ NOT_YET = "Not yet: matching is reported when the run ends."
 NO_CYCLES = "This run matched its stars without cycles."
 
 
-def draw(drawn: Sequence[Part[list[Cycle]]]) -> go.Figure:
+def draw(drawn: Sequence[Part[list[Cycle]]], beside: int = len(PANELS)) -> go.Figure:
     """Draw matched stars, changed matches and RMS by cycle, a bar a run."""
-    figure = make_subplots(1, len(PANELS), horizontal_spacing=0.1)
-    for place, read in enumerate(PANELS.values(), start=1):
+    rows = len(PANELS) // beside
+    figure = make_subplots(rows, beside, horizontal_spacing=0.1, vertical_spacing=BETWEEN_PANELS / rows)
+    for place, read in enumerate(PANELS.values()):
         for _, style, cycles in drawn:
             values = column([read(cycle) for cycle in cycles])
-            figure.add_trace(_bars(style, cycles, values, labelled=len(drawn) == 1), row=1, col=place)
+            figure.add_trace(_bars(style, cycles, values, labelled=len(drawn) == 1), **grid_place(place, beside))
     many, most = len(drawn) > 1, max(len(cycles) for _, _, cycles in drawn)
     room = [0.4, max(most, LEAST_CYCLES) + 0.6]
-    theme.dress(figure, title=_headline(drawn), height_px=340, legend=many, hovermode="closest", barmode="group")
-    for place, title in enumerate(PANELS, start=1):
-        figure.update_xaxes(title_text="cycle", dtick=1, range=room, showgrid=False, row=1, col=place)
-        figure.update_yaxes(title_text=title, rangemode="tozero", nticks=5, row=1, col=place)
+    theme.dress(
+        figure,
+        title=_headline(drawn),
+        height_px=stacked_px(340, rows, beside),
+        legend=many,
+        hovermode="closest",
+        barmode="group",
+    )
+    for place, title in enumerate(PANELS):
+        where = grid_place(place, beside)
+        figure.update_xaxes(title_text="cycle", dtick=1, range=room, showgrid=False, **where)
+        figure.update_yaxes(title_text=title, rangemode="tozero", nticks=5, **where)
     figure.update_traces(showlegend=False, selector=lambda trace: trace.xaxis != "x")
     return figure
 
@@ -103,4 +114,5 @@ MATCHING = make_figure(
     ),
     wide=True,
     advanced=True,
+    forms={"narrow": partial(draw, beside=1)},
 )

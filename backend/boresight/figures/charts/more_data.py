@@ -7,6 +7,7 @@ before stays. A parameter that the stars determine falls as 1/sqrt(frames); one 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,23 +19,23 @@ from boresight.calibration.calibration import Calibration, MoreData
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
-from boresight.figures.style.axes import frame_grid, grid_place
+from boresight.figures.style.axes import frame_grid, grid_place, name_panel, space_panels
 from boresight.verdicts.numbers import grouped, quantity
 
-COLUMNS = 4
+MOST_COLUMNS = 4
 PANEL_HEIGHT_PX = 170
 STEPS = ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0))
 FEWEST_TICKS = 2
 
 
-def draw(drawn: Sequence[Part[MoreData]]) -> go.Figure:
+def draw(drawn: Sequence[Part[MoreData]], columns: int = MOST_COLUMNS) -> go.Figure:
     """Draw one panel a parameter: the predicted sigma over the frames there would be in all."""
     names = list(dict.fromkeys(name for _, _, part in drawn for name in part.sigma))
-    n_rows = -(-len(names) // COLUMNS)
-    figure = make_subplots(n_rows, COLUMNS, horizontal_spacing=0.085, vertical_spacing=0.24 / n_rows)
+    n_rows = -(-len(names) // columns)
+    figure = make_subplots(n_rows, columns, **space_panels(columns, n_rows))
     for i, name in enumerate(names):
-        _panel(figure, drawn, name, grid_place(i, COLUMNS), named=i == 0)
-    _dress(figure, drawn, n_rows, len(names))
+        _panel(figure, drawn, name, grid_place(i, columns), named=i == 0)
+    _dress(figure, drawn, n_rows, columns, len(names))
     return figure
 
 
@@ -58,7 +59,7 @@ def _panel(
         ticks = round_ticks(values)
         update(tickvals=ticks, ticktext=[grouped(f"{tick:g}") for tick in ticks], **where)
     unit = f" ({item.unit})" if item.unit else ""
-    figure.update_yaxes(title={"text": f"σ of {item.markup}{unit}", "standoff": 4}, **where)
+    name_panel(figure, f"σ of {item.markup}{unit}", **where)
 
 
 def _curve(result: Calibration, part: MoreData, name: str) -> tuple[FloatArray, FloatArray]:
@@ -87,7 +88,7 @@ def round_ticks(values: FloatArray) -> list[float]:
     return found
 
 
-def _dress(figure: go.Figure, drawn: Sequence[Part[MoreData]], n_rows: int, n_panels: int) -> None:
+def _dress(figure: go.Figure, drawn: Sequence[Part[MoreData]], n_rows: int, columns: int, n_panels: int) -> None:
     many = len(drawn) > 1
     title = "Predicted sigma over frames in all, the mark at the left is now"
     theme.dress(figure, title=title, height_px=90 + n_rows * PANEL_HEIGHT_PX, legend=many, hovermode="closest")
@@ -95,7 +96,7 @@ def _dress(figure: go.Figure, drawn: Sequence[Part[MoreData]], n_rows: int, n_pa
         figure.update_traces(showlegend=False)
     figure.update_xaxes(type="log", tickangle=0)
     figure.update_yaxes(type="log")
-    frame_grid(figure, n_panels, COLUMNS, "frames")
+    frame_grid(figure, n_panels, columns, "frames")
 
 
 def table(part: MoreData) -> Table:
@@ -117,4 +118,5 @@ MORE_DATA = part_figure(
     ),
     wide=True,
     advanced=True,
+    forms={"medium": partial(draw, columns=2), "narrow": partial(draw, columns=1)},
 )

@@ -154,7 +154,7 @@ def draw_small(drawn: Sequence[Part[Observability]]) -> go.Figure:
     figure.update_traces(text=_mixtures(trace.result, seen), textposition="outside", cliponaxis=False, textangle=0)
     theme.shrink(figure, l=50, t=4, r=54)
     _scale(figure, drawn[:1], room=1.1)
-    figure.update_yaxes(title_text="times better than typical")
+    figure.update_yaxes(title_text="typical σ / σ")
     figure.update_xaxes(title_text="direction, best known to weakest", type="category", showgrid=False, nticks=0)
     _draw_threshold(figure)
     figure.update_annotations(font={"size": 10, "color": WEAK_COLOUR})

@@ -73,7 +73,9 @@ def draw_small(drawn: Sequence[Part[RadialDifference]]) -> go.Figure:
     theme.shrink(figure)
     _hatch_extrapolation(figure, [radial], windows)
     for row, title in enumerate(("px", "±3σ, px"), start=1):
-        figure.update_yaxes(title_text=title, range=windows[row - 1], nticks=4, row=row, col=1)
+        figure.update_yaxes(range=windows[row - 1], nticks=4, row=row, col=1)
+        corner = {"x": 0.01, "y": 1, "xref": "x domain", "yref": "y domain", "xanchor": "left", "yanchor": "top"}
+        figure.add_annotation(text=title, showarrow=False, font={"size": 10}, **corner, row=row, col=1)
     figure.update_xaxes(title_text="radius (px)", row=2, col=1)
     return figure
 
@@ -363,7 +365,7 @@ def _outermost(curves: Distortion) -> str:
     last = int(np.flatnonzero(radius <= reached)[-1])
     return (
         f"At the outermost star, {count(reached)} px: {signed(old[last])} px old, {signed(new[last])} "
-        f"± {number(3 * lay_over(radial, radial.sigma_px)[last], 2)} px new (3σ)"
+        f"± {number(lay_over(radial, radial.sigma_px)[last], 2)} px new (1σ)"
     )
 
 

@@ -273,7 +273,9 @@ def draw_quiver(drawn: Sequence[Part[ResidualField]], beside: int = 2) -> go.Fig
         colour = theme.REFERENCE_COLOUR if side == "before" else style.colour
         _side(figure, part, read_cells(part, field), colour, style.label, **grid_place(place, beside))
     after = read_cells(part, part.after)
-    counted = f"{int(after.clear.sum())} of {len(after.row)} cell means are clear of their noise after"
+    n_cells = sum(map(len, part.after.mean_row_px))
+    few = "" if len(after.row) == n_cells else f" ({n_cells - len(after.row)} of {n_cells} have too few stars)"
+    counted = f"{int(after.clear.sum())} of {len(after.row)} cells{few} have a mean clear of its noise after"
     title = f"Residuals: {counted}{others([style.label for _, style, _ in drawn])}"
     height = stacked_px(500, -(-len(sides) // beside), beside)
     theme.dress(figure, title=title, height_px=height, legend=False, hovermode="closest", margin={"t": 66})

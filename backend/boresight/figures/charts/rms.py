@@ -37,7 +37,7 @@ from boresight.figures.style.axes import BETWEEN_PANELS, axis_title, counted, gr
 from boresight.figures.style.thinning import keep_extremes
 from boresight.verdicts.history import History, read_history, tail_start
 from boresight.verdicts.numbers import number, urad
-from boresight.verdicts.verdict import why_absent
+from boresight.verdicts.verdict import describe_rms, why_absent
 
 TITLE = "Tail and aggregate RMS"
 URAD_PER_RAD = 1e6
@@ -211,7 +211,8 @@ def _mark_tail(figure: go.Figure, traces: Sequence[Trace], axis: str) -> None:
 def _headline(traces: Sequence[Trace]) -> str:
     rms = traces[0].result.rms_arc_rad
     if len(traces) == 1 and rms.initial is not None and rms.final is not None:
-        return f"RMS arc error {urad(rms.initial)} → {urad(rms.final)} µrad"
+        result = traces[0].result
+        return f"RMS arc error {describe_rms(result.evaluation, rms, result.pairs)} µrad, 95 % in brackets"
     return "RMS arc error" if len(traces) == 1 else f"RMS arc error of {len(traces)} runs"
 
 

@@ -21,7 +21,15 @@ from boresight.calibration.calibration import Calibration
 from boresight.figures.chart import Figure, Table, Trace
 from boresight.figures.charts.convergence import list_history, scaled_quantity
 from boresight.figures.style import theme
-from boresight.figures.style.axes import axis_title, counted, frame_grid, share_cursor
+from boresight.figures.style.axes import (
+    ABOVE_NAMED_PX,
+    axis_title,
+    counted,
+    frame_grid,
+    name_panel,
+    share_cursor,
+    space_panels,
+)
 from boresight.figures.style.thinning import keep_extremes
 from boresight.verdicts.history import History, free_names, parameter_names, read_history
 from boresight.verdicts.numbers import Quantity, change_label
@@ -42,9 +50,7 @@ def draw(traces: Sequence[Trace], most_columns: int = 4) -> go.Figure:
     names = list(dict.fromkeys(name for trace in drawn for name in free_names(trace.result)))
     columns = min(most_columns, len(names))
     n_rows = -(-len(names) // columns)
-    figure = make_subplots(
-        n_rows, columns, shared_xaxes="all", horizontal_spacing=0.29 / columns, vertical_spacing=0.16 / n_rows
-    )
+    figure = make_subplots(n_rows, columns, shared_xaxes="all", **space_panels(columns, n_rows))
     styles, ways = theme.run_styles(drawn), [_ways(trace.result, len(drawn) <= MOST_FILTERS) for trace in drawn]
     known = [way.x for found in ways for way in found if len(way.x) > 1]
     span = (min(x.min() for x in known), max(x.max() for x in known)) if known else (0.0, 1.0)
@@ -58,10 +64,10 @@ def draw(traces: Sequence[Trace], most_columns: int = 4) -> go.Figure:
                 seen += _draw_way(figure, place, trace.result, name, item, way.across(span), style, limit)
         low, high = (min(seen), max(seen)) if seen else (-1.0, 1.0)
         margin = 0.08 * (high - low) or 1.0
-        figure.update_yaxes(
-            title={"text": change_label(item), "standoff": 4}, range=[low - margin, high + margin], **place
-        )
-    theme.dress(figure, title=_headline(drawn), height_px=110 + n_rows * PANEL_HEIGHT_PX)
+        figure.update_yaxes(range=[low - margin, high + margin], **place)
+        name_panel(figure, change_label(item), **place)
+    theme.dress(figure, title=_headline(drawn), height_px=130 + n_rows * PANEL_HEIGHT_PX)
+    figure.update_layout(margin={"t": ABOVE_NAMED_PX})
     figure.update_xaxes(showticklabels=True)
     frame_grid(figure, len(names), columns, axis_title("frame", drawn))
     return share_cursor(figure, counted("frame", drawn))
@@ -170,5 +176,5 @@ SMOOTHED = Figure(
     draw=draw,
     table=table,
     wide=True,
-    forms={"narrow": partial(draw, most_columns=1)},
+    forms={"medium": partial(draw, most_columns=2), "narrow": partial(draw, most_columns=1)},
 )

@@ -74,6 +74,21 @@ def grid_place(number: int, columns: int) -> dict[str, int]:
     return {"row": number // columns + 1, "col": number % columns + 1}
 
 
+def name_panel(figure: go.Figure, text: str, **place: int) -> None:
+    """Name the y axis of one of many panels above it: beside it the name would move with the ticks, and meet the next panel."""
+    above = {"xref": "x domain", "yref": "y domain", "xanchor": "left", "yanchor": "bottom", "yshift": 2}
+    figure.add_annotation(text=text, x=0, y=1, showarrow=False, **above, **place)
+
+
+#: Room for a legend of two lines, and for the names of the panels below it.
+ABOVE_NAMED_PX = 90
+
+
+def space_panels(columns: int, n_rows: int) -> dict[str, float]:
+    """Leave room between panels for the ticks of the next column, and for ticks and names between rows."""
+    return {"horizontal_spacing": 0.36 / columns, "vertical_spacing": 0.24 / n_rows}
+
+
 def frame_grid(figure: go.Figure, n_panels: int, columns: int, title: str) -> None:
     """Name the x axis on the lowest panel of each column of a grid, and hide its empty places."""
     for number in range(-(-n_panels // columns) * columns):
@@ -102,7 +117,7 @@ def lay_maps(drawn: Sequence[Part[P]], beside: int, spacing: float | None = None
     """Make room for the maps of several runs, so many beside each other, each under its run's name."""
     titles = [style.short for _, style, _ in drawn] if len(drawn) > 1 else None
     columns, rows = min(beside, len(drawn)), -(-len(drawn) // beside)
-    space = 0.4 / max(4, columns) if spacing is None else spacing
+    space = 0.5 / max(3, columns) if spacing is None else spacing
     return make_subplots(
         rows, columns, subplot_titles=titles, horizontal_spacing=space, vertical_spacing=BETWEEN_PANELS / rows
     )
@@ -132,7 +147,8 @@ def frame_maps(figure: go.Figure, n_maps: int, columns: int) -> None:
         where = grid_place(number, columns)
         anchor = "x" if number == 0 else f"x{number + 1}"
         figure.update_xaxes(nticks=max(2, 8 // max(2, columns)), tickangle=0, **QUIET, **where)
-        figure.update_yaxes(autorange="reversed", scaleanchor=anchor, scaleratio=1, **QUIET, **where)
+        square = {"scaleanchor": anchor, "scaleratio": 1, "constraintoward": "top"}
+        figure.update_yaxes(autorange="reversed", **square, **QUIET, **where)
         if number % columns == 0:
             figure.update_yaxes(title_text="row (px)", **where)
         if number + columns >= n_maps:

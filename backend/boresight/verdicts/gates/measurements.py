@@ -449,7 +449,8 @@ def measure_coverage(inputs: GateInputs) -> Measurement:
     held = int((regions > 0).sum())
     return Measurement(
         held / regions.size,
-        f"{held} of {regions.size} regions had stars, the fullest {regions.max():,}; elsewhere the model is extrapolated.",
+        f"{held} of {regions.size} regions (of {counts.size // regions.size} cells of the coverage figure each) had stars, "
+        f"the fullest {regions.max():,}; elsewhere the model is extrapolated.",
     )
 
 
@@ -612,9 +613,9 @@ GATES = {
         Gate(
             "lens-structure",
             "Lens structure",
-            "How far is the image from the camera model, where a test of lens, skew or readout notices it, in claimed sigmas?",
+            "How far is the image from the camera model, where a test of lens, skew or readout notices it, in noise σ?",
             "below",
-            "σ",
+            "noise σ",
             measure=partial(measure_model_tests, "lens-structure"),
             limit=MATTERS,
             marginal=0.0,
@@ -622,9 +623,9 @@ GATES = {
         Gate(
             "stability",
             "Stability",
-            "How much does the camera change with time or temperature, where a test notices it, in claimed sigmas?",
+            "How much does the camera change with time or temperature, where a test notices it, in noise σ?",
             "below",
-            "σ",
+            "noise σ",
             measure=partial(measure_model_tests, "stability"),
             limit=MATTERS,
             marginal=0.0,
@@ -632,9 +633,9 @@ GATES = {
         Gate(
             "centroid-noise",
             "Centroid noise",
-            "How far do noise, pixel phase, brightness and colour pull the parameters, where a test notices it, in claimed sigmas?",
+            "How far do noise, pixel phase, brightness and colour pull the parameters, where a test notices it, in noise σ?",
             "below",
-            "σ",
+            "noise σ",
             measure=partial(measure_model_tests, "centroid-noise"),
             limit=MATTERS,
             marginal=0.0,
@@ -642,9 +643,9 @@ GATES = {
         Gate(
             "identities",
             "Identities and directions",
-            "How far do wrong stars or directions pull the parameters, where a test notices it, in claimed sigmas?",
+            "How far do wrong stars or directions pull the parameters, where a test notices it, in noise σ?",
             "below",
-            "σ",
+            "noise σ",
             measure=measure_identities,
             limit=MATTERS,
             marginal=0.0,

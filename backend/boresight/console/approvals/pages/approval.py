@@ -72,8 +72,16 @@ from boresight.verdicts.gates.judgement import GateReport
 
 MEANINGS = {
     "APPROVE": "I reviewed the evidence and approve this set for baseline",
-    "REFUSE": "I reviewed the evidence and refuse this set",
+    "REFUSE": "I refuse this set",
 }
+
+
+def write_meaning(decision: str, given: Sequence[Acknowledgement]) -> str:
+    """Say what a signature means whose signer left that empty: an approval names the figures that were not opened."""
+    unseen = [review.VIEWS.get(one.name, one.name) for one in given if one.kind == review.EVIDENCE]
+    if decision == "APPROVE" and unseen:
+        return f"I approve this set for baseline without having opened {', '.join(unseen)}"
+    return MEANINGS.get(decision, "")
 
 
 @dataclass(frozen=True)
@@ -381,8 +389,8 @@ async def _signed(request: Request, actor: Actor, approval_id: int, kind: str) -
     """Sign as the form says, and show the request, or why it was refused."""
     form = await read_texts(request)
     typed = read_signing(kind, form)
-    meaning = typed.meaning.strip() or MEANINGS.get(typed.decision, "")
     given = [Acknowledgement(*key, typed.reasons.get(key, "")) for key in sorted(typed.ticked)]
+    meaning = typed.meaning.strip() or write_meaning(typed.decision, given)
     decided = approvals.Decision(typed.decision, meaning, typed.comment, given)
     policy = get_server(request).policy
     checks: PasswordWorker = get_server(request).passwords

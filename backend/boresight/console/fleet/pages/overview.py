@@ -336,7 +336,7 @@ def _recorded(session: Session) -> Iterator[RecentEvent]:
 def _ended_runs(session: Session, names: Mapping[int, str]) -> Iterator[RecentEvent]:
     for run in runs.list_runs(session, state=TERMINAL_RUN_STATES, limit=RECENT_EVENTS):
         if run.ended_utc:
-            gist = " · ".join(filter(None, (names.get(run.sensor_id), run.label, run.reason)))
+            gist = " · ".join(filter(None, (names.get(run.sensor_id), run.own_label, run.reason)))
             yield RecentEvent(run.ended_utc, "Boresight", run.state, f"Run {run.id}", f"/runs/{run.id}", gist)
 
 

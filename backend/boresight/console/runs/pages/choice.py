@@ -185,7 +185,7 @@ def _row(found: Choice, one: Candidate, test: TermTest | None) -> CandidateRow:
             urad(one.rms_arc_rad),
             _with_interval(one),
             MISSING if test is None else _p(test),
-            MISSING if one is found.model else _with_three_sigma(one),
+            MISSING if one is found.model else _with_sigma(one),
         ),
     )
 
@@ -203,7 +203,7 @@ def _list_tests(found: Choice) -> Iterator[TestRow]:
                 count(one.df),
                 _p(one),
                 MISSING if saved is None else f"{'+' if saved > 0 else ''}{fixed(saved, 2)} %",
-                _with_three_sigma(one),
+                _with_sigma(one),
             )
             yield TestRow(" + ".join(one.terms), level, word, cells)
 
@@ -219,10 +219,10 @@ def _with_interval(one: Candidate) -> str:
     return f"{urad(one.held_out_rms_arc_rad)}{ends}"
 
 
-def _with_three_sigma(one: Candidate | TermTest) -> str:
+def _with_sigma(one: Candidate | TermTest) -> str:
     if one.change_px is None or one.change_3_sigma_px is None:
         return MISSING
-    return f"{fixed(one.change_px, 3)} ± {fixed(one.change_3_sigma_px, 3)}"
+    return f"{fixed(one.change_px, 3)} ± {fixed(one.change_3_sigma_px / 3, 3)}"
 
 
 def _find_launch_href(session: Session, found: Choice, run: Run) -> str | None:

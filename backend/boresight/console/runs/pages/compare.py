@@ -33,7 +33,8 @@ from boresight.figures.charts.methods import MethodScores, method_scores
 from boresight.figures.style.axes import ALIGNMENTS
 from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.history import SETTLED_SIGMAS
-from boresight.verdicts.numbers import MISSING, count, fixed, number, plus_minus, power, quantity, sigmas, urad
+from boresight.verdicts.numbers import MISSING, count, fixed, number, plus_minus, power, quantity, sigmas
+from boresight.verdicts.verdict import describe_iterations, list_rms
 
 #: Differences from here on are marked; chance makes one of 370 as large.
 FAR_SIGMAS = 3.0
@@ -103,7 +104,7 @@ def _cell(found: Comparison, i: int, k: int) -> ComparedCell:
     if alike or apart is None:
         return ComparedCell(printed, "alike" if alike else held or MISSING, differs=not alike)
     if abs(apart) < NEGLIGIBLE:
-        return ComparedCell(printed, f"{number(apart, 2)} σ, negligible")
+        return ComparedCell(printed, f"{number(apart, 2)} σ of the reference, negligible")
     return ComparedCell(printed, f"{number(apart, 2)} σ of the reference", differs=True)
 
 
@@ -133,7 +134,8 @@ def answer(found: Comparison) -> ComparedAnswer:
         return ComparedAnswer("standby", f"{lacking}: {do}.")
     far = [k for k in known if (test := joint(found.contrasts[k])) is not None and test["p"] < UNLIKELY]
     largest = max((_largest(found, k) for k in known), key=lambda one: one[0])
-    worst = f"at most {number(largest[0], 2)} σ ({quantity(largest[1]).symbol})" if largest[1] else "not at all"
+    unit = "σ of the difference" if largest[2] else "σ of the reference"
+    worst = f"at most {number(largest[0], 2)} {unit} ({quantity(largest[1]).symbol})" if largest[1] else "not at all"
     same = all(found.shared[k].kind == "same" for k in known)
     if same and largest[0] < NEGLIGIBLE:
         what = "methods" if len({one.run.method for one in found.compared}) > 1 else "runs"
@@ -151,8 +153,8 @@ def answer(found: Comparison) -> ComparedAnswer:
     return ComparedAnswer("normal", f"No run differs from the reference beyond chance; {worst}.")
 
 
-def _largest(found: Comparison, k: int) -> tuple[float, str]:
-    """The largest difference of a run, in sigmas as `_apart` has them, and its parameter."""
+def _largest(found: Comparison, k: int) -> tuple[float, str, bool]:
+    """The largest difference of a run, in sigmas as `_apart` has them, its parameter, and whether they are of the difference."""
     against, spreads = found.contrasts[k], found.compared[found.reference].calibration.reliable_sigma
     sizes = {
         name: abs(apart)
@@ -160,7 +162,8 @@ def _largest(found: Comparison, k: int) -> tuple[float, str]:
         if against is not None and (apart := _apart(against, i, spreads.get(name))) is not None
     }
     most = max(sizes, key=lambda name: sizes[name], default="")
-    return sizes.get(most, 0.0), most
+    of_difference = against is not None and bool(most) and bool(np.isfinite(against.sigma[found.names.index(most)]))
+    return sizes.get(most, 0.0), most, of_difference
 
 
 def correlation_lines(found: Comparison) -> list[CorrelationLine]:
@@ -414,6 +417,8 @@ def differences(compared: Sequence[ComparedRun], names: RunNames) -> list[Differ
 def _description(one: ComparedRun, names: RunNames) -> dict[str, str]:
     run, result = one.run, one.calibration
     nis, validation, seen = result.nis, result.validation, result.observability
+    before, after = list_rms(result.evaluation, result.rms_arc_rad, result.pairs)
+    unseen = list_rms(validation, validation.rms_arc_rad, validation.common_pairs)[1] if validation else MISSING
     return {
         "State": run.state,
         "Sensor": names.sensors.get(run.sensor_id, str(run.sensor_id)),
@@ -422,16 +427,22 @@ def _description(one: ComparedRun, names: RunNames) -> dict[str, str]:
         "Method": get_method_title(run.method),
         **{f"Setting {name}": _text(value) for name, value in sorted(_chosen(one).items())},
         "Fit": "–" if one.result is None else result.status.replace("_", " "),
-        "Iterations": _text(one.result and result.iterations),
+        "Iterations": "–" if one.result is None else describe_iterations(result),
         "Frames used": _text(one.result and result.frames),
-        "RMS before (µrad)": urad(result.rms_arc_rad.initial),
-        "RMS after (µrad)": urad(result.rms_arc_rad.final),
-        "Validation RMS after (µrad)": urad(validation.rms_arc_rad.final if validation else None),
+        "RMS before (µrad, 95 %)": before,
+        "RMS after (µrad, 95 %)": after,
+        "Validation RMS after (µrad, 95 %)": unseen,
         "χ² / dof": number(result.chi2_per_dof),
         "NIS mean": number(nis.mean if nis else None) if run.method in FILTERS else "not applicable",
         "Condition number": number(seen.condition_number if seen else None, 3),
         "Launched by": names.person(run.launched_by),
     }
+
+
+def _name(one: ComparedRun, names: RunNames) -> str:
+    """Name a run by its sensor, and by its label where that says more than the method beside it."""
+    sensor = names.sensors.get(one.run.sensor_id, str(one.run.sensor_id))
+    return f"{sensor}: {one.run.own_label}" if one.run.own_label else sensor
 
 
 def _chosen(one: ComparedRun) -> dict[str, Any]:
@@ -498,6 +509,7 @@ def _tables(found: Comparison, view: CompareView, names: RunNames) -> Mapping[st
         "together": together(found),
         "answer": answer(found),
         "methods": method_panel(found.compared),
+        "names": [_name(one, names) for one in found.compared],
         "titles": [get_method_title(one.run.method) for one in found.compared],
         "assumption": comparisons.ASSUMPTION,
         "crowded": len(found.compared) > CROWDED_RUNS,

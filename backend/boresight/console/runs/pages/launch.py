@@ -321,7 +321,7 @@ def list_starts(session: Session, fleet: Sequence[Sensor], chosen: str) -> list[
             run = runs.get_run(session, run_id)
         except NotFoundError:
             return found
-        found.append(OfferedStart(chosen, run.sensor_id, f"run #{run.id}", run.label or run.state))
+        found.append(OfferedStart(chosen, run.sensor_id, f"run #{run.id}", run.own_label or run.state))
     return found
 
 

@@ -80,12 +80,13 @@ from boresight.platform.db.sessions import Session
 from boresight.platform.db.times import TimeStyle
 from boresight.verdicts.answers import Headline, make_four_views, make_headline
 from boresight.verdicts.gates.judgement import gate_rows
-from boresight.verdicts.history import RmsTail, read_history, settled_step, sigma_of_rms, summarise_tail
-from boresight.verdicts.numbers import MISSING, count, duration, number, percent, urad
+from boresight.verdicts.history import RmsTail, interval_of_fit, read_history, settled_step, summarise_tail
+from boresight.verdicts.numbers import MISSING, count, duration, number, percent, urad_between
 from boresight.verdicts.remedies import Remedy, list_remedies
 from boresight.verdicts.verdict import (
     PartVerdict,
     judge_parts,
+    list_rms,
     make_verdict_marks,
     parse_run_summary,
     prospects,
@@ -100,15 +101,25 @@ def list_provenance(run: Run, result: Calibration | None) -> list[tuple[str, Any
     hashes = [(f"{name} SHA-256", _hash(value)) for name, value in inputs.sha256s.items()]
     versions = ", ".join(f"{name} {value}" for name, value in inputs.versions.items())
     timing = ", ".join(f"{name.replace('_', ' ')} {duration(value)}" for name, value in _timing(result))
-    left_out = ", ".join(
-        f"{count(part.count)} {part.what}: {part.reason}" for part in (result.left_out if result else ())
-    )
+    left_out = list_left_out(result) if result else []
     return [
         *hashes,
-        ("Left out", left_out or MISSING),
+        ("Left out", "; ".join(left_out) or MISSING),
         ("Result SHA-256", short_hash(run.result_sha256) if run.result_sha256 else MISSING),
         ("Versions", versions or MISSING),
         ("Time spent", timing or MISSING),
+    ]
+
+
+def list_left_out(result: Calibration) -> list[str]:
+    """Say what was left out, of how many: an exposure is one image, and a frame is left out where all of its are."""
+    used = {"exposures": result.exposures, "stars": result.stars}
+    lost = {what: sum(one.count for one in result.left_out if one.what == what) for what in used}
+    return [
+        f"{count(one.count)} of {count(used[one.what] + lost[one.what])} {one.what}: {one.reason}"
+        if one.what in used
+        else f"{count(one.count)} {one.what}: {one.reason}"
+        for one in result.left_out
     ]
 
 
@@ -204,25 +215,20 @@ def list_history_facts(result: Calibration | None) -> Rows:
 
 
 def tail_facts(result: Calibration | None, view: RunView) -> tuple[RmsTail | None, Rows]:
-    """Set the errors of a run beside each other, each with its 3-sigma: on the data fitted and, apart, on the validation set."""
+    """Set the errors of a run beside each other, each with its 95 % interval: on fitted data, and on the validation set."""
     if result is None:
         return None, []
     tail = summarise_tail(result, view.tail_from)
-    rms, arcs = result.rms_arc_rad, result.pairs
+    old, new = list_rms(result.evaluation, result.rms_arc_rad, result.pairs)
     rows = [
-        ("Fitted data, old parameters", _with_reach(rms.initial, arcs), "The sensor's parameters at launch."),
-        ("Fitted data, new parameters", _with_reach(rms.final, arcs), f"{count(arcs)} arcs."),
+        ("Fitted data, old parameters", old, "The sensor's parameters at launch."),
+        ("Fitted data, new parameters", new, f"{count(result.pairs)} arcs."),
     ]
     if tail is not None:
         window = f"{tail.axis} {tail.start:.6g} to {tail.end:.6g}, {count(tail.points)} updates on record"
-        rows.append(("Tail, mean over its window", _with_reach(tail.tail_rad, arcs), f"{window}."))
-        rows.append(
-            (
-                "Aggregate, at the end",
-                _with_reach(tail.aggregate_rad, arcs),
-                "Each frame with the parameters at that time.",
-            )
-        )
+        rows.append(("Tail, mean over its window", _of_fit(result, tail.tail_rad), f"{window}."))
+        said = "Each frame with the parameters at that time."
+        rows.append(("Aggregate, at the end", _of_fit(result, tail.aggregate_rad), said))
     return tail, rows + _list_validation_facts(result)
 
 
@@ -230,26 +236,25 @@ def _list_validation_facts(result: Calibration) -> Rows:
     validation = result.validation
     if validation is None:
         return [("Validation data", MISSING, "No validation set was given: launch a run with one to get this answer.")]
-    rms, arcs, share = validation.rms_arc_rad, validation.common_pairs, percent(validation.availability.final)
-    kept = f" {count(arcs)} arcs." if arcs is not None else " σ not stored."
+    arcs, share = validation.common_pairs, percent(validation.availability.final)
+    old, new = list_rms(validation, validation.rms_arc_rad, arcs)
+    kept = f" {count(arcs)} arcs." if arcs is not None else ""
     return [
         (
             "Validation data, old parameters",
-            _with_reach(rms.initial, arcs),
+            old,
             f"{count(validation.frames)} frames never fitted.{kept}",
         ),
         (
             "Validation data, new parameters",
-            _with_reach(rms.final, arcs),
+            new,
             f"{share} of these frames available.{kept}",
         ),
     ]
 
 
-def _with_reach(rms_rad: float | None, arcs: float | None) -> str:
-    """Write an RMS in microradians with its 3-sigma."""
-    sigma = sigma_of_rms(rms_rad, arcs)
-    return urad(rms_rad) if sigma is None else f"{urad(rms_rad)} ± {urad(3 * sigma, 2)}"
+def _of_fit(result: Calibration, rms_rad: float | None) -> str:
+    return urad_between(rms_rad, interval_of_fit(result, rms_rad))
 
 
 def sight_facts(result: Calibration | None) -> tuple[Rows, list[str]]:
@@ -525,7 +530,7 @@ def make_run_verdict(review: RunReview, notices: Sequence[StateNotice]) -> Headl
     told = tuple(notice.sentence for notice in notices)
     if review.result is None or not review.result.parameters:
         kind = "No verdict" if review.run.state in TERMINAL_RUN_STATES else "No verdict yet"
-        return Headline(review.run.state, review.run.state, f"{kind}: {review.why_nothing}", told)
+        return Headline(review.run.state, review.run.state, f"{kind}: {review.why_nothing}", "", told)
     headline = make_headline(review.result)
     old = warn_of_old_validation(review.result, [review.data, *review.further], review.validation)
     return replace(headline, warnings=(*told, *headline.warnings, *old))
