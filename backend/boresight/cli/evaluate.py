@@ -325,7 +325,7 @@ def _shadow_lines(shadow: dict[str, Any]) -> Iterator[str]:
 @click.command()
 @click.argument("calibration", metavar="CALIBRATION|PARAMETER_SET", type=INPUT_FILE)
 @click.option("--sensor", "sensor_file", type=INPUT_FILE, help="Sensor file, JSON; needed without --server.")
-@click.option("--against", type=INPUT_FILE, help="The incumbent's parameters; the sensor file's if left out.")
+@click.option("--against", type=INPUT_FILE, help="The baseline's parameters; the sensor file's if left out.")
 @click.option("--validate", "telemetry", type=INPUT_FILE, help="Held-out telemetry; the calibration's own if left out.")
 @click.option("--profile", "profile_file", type=INPUT_FILE, help="Gate profile, JSON; the default limits if left out.")
 @server_option
@@ -339,12 +339,12 @@ def assess(
     server_url: str | None,
     json_file: str | None,
 ) -> None:
-    """Compare CALIBRATION, a JSON of `boresight calibrate`, with limits and with the incumbent.
+    """Compare CALIBRATION, a JSON of `boresight calibrate`, with limits and with the baseline.
 
     Every gate answers PASS, MARGINAL, NO-DATA or FAIL, and the worst is the verdict. The exit code is 0 whatever the
     verdict is. Scripts read `verdict` and `blocking` from --json.
 
-    With --server a PARAMETER_SET of that server, PS-<sensor>-<n> or its number, is compared with the limits and the incumbent of
+    With --server a PARAMETER_SET of that server, PS-<sensor>-<n> or its number, is compared with the limits and the baseline of
     its sensor, on the server's own validation frames.
     """
     check_writable(json_file)
@@ -353,7 +353,7 @@ def assess(
         raise click.MissingParameter(param_hint="'--sensor'", param_type="option")
     if server_url is not None and any(one is not None for one in given):
         raise RefusedInputError(
-            "A server has the sensor, its incumbent, validation frames and limits: leave --sensor, --against, --validate and "
+            "A server has the sensor, its baseline, validation frames and limits: leave --sensor, --against, --validate and "
             "--profile out with --server."
         )
     if server_url is not None:
@@ -377,7 +377,7 @@ def _gate_lines(found: Assessment) -> Iterator[str]:
     from boresight.verdicts.gates.judgement import gate_rows
 
     rows = gate_rows(found.gates, found.blocking)
-    head = ("gate", "answer", "measured", "95 %", "limit", "marginal from", "incumbent", "unit")
+    head = ("gate", "answer", "measured", "95 %", "limit", "marginal from", "baseline", "unit")
     table = [
         (row.title, row.status, row.value, row.interval, row.limit, row.marginal, row.incumbent, row.unit)
         for row in rows

@@ -684,7 +684,7 @@ def assess(
     profile: str | os.PathLike[str] | Mapping[str, Any] | None = None,
     progress: Wanted = None,
 ) -> Assessment:
-    """Hold a calibration against limits and against the incumbent.
+    """Hold a calibration against limits and against the baseline.
 
     Parameters
     ----------
@@ -695,7 +695,7 @@ def assess(
     validate
         Held-out telemetry; the calibration's own validation where left out.
     against
-        The incumbent's parameters; the sensor's where left out.
+        The baseline's parameters; the sensor's where left out.
     profile
         Gate profile, as file or what one says; the default limits where left out.
     """

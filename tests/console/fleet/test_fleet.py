@@ -292,7 +292,7 @@ def test_of_a_large_fleet_those_that_stand_worst_are_drawn_and_the_page_says_so(
     stand = [SimpleNamespace(sensor_id=number, status=level) for number, level in enumerate(levels)]
     monkeypatch.setattr(overview, "MOST_TILES", 3)
     assert [one.sensor_id for one in overview.choose_drawn_sensors(stand)] == [1, 4, 3]
-    assert overview.choose_drawn_sensors(stand[:3]) == stand[:3]
+    assert [one.sensor_id for one in overview.choose_drawn_sensors(stand[:3])] == [1, 0, 2]  # of a small fleet too
     assert "show all" not in read(site.visitor("ada").get("/"))
     monkeypatch.setattr(overview, "MOST_TILES", 0)
     page = site.visitor("ada").get("/")

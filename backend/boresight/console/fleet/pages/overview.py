@@ -213,7 +213,7 @@ def _calibrations(session: Session, standings: Sequence[SensorStatus], actor: Ac
         return NOTHING
     converged = {one.last_run.id for one in standings if _converged(one)}
     unused = converged - set_queries.list_runs_with_sets(session, converged)
-    found = [action for one in _shown_first(standings) if (action := _next_step(one, unused)) is not None]
+    found = [action for one in _worst_first(standings) if (action := _next_step(one, unused)) is not None]
     return WaitingItems(len(found), found[:MOST_ACTIONS])
 
 
@@ -288,12 +288,12 @@ class FleetView:
 
 
 def choose_drawn_sensors(standings: Sequence[SensorStatus]) -> Sequence[SensorStatus]:
-    """Choose the sensors that a page has room for: all by name, or in a large fleet those with the worst status."""
-    return _shown_first(standings)[:MOST_TILES]
+    """Choose the sensors that a page has room for, the worst status first, then by name."""
+    return _worst_first(standings)[:MOST_TILES]
 
 
-def _shown_first(standings: Sequence[SensorStatus]) -> Sequence[SensorStatus]:
-    return standings if len(standings) <= MOST_TILES else sorted(standings, key=lambda one: -LEVELS.index(one.status))
+def _worst_first(standings: Sequence[SensorStatus]) -> Sequence[SensorStatus]:
+    return sorted(standings, key=lambda one: -LEVELS.index(one.status))
 
 
 def _list_recent_calibrations(session: Session, tiles: Sequence[SensorTile]) -> dict[int, RecentCalibrations]:
