@@ -85,15 +85,19 @@ def _signatures(session: Session, actor: Actor, policy: Policy) -> WaitingItems:
     signatory = approvals.find_signatory(session, actor, policy=policy)
     if signatory is None:
         return NOTHING
-    return _requests(session, {"open_to": signatory}, "standby", "waits for your signature", "Review")
+    return _requests(session, {"open_to": signatory}, "standby", "waits for your signature", "Review", "#review")
 
 
-def _requests(session: Session, where: Mapping[str, Any], level: str, words: str, label: str) -> WaitingItems:
+def _requests(
+    session: Session, where: Mapping[str, Any], level: str, words: str, label: str, place: str = ""
+) -> WaitingItems:
     """Count the requests that a list is narrowed to, and write the newest of them."""
     newest = lists.read_page(session, "approvals", where, "-request", limit=MOST_ACTIONS)
     sets = set_queries.read_heads(session, [request.parameter_set_id for request in newest])
     first = [
-        WaitingAction(level, f"{sets[request.parameter_set_id].name} {words}.", f"/approvals/{request.id}", label)
+        WaitingAction(
+            level, f"{sets[request.parameter_set_id].name} {words}.", f"/approvals/{request.id}{place}", label
+        )
         for request in newest
     ]
     return WaitingItems(lists.count(session, "approvals", where), first)
