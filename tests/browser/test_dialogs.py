@@ -161,3 +161,17 @@ def test_the_dialogs_of_people(people, address, opener):
         window.open(address)
         first = window.page.locator("[data-act]", has_text=re.compile(f"^{opener}")).first
         holds(window, first.get_attribute("popovertarget"), named=())
+
+
+HOOK = {"label": "To look at", "url": "https://mission.invalid/hooks", "actions": ["backups.*"]}
+
+
+@pytest.mark.full
+def test_the_dialog_that_disables_a_webhook(people):
+    with people.seat("administrator") as window:
+        window.open("/webhooks")
+        token = window.page.locator("input[name=csrf_token]").first.input_value()
+        made = window.page.request.post("/api/v1/webhooks", data=HOOK, headers={"X-CSRF-Token": token})
+        assert made.ok, made.text()
+        window.open(f"/webhooks/{made.json()['id']}")
+        holds(window, "disable", named=(HOOK["label"], HOOK["url"]))

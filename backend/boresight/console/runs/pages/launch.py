@@ -584,7 +584,7 @@ async def launch(request: Request, session: Reading, actor: Who, forecast_source
     if intent == "queue":
         outcome = await attempt(request, partial(_launch, actor=actor, typed=typed))
         if outcome.value is not None:
-            return redirect(f"/runs/{outcome.value.id}", flash=f"Run #{outcome.value.id} is queued.")
+            return redirect(f"/runs/{outcome.value.id}", flash=f"Run #{outcome.value.id} was put into the queue.")
     elif intent == "save":
         words = get_texts(form)
         name, sentence = words.get("preset_name", ""), words.get("preset_sentence", "")
