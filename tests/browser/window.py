@@ -95,6 +95,26 @@ CUT = """() => [...document.querySelectorAll("table.data")].map(table => table.p
     .filter(place => place.scrollWidth > place.clientWidth && !place.closest("details:not([open])")
         && !place.querySelector("[data-fit=pinned]"))
     .map(place => place.ariaLabel)"""
+#: Words of cells, of 2 to 15 letters, that stand on more than one line.
+BROKEN = r"""() => {
+    const told = [];
+    for (const cell of document.querySelectorAll("table :is(th, td)")) {
+        if (!cell.checkVisibility() || cell.getBoundingClientRect().width <= 1) continue;
+        const walker = document.createTreeWalker(cell, NodeFilter.SHOW_TEXT);
+        for (let text = walker.nextNode(); text; text = walker.nextNode()) {
+            const place = text.parentElement;
+            if (!place.checkVisibility() || place.closest(".sr, svg, option, textarea, dialog:not([open])")) continue;
+            for (const word of text.data.matchAll(/[\p{L}\p{N}]{2,15}/gu)) {
+                const range = document.createRange();
+                range.setStart(text, word.index);
+                range.setEnd(text, word.index + word[0].length);
+                const tops = [...range.getClientRects()].filter(one => one.width > 0.5).map(one => one.top);
+                if (Math.max(...tops) - Math.min(...tops) > 6) told.push(`${word[0]} in ${cell.textContent.trim().slice(0, 60)}`);
+            }
+        }
+    }
+    return told;
+}"""
 #: What would write now: whatever opens the dialog of an act, or sends a form by POST.
 WRITES = """() => [...document.querySelectorAll("button, input[type=submit], input[type=image]")].filter(one => !one.disabled
     && (one.dataset.act !== undefined || (["submit", "image"].includes(one.type)
@@ -300,6 +320,7 @@ class Window:
             self.fits()
             self.settle()
             assert self.page.evaluate(CUT) == [], f"at {width} px"
+            assert self.page.evaluate(BROKEN) == [], f"at {width} px"
             assert self.page.locator("main").evaluate("main => main.clientWidth") <= min(width, WIDEST_PX)
         self.keep(f"page-{name}-{width}", whole=False)
 

@@ -169,7 +169,7 @@ def rounded(value):
 def test_every_gate_is_a_line_with_its_limit_and_the_verdict_comes_last(assess):
     done = accepted(assess())
     lines = done.stdout.splitlines()
-    for word in ("Finite values", "Validation RMS vs incumbent", "Parameter shift", "× noise", "≤\u202f3.00", "95 %"):
+    for word in ("Finite values", "Validation RMS vs baseline", "Parameter shift", "× noise", "≤\u202f3.00", "95 %"):
         assert word in done.stdout
     assert lines[-1] == "ST16-4: NO-DATA"
     assert any(line.startswith("Quantisation NO-DATA: There is no table definition") for line in lines)

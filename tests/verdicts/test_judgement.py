@@ -23,7 +23,7 @@ from boresight.verdicts.gates import (
     summarise,
     words,
 )
-from boresight.verdicts.gates.judgement import STATUSES, find_worst
+from boresight.verdicts.gates.judgement import STATUSES, find_worst, gate_rows
 from boresight.verdicts.gates.profile import FLAGS
 
 NUMBERS = st.floats(0.0, 1.0)
@@ -170,6 +170,36 @@ def test_sound_residuals_are_called_marginal_no_oftener_than_their_bounds_say_an
     assert answers.count("MARGINAL") / 400 < 0.08
     assert answers.count("FAIL") <= (8 if dof == 5 else 0)
     assert [of_residuals(scale * 500, 500) for scale in (0.05, 12.0)] == ["FAIL"] * 2  # far from the stated noise
+
+
+@pytest.mark.parametrize(
+    ("name", "measured", "thresholds", "decides", "numbers"),
+    [
+        ("weak-directions", Measurement(2.42, ""), {"marginal": 0.5}, "marginal", ("0.5", "2.0 times")),
+        ("chi-square", Measurement(1.15, "", bounds=(0.9, 1.1)), {"limit": 9, "marginal": 1.05}, "marginal", ("1.10",)),
+        ("nis", Measurement(50.0, "", bounds=(0.9, 1.1)), {"limit": 3, "marginal": 2}, "limit", ("3.00",)),
+        ("centroid-noise", Measurement(1.24, ""), {"limit": 3, "marginal": 1.2}, "marginal", ("1.20",)),
+        (
+            "centroid-noise",
+            Measurement(2.9, "", interval=(2.0, 3.3)),
+            {"limit": 3, "marginal": 2.95},
+            "limit",
+            ("3.00",),
+        ),
+        ("centroid-noise", Measurement(9.0, ""), {"limit": 3, "marginal": 1.2}, "limit", ("3.00",)),
+        ("centroid-noise", Measurement(0.1, ""), {"limit": 3, "marginal": 1.2}, "limit", ("3.00",)),
+    ],
+)
+def test_a_row_says_which_threshold_decided_its_answer_and_its_warning_has_the_number_beside(
+    name, measured, thresholds, decides, numbers
+):
+    given = answer(name, measured, **thresholds)
+    (row,) = gate_rows([given], [])
+    assert decides in row.decided_by
+    assert ("limit" in row.also) == (decides == "marginal")
+    assert all(one in row.decided_by for one in numbers)
+    assert row.value in row.warning
+    assert row.decided_by in row.warning
 
 
 LIMITED = [gate for gate in GATES.values() if gate.direction != "met"]

@@ -332,7 +332,7 @@ def _shadow_lines(shadow: dict[str, Any]) -> Iterator[str]:
 @click.command()
 @click.argument("calibration", metavar="CALIBRATION|PARAMETER_SET", type=INPUT_FILE)
 @click.option("--sensor", "sensor_file", type=INPUT_FILE, help="Sensor file, JSON; needed without --server.")
-@click.option("--against", type=INPUT_FILE, help="The incumbent's parameters; the sensor file's if omitted.")
+@click.option("--against", type=INPUT_FILE, help="The baseline's parameters; the sensor file's if omitted.")
 @click.option("--validate", "telemetry", type=INPUT_FILE, help="Held-out telemetry; the calibration's own if omitted.")
 @click.option("--profile", "profile_file", type=INPUT_FILE, help="Gate profile, JSON; the default limits if omitted.")
 @server_option
@@ -346,12 +346,12 @@ def assess(
     server_url: str | None,
     json_file: str | None,
 ) -> None:
-    """Compare CALIBRATION, a JSON of `boresight calibrate`, with limits and with the incumbent.
+    """Compare CALIBRATION, a JSON of `boresight calibrate`, with limits and with the baseline.
 
     Each gate reports PASS, MARGINAL, NO-DATA or FAIL; the worst is the verdict. The exit code is 0 regardless of the
     verdict. Scripts read `verdict` and `blocking` from --json.
 
-    With --server a PARAMETER_SET of that server, PS-<sensor>-<n> or its number, is compared with the limits and the incumbent of
+    With --server a PARAMETER_SET of that server, PS-<sensor>-<n> or its number, is compared with the limits and the baseline of
     its sensor, on the server's own validation frames.
     """
     check_writable(json_file)
@@ -360,7 +360,7 @@ def assess(
         raise click.MissingParameter(param_hint="'--sensor'", param_type="option")
     if server_url is not None and any(one is not None for one in given):
         raise RefusedInputError(
-            "With --server, sensor, incumbent, validation frames and limits come from the server: omit --sensor, --against, "
+            "With --server, sensor, baseline, validation frames and limits come from the server: omit --sensor, --against, "
             "--validate and --profile."
         )
     if server_url is not None:
@@ -384,7 +384,7 @@ def _gate_lines(found: Assessment) -> Iterator[str]:
     from boresight.verdicts.gates.judgement import gate_rows
 
     rows = gate_rows(found.gates, found.blocking)
-    head = ("gate", "result", "measured", "95 %", "limit", "marginal from", "incumbent", "unit")
+    head = ("gate", "result", "measured", "95 %", "limit", "marginal from", "baseline", "unit")
     table = [
         (row.title, row.status, row.value, row.interval, row.limit, row.marginal, row.incumbent, row.unit)
         for row in rows

@@ -685,7 +685,7 @@ def assess(
     profile: str | os.PathLike[str] | Mapping[str, Any] | None = None,
     progress: Wanted = None,
 ) -> Assessment:
-    """Hold a calibration against limits and against the incumbent.
+    """Hold a calibration against limits and against the baseline.
 
     Parameters
     ----------
@@ -696,7 +696,7 @@ def assess(
     validate
         Held-out telemetry; the calibration's own validation if omitted.
     against
-        The incumbent's parameters; the sensor's if omitted.
+        The baseline's parameters; the sensor's if omitted.
     profile
         Gate profile, as a file or its content; the default limits if omitted.
     """

@@ -36,6 +36,10 @@ function showCount() {
 
 let isLed = false;
 
+function openViews() {
+  for (const one of findAll("[data-view]", HTMLDetailsElement)) one.open = true;
+}
+
 /** Show the next figure that does not count as opened yet, while the person is led through them. */
 function leadOn() {
   const next = findAll("[data-view]", HTMLDetailsElement).find((view) => find("[data-opened]", HTMLElement, view)?.textContent !== "opened");
@@ -126,7 +130,7 @@ document.addEventListener("click", (event) => {
   if (view) view.open = true;
   isLed = around(event, "[data-lead-views]") !== null;
   if (isLed) event.preventDefault();
-  if (isLed || around(event, "[data-open-views]")) for (const one of findAll("[data-view]", HTMLDetailsElement)) one.open = true;
+  if (isLed || around(event, "[data-open-views]")) openViews();
   if (isLed) setTimeout(leadOn); // once they are unfolded
   const toPoint = around(event, "[data-points-left] a");
   if (!toPoint) return;
@@ -153,3 +157,7 @@ addEventListener("scroll", fitPanel, { passive: true });
 addEventListener("resize", fitPanel);
 fitPanel();
 showCount();
+if (["#review", "#sign"].includes(location.hash) && panel) { // who comes to sign has the figures before them, and the first reason to type
+  openViews();
+  find("input.reason", HTMLInputElement, listOpen()[0]?.parentElement ?? document)?.focus({ preventScroll: true });
+}

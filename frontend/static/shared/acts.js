@@ -77,6 +77,7 @@ function takeUp() {
 }
 
 addEventListener("hashchange", takeUp);
+if (find('[data-code="made"]', HTMLElement)) find("#reason", HTMLTextAreaElement)?.focus({ preventScroll: true }); // a set was made just now: its reason is typed next
 
 for (const dialog of findAll("dialog.act-dialog[open]", HTMLDialogElement)) {
   dialog.close();

@@ -386,7 +386,7 @@ def test_a_set_is_assessed_from_its_page_but_by_no_viewer(site, read, candidate)
     assert answer.headers["location"] == f"/parameter-sets/{candidate}/gates"
     words = read(visitor.get(f"/parameter-sets/{candidate}/gates"))
     assert "by Ada Analyst" in words
-    assert "× incumbent" in words
+    assert "× baseline" in words
     viewer = site.visitor("victor")
     assert 'id="assess-blocked"' in viewer.get(f"/parameter-sets/{candidate}/gates")
     assert viewer.post(f"/parameter-sets/{candidate}/assess").status_code == 403

@@ -321,7 +321,7 @@ def test_an_incumbent_that_moved_unseen_makes_the_approval_stale_for_good(engine
         for number, state in ((1, "SUPERSEDED"), (other.id, "BASELINE")):
             session.get_one(ParameterSet, number).ground_state = state
             audit.append(session, people["root"], "exchanged", f"parameter-sets/{number}")
-    with pytest.raises(StaleError, match=r"incumbent.*PS-ST16-1-2: Root", check=has_code("changed-since-submitted")):
+    with pytest.raises(StaleError, match=r"baseline.*PS-ST16-1-2: Root", check=has_code("changed-since-submitted")):
         _promote(engine, people["dee"], row.id)
     with open_reading(engine) as session:
         assert lists.list_newest(session, Approval)[0].state == "STALE"

@@ -157,7 +157,7 @@ def test_pages_are_newest_first_and_do_not_overlap(log):
         ("typical_sigma.b2_per_m2", "Typical sigma, b2", "m⁻²"),
         ("detector.pixel_pitch_m", "Detector, Pixel pitch", "m"),
         ("centroid_sigma_px", "Centroid sigma", "px"),
-        ("bound.incumbent_sha256", "Bound, Incumbent, SHA-256", ""),
+        ("bound.incumbent_sha256", "Bound, Baseline, SHA-256", ""),
         ("expires_utc", "Expires", ""),
         ("must_change_password", "Must still set their own password", ""),
     ],

@@ -87,7 +87,7 @@ def test_a_set_shows_its_values_against_the_baseline_and_where_it_comes_from(sit
 def test_the_verdict_of_a_set_stands_in_its_head_with_the_worst_warning(site, candidate):
     ada = site.visitor("ada")
     verdict = re.compile('<details class="verdict-fold[^>]*id="verdict".*?</details>', re.DOTALL)
-    warning = re.compile('<span class="worst">(.*?)</span>\\s*<span class="more">', re.DOTALL)
+    warning = re.compile(r'<span class="worst">(.*?)</span>\s*<span class="more">', re.DOTALL)
     ground = verdict.search(ada.get("/parameter-sets/1"))[0]
     assert "declared" in ground
     assert "typical spread" in ground

@@ -149,6 +149,16 @@ def test_queueing_stores_the_settings_as_typed_and_a_clone_starts_from_them(site
     assert 'value="g_y" checked' not in page
 
 
+def test_a_run_is_queued_as_the_form_would_offer_it(site):
+    ada = site.visitor("ada")
+    run_id = int(ada.post("/runs/new?sensor=1&set=1", intent="offered").headers["location"].removeprefix("/runs/"))
+    with open_reading(site.engine) as session:
+        queued = session.get_known(Run, run_id)
+    assert (queued.telemetry_set_id, queued.validation_set_id) == (1, 2)
+    assert queued.settings["free"]
+    assert site.visitor("victor").post("/runs/new?sensor=1&set=1", intent="offered").status_code == 403
+
+
 @pytest.mark.parametrize(
     ("typed", "said"),
     [

@@ -248,5 +248,5 @@ def test_an_approved_set_whose_evidence_moved_is_not_exported(engine, people, bu
         for number, state in ((1, "SUPERSEDED"), (other.id, "BASELINE")):
             session.get_one(ParameterSet, number).ground_state = state
             audit.append(session, people["root"], "exchanged", f"parameter-sets/{number}")
-    with pytest.raises(StaleError, match="incumbent changed"):
+    with pytest.raises(StaleError, match="baseline changed"):
         build(row)

@@ -14,6 +14,7 @@ from boresight.console.fleet import timeline
 from boresight.console.fleet.pages.sensors import EXAMPLE
 from boresight.console.fleet.timeline import METHODS
 from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.tables import Run
 from boresight.console.uplinks import packages, table_definitions
 from boresight.console.uplinks import service as uplinks
 from boresight.console.uplinks.pages import steps as uplink
@@ -27,8 +28,10 @@ from boresight.console.uplinks.stations import (
     find_exported_package,
     lay_out,
     list_uplink_stations,
+    make_workflow,
 )
 from boresight.console.uplinks.tables import Package, Uplink
+from boresight.platform.actors import SYSTEM, Policy
 from boresight.platform.db.sessions import open_reading, open_writing
 from boresight.uplink.table_definition import plain_definition
 from tests.console.uplinks.pages import advance, define, send_dump, table, version
@@ -62,6 +65,22 @@ def test_the_ladder_shows_the_present_progress(states, words):
     stopped = bool(states) and states[-1] in {"MISMATCH", "UNKNOWN"}
     taken = list_uplink_stations(None, _records(*states), {1: "Olga Operator"}.get)
     assert [station.word for station in lay_out(taken, TITLES[5:], stopped=stopped)] == words
+
+
+def test_a_step_stands_at_the_time_that_it_happened_not_when_it_was_typed():
+    (sent,) = _records("SENT")
+    sent.evidence = {"happened_utc": "2025-12-31T23:00:00Z"}
+    station = list_uplink_stations(None, [sent], {1: "Olga Operator"}.get)[1]
+    assert station.at_utc == "2025-12-31T23:00:00Z"
+
+
+def test_while_a_run_is_on_its_way_the_first_station_says_so_and_none_is_next(site):
+    known = site.add_run(state="RUNNING")
+    with open_reading(site.engine) as session:
+        run = session.get_known(Run, known)
+        found = make_workflow(session, SYSTEM, Policy(), None, run).stations
+    assert [station.level for station in found] == ["standby", *["off"] * 9]
+    assert "running" in found[0].word
 
 
 def test_the_exported_package_is_the_one_that_was_sent_and_before_that_the_newest():

@@ -136,10 +136,8 @@ def _choose_validation_frames(
     return next((known for known in candidates if known.id not in fitted), None)
 
 
-NO_SET = (
-    "There are no validation frames: upload a validation set that neither this set nor the incumbent was fitted to."
-)
-NOT_SEEN = "The validation frames were not matched with this set and the incumbent: assess the set."
+NO_SET = "There are no validation frames: upload a validation set that neither this set nor the baseline was fitted to."
+NOT_SEEN = "The validation frames were not matched with this set and the baseline: assess the set."
 ASSESSORS = ("analyst", "approver", "operator", "administrator")
 
 
@@ -165,7 +163,7 @@ def examine(
     candidate = parse_assessed_set(stored.candidate, sensor)
     incumbent = None
     if stored.incumbent is not None:
-        incumbent = parse_assessed_set(stored.incumbent, sensor, "The incumbent")
+        incumbent = parse_assessed_set(stored.incumbent, sensor, "The baseline")
     validation, why = _seen(stored, blobs, sensor, candidate, incumbent, result, catalogue, cache_folder)
     inputs = gates.GateInputs(
         sensor=sensor,

@@ -30,7 +30,7 @@ WORDS = {
     "gate_report_sha256": "gate report",
     "profile_sha256": "gate profile",
     "table_definition_sha256": "table definition",
-    "incumbent_sha256": "incumbent",
+    "incumbent_sha256": "baseline",
     "waivers": "waivers",
 }
 OF_GATES = ("gate_report_sha256", "profile_sha256")  # absent from requests of before there were gates

@@ -74,7 +74,7 @@ NAMES = {
     "run_id": "Run",
     "sensor_id": "Sensor",
     "set_sha256": "Set, SHA-256",
-    "incumbent_sha256": "Incumbent, SHA-256",
+    "incumbent_sha256": "Baseline, SHA-256",
     "run_result_sha256": "Run's result, SHA-256",
     "profile_sha256": "Gate profile, SHA-256",
     "gate_report_sha256": "Gate report, SHA-256",

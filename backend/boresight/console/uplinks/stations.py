@@ -46,6 +46,8 @@ UPLINK_STEPS = {
     ),
     "UNKNOWN": ("Its on-board state is unknown: send it again, or read it back.", "Record", "record"),
 }
+#: How its first station stands while a set's run has not ended.
+UNDER_WAY = {"QUEUED": "queued", "CANCELLING": "being cancelled"}
 PASSED_BY = "not on record"
 DECLARED = "not needed: the set came with its sensor"
 
@@ -133,7 +135,10 @@ def make_workflow(
     viewer = _Viewer(session, actor, policy, users.list_users(session))
     if row is None:
         step = _step_of_run(viewer, run)
-        return Workflow("", tuple(lay_out([None] * len(TITLES), TITLES, stopped=not step.posts)), step)
+        stations = lay_out([None] * len(TITLES), TITLES, stopped=not step.posts)
+        if run is not None and run.state not in TERMINAL_RUN_STATES:
+            stations[0] = Station(TITLES[0], "standby", UNDER_WAY.get(run.state, "running"), run.launched_utc)
+        return Workflow("", tuple(stations), step)
     known = _read_records(session, row)
     return Workflow(row.name, tuple(_list_stations(row, known, viewer)), _step_of_set(viewer, row, known))
 
@@ -231,7 +236,8 @@ def _recorded(progress: Sequence[Uplink], title: str, state: str, name: Callable
         return None
     level, word = ("critical", "MISMATCH") if row.onboard_state == "MISMATCH" else ("normal", "done")
     who = row.printed_name or name(row.recorded_by)
-    return Station(title, level, word, row.recorded_utc, who, row.source, describe_source(row))
+    happened_utc = row.typed_evidence.happened_utc or row.recorded_utc
+    return Station(title, level, word, happened_utc, who, row.source, describe_source(row))
 
 
 def find_uplink_progress(records: Sequence[Uplink]) -> Sequence[Uplink]:

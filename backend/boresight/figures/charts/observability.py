@@ -133,7 +133,7 @@ def _draw_threshold(figure: go.Figure, **place: int) -> None:
     """Draw the value below which a direction is not seen, and say so."""
     figure.add_hline(y=THRESHOLD, line={**theme.LEVEL, "color": WEAK_COLOUR}, **place)
     beside = {"x": 1, "xref": "x domain", "xanchor": "left", "y": float(np.log10(THRESHOLD)), "yanchor": "middle"}
-    words = f"below {THRESHOLD:g}:<br>weak"
+    words = f"below {THRESHOLD:g}:<br>weak<br>(over {WEAK:g}<br>typical σ)"
     figure.add_annotation(text=words, align="left", font={"color": WEAK_COLOUR}, showarrow=False, **beside, **place)
 
 
@@ -144,7 +144,7 @@ def draw_narrow(drawn: Sequence[Part[Observability]]) -> go.Figure:
     figure.update_traces(text=None, selector={"type": "bar"})
     figure.update_annotations(selector={"xref": "paper"}, text="")
     over_the_shortest = {"xanchor": "right", "y": 1, "yref": "y domain", "yanchor": "top"}
-    words = f"dotted: below {THRESHOLD:g}, weak"
+    words = f"dotted: below {THRESHOLD:g} (over {WEAK:g} typical σ), weak"
     figure.update_annotations(selector={"xref": "x domain"}, text=words, **over_the_shortest)
     return figure
 
@@ -215,7 +215,7 @@ OBSERVABILITY = make_figure(
     guide=(
         "Each column is one direction in parameter space: the bar (its singular value) shows by what factor the "
         "stars improve on the spread between sensors of this kind; the colours below are the parameters it mixes. "
-        f"Below {THRESHOLD:g} (dotted) a direction is weak: amber and hatched."
+        f"Below {THRESHOLD:g} (dotted), that is known to worse than {WEAK:g} typical σ, a direction is weak: amber and hatched."
     ),
     wide=True,
     forms={"small": draw_small, "narrow": draw_narrow},

@@ -94,7 +94,7 @@ def read_incumbent(document: Document, sensor: Sensor) -> AssessedSet:
     RefusedInputError
         When they are none of this sensor's.
     """
-    x, P = parse_parameters(document, sensor, "The incumbent")
+    x, P = parse_parameters(document, sensor, "The baseline")
     declared = ground_set(sensor)
     taken = replace(
         declared,

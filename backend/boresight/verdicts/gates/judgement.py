@@ -110,7 +110,7 @@ BOUND = {
     "set_sha256": "set",
     "run_result_sha256": "run result",
     "profile_sha256": "profile",
-    "incumbent_sha256": "incumbent",
+    "incumbent_sha256": "baseline",
     "table_definition_sha256": "table definition",
 }
 
@@ -301,10 +301,19 @@ class GateRow:
     incumbent: str
     margin: str
     unit: str
+    decided_by: str
+    also: str
     sentence: str
     notes: tuple[str, ...]
     blocking: bool
     waivable: bool
+
+    @property
+    def warning(self) -> str:
+        """The gate in one sentence: what was measured, the threshold that decides, and why."""
+        measured = "" if self.value in {MISSING, *MET.values()} else f"{self.value} {self.unit}".rstrip()
+        told = ", ".join(filter(None, (measured, self.decided_by if measured else "")))
+        return f"{self.title}: {told}. {self.sentence}" if told else f"{self.title}: {self.sentence}"
 
 
 def gate_rows(answers: Sequence[GateAnswer], blocking: Collection[str]) -> list[GateRow]:
@@ -317,6 +326,7 @@ MET = {"PASS": "met", "MARGINAL": "nearly met", "FAIL": "not met"}
 
 def _row(answer: GateAnswer, blocking: bool) -> GateRow:
     unit = answer.unit
+    decided_by, also = describe_thresholds(answer)
     return GateRow(
         name=answer.name,
         title=answer.title,
@@ -328,6 +338,8 @@ def _row(answer: GateAnswer, blocking: bool) -> GateRow:
         incumbent=in_unit(unit, answer.incumbent),
         margin=in_unit(unit, answer.margin),
         unit="" if unit in SHARES else unit,
+        decided_by=decided_by,
+        also=also,
         sentence=answer.sentence,
         notes=tuple(_notes(answer)),
         blocking=blocking,
@@ -362,6 +374,41 @@ def _between(unit: str, interval: Sequence[float | None] | None) -> str:
     low, high = interval
     left = f"{MINUS}∞" if low is None else in_unit(unit, low)
     return f"{left} to {'∞' if high is None else in_unit(unit, high)}"
+
+
+def describe_thresholds(answer: GateAnswer) -> tuple[str, str]:
+    """Say which threshold decided an answer, then the other; empty where a gate has none."""
+    if answer.direction == "met" or answer.value is None:
+        return "", ""
+    limit = "no limit" if answer.limit is None else f"limit {_good_side(answer, answer.limit)}"
+    if answer.marginal is None:
+        return limit, ""
+    marginal = f"marginal {_beyond(answer, answer.marginal)}"
+    if answer.status == "MARGINAL":
+        return (marginal, limit) if _is_beyond(answer, answer.marginal) else (f"interval crosses the {limit}", marginal)
+    return (limit, marginal) if answer.limit is not None else (marginal, limit)
+
+
+def _is_beyond(answer: GateAnswer, marginal: float) -> bool:
+    """Whether the value itself is beyond the marginal threshold; a ratio that is MARGINAL always is."""
+    value = answer.value or 0.0
+    return answer.direction == "around" or (value > marginal if answer.direction == "below" else value < marginal)
+
+
+def _good_side(answer: GateAnswer, limit: float) -> str:
+    if answer.direction != "around":
+        return threshold_text(answer, limit)
+    low, high = _allowed(limit, _pair(answer.bounds))
+    return f"{number(low, 3)} to {number(high, 3)}"
+
+
+def _beyond(answer: GateAnswer, marginal: float) -> str:
+    if answer.direction == "around":
+        return f"outside {_good_side(answer, marginal)}"
+    words = f"{'above' if answer.direction == 'below' else 'below'} {in_unit(answer.unit, marginal)}"
+    if answer.name == "weak-directions" and marginal > 0:  # the figure of observability has the inverse on its axis
+        words += f" {answer.unit} (under {number(1 / marginal, 2)} times better than typical)"
+    return words
 
 
 def threshold_text(answer: GateAnswer, value: float | None) -> str:

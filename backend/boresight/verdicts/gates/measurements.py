@@ -65,7 +65,7 @@ Ends = tuple[float | None, float | None]
 
 @dataclass(frozen=True)
 class Score:
-    """One score of validation frames with its 95 % interval, and the incumbent's."""
+    """One score of validation frames with its 95 % interval, and the baseline's."""
 
     value: float | None
     interval: Ends | None = None
@@ -281,9 +281,9 @@ def measure_sensor(inputs: GateInputs) -> Measurement:
 
 
 def measure_parameter_shift(inputs: GateInputs) -> Measurement:
-    """Measure the largest shift from the incumbent, in sigmas of the difference."""
+    """Measure the largest shift from the baseline, in sigmas of the difference."""
     if inputs.incumbent is None:
-        return absent("There is no incumbent to compare it with.")
+        return absent("There is no baseline to compare it with.")
     x_0 = inputs.incumbent.state[0]
     P, P_0 = (inputs.spread(one.reliable_covariance) for one in (inputs.candidate, inputs.incumbent))
     sigma = np.sqrt(np.diag(P) + np.diag(P_0) + (FLOOR * inputs.sensor.typical_sigma) ** 2)
@@ -551,10 +551,10 @@ GATES = {
         ),
         Gate(
             "validation-rms-incumbent",
-            "Validation RMS vs incumbent",
-            "What is the ratio of the validation RMS to the incumbent's, on the same arcs?",
+            "Validation RMS vs baseline",
+            "What is the ratio of the validation RMS to the baseline's, on the same arcs?",
             "below",
-            "× incumbent",
+            "× baseline",
             measure=partial(_measure_against_incumbent, "validation-rms-incumbent"),
             limit=1.05,
             marginal=1.05,
@@ -572,8 +572,8 @@ GATES = {
         ),
         Gate(
             "availability-incumbent",
-            "Availability vs incumbent",
-            "How does availability change compared with the incumbent? Below 0, frames are lost.",
+            "Availability vs baseline",
+            "How does availability change compared with the baseline? Below 0, frames are lost.",
             "above",
             "of frames",
             lowest=-1.0,
@@ -594,8 +594,8 @@ GATES = {
         ),
         Gate(
             "matched-stars-incumbent",
-            "Matched stars vs incumbent",
-            "How does the number of matched stars per frame change compared with the incumbent? Below 0, stars are lost.",
+            "Matched stars vs baseline",
+            "How does the number of matched stars per frame change compared with the baseline? Below 0, stars are lost.",
             "above",
             "per frame",
             lowest=-1000.0,
@@ -666,7 +666,7 @@ GATES = {
         Gate(
             "parameter-shift",
             "Parameter shift",
-            "How far is it from the incumbent, in sigmas of the difference?",
+            "How far is it from the baseline, in sigmas of the difference?",
             "below",
             "σ of the difference",
             measure=measure_parameter_shift,

@@ -105,7 +105,7 @@ class GatesPanel:
     def warnings(self) -> Sequence[str]:
         """What is against the set, the worst first: evidence that changed, then every gate that does not pass."""
         outdated = [f"The {' and the '.join(self.moved)} changed since the gates were assessed: assess them again."]
-        return [*(outdated if self.moved else ()), *(f"{row.title}: {row.sentence}" for row in self.against)]
+        return [*(outdated if self.moved else ()), *(row.warning for row in self.against)]
 
 
 def make_gates_panel(
@@ -119,7 +119,7 @@ def make_gates_panel(
     report = approval_queries.find_newest_report(session, row.id, report_sha256)
     moved = outdated = [] if report is None else gates.list_moved_since(session, report)
     if row.ground_state in {"BASELINE", "SUPERSEDED"}:
-        moved = [one for one in moved if one != "incumbent"]  # it was replaced by this very set
+        moved = [one for one in moved if one != "baseline"]  # it was replaced by this very set
     found = None if report is None else gates.lay_waivers(session, report)
     rows = [] if found is None else gate_rows(found.gates, found.blocking)
     now = utc_now()

@@ -85,15 +85,19 @@ def _signatures(session: Session, actor: Actor, policy: Policy) -> WaitingItems:
     signatory = approvals.find_signatory(session, actor, policy=policy)
     if signatory is None:
         return NOTHING
-    return _requests(session, {"open_to": signatory}, "standby", "is waiting for your signature", "Review")
+    return _requests(session, {"open_to": signatory}, "standby", "is waiting for your signature", "Review", "#review")
 
 
-def _requests(session: Session, where: Mapping[str, Any], level: str, words: str, label: str) -> WaitingItems:
+def _requests(
+    session: Session, where: Mapping[str, Any], level: str, words: str, label: str, place: str = ""
+) -> WaitingItems:
     """Count the requests that a list is narrowed to, and write the newest of them."""
     newest = lists.read_page(session, "approvals", where, "-request", limit=MOST_ACTIONS)
     sets = set_queries.read_heads(session, [request.parameter_set_id for request in newest])
     first = [
-        WaitingAction(level, f"{sets[request.parameter_set_id].name} {words}.", f"/approvals/{request.id}", label)
+        WaitingAction(
+            level, f"{sets[request.parameter_set_id].name} {words}.", f"/approvals/{request.id}{place}", label
+        )
         for request in newest
     ]
     return WaitingItems(lists.count(session, "approvals", where), first)
@@ -216,7 +220,7 @@ def _calibrations(session: Session, standings: Sequence[SensorStatus], actor: Ac
         return NOTHING
     converged = {one.last_run.id for one in standings if _converged(one)}
     unused = converged - set_queries.list_runs_with_sets(session, converged)
-    found = [action for one in _shown_first(standings) if (action := _next_step(one, unused)) is not None]
+    found = [action for one in _worst_first(standings) if (action := _next_step(one, unused)) is not None]
     return WaitingItems(len(found), found[:MOST_ACTIONS])
 
 
@@ -291,12 +295,12 @@ class FleetView:
 
 
 def choose_drawn_sensors(standings: Sequence[SensorStatus]) -> Sequence[SensorStatus]:
-    """Choose the sensors that a page has room for: all by name, or in a large fleet those with the worst status."""
-    return _shown_first(standings)[:MOST_TILES]
+    """Choose the sensors that a page has room for, the worst status first, then by name."""
+    return _worst_first(standings)[:MOST_TILES]
 
 
-def _shown_first(standings: Sequence[SensorStatus]) -> Sequence[SensorStatus]:
-    return standings if len(standings) <= MOST_TILES else sorted(standings, key=lambda one: -LEVELS.index(one.status))
+def _worst_first(standings: Sequence[SensorStatus]) -> Sequence[SensorStatus]:
+    return sorted(standings, key=lambda one: -LEVELS.index(one.status))
 
 
 def _list_recent_calibrations(session: Session, tiles: Sequence[SensorTile]) -> dict[int, RecentCalibrations]:

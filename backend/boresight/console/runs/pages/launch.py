@@ -554,29 +554,38 @@ def _begun(session: Session, offered: OfferedData, origin: LaunchOrigin) -> Type
 @router.get("/runs/new", response_class=HTMLResponse)
 def launch_page(request: Request, session: Reading, actor: Who) -> Response:
     """Show the form, empty or filled from a run, a telemetry set or a preset."""
-    origin, address = read_origin(request, session), request.query_params
+    origin = read_origin(request, session)
+    typed, offered = _offered(request, session, origin)
+    if query := found_alone(offered, request.query_params):
+        return redirect(f"/runs/new?{query}")
+    return _page(request, session, actor, typed, origin, offered)
+
+
+def _offered(request: Request, session: Session, origin: LaunchOrigin) -> tuple[TypedForm, OfferedData]:
+    """Fill a new form as its address asks."""
+    address = request.query_params
     named = [*(number for name in OF_A_SENSOR for number in address.getlist(name)), *sets_of_clone(session, origin)]
     offered = offer(session, origin.find, sensor_meant(session, origin, address), named)
-    if query := found_alone(offered, address):
-        return redirect(f"/runs/new?{query}")
-    return _page(request, session, actor, _begun(session, offered, origin).amended(address), origin, offered)
+    return _begun(session, offered, origin).amended(address), offered
 
 
 @router.post("/runs/new", response_class=HTMLResponse)
 async def launch(request: Request, session: Reading, actor: Who, forecast_sources: DryRunSources) -> Response:
-    """Apply a preset (`intent=preset`), keep one (`save`), queue the run (`queue`), or else only check.
+    """Apply a preset (`intent=preset`), keep one (`save`), queue the run (`queue`; `offered`: as offered here), or only check.
 
     A form that holds the sets of one sensor and names another comes back with the sets of that one, whatever it was sent for.
     """
     form = await request.form()
     origin = await run_in_threadpool(read_origin, request, session)
     typed, intent = typed_form(form), form.get("intent")
+    if intent == "offered":
+        typed, intent = (await run_in_threadpool(_offered, request, session, origin))[0], "queue"
     if form.get("shown", typed.sensor_id) != typed.sensor_id:
         typed, intent = await run_in_threadpool(about_its_sensor, session, typed), "check"
     if intent == "queue":
         outcome = await attempt(request, partial(_launch, actor=actor, typed=typed))
         if outcome.value is not None:
-            return redirect(f"/runs/{outcome.value.id}", flash=f"Run #{outcome.value.id} is queued.")
+            return redirect(f"/runs/{outcome.value.id}", flash=f"Run #{outcome.value.id} was put into the queue.")
     elif intent == "save":
         words = get_texts(form)
         name, sentence = words.get("preset_name", ""), words.get("preset_sentence", "")
@@ -607,7 +616,7 @@ def _page(
     offered = replace(offered, starts=list_starts(session, offered.fleet, typed.prior))
     refusal: RefusalContext | None = outcome.refusal if outcome else None
     words = get_texts(form) if form is not None else request.query_params
-    moved = form is not None and form.get("intent") in {"queue", "save"}
+    moved = form is not None and form.get("intent") in {"queue", "offered", "save"}
     return render(
         request,
         "runs/launch.html",

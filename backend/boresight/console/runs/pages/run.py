@@ -734,4 +734,4 @@ async def create_parameter_set(request: Request, actor: Who, run_id: int) -> Res
             f"/parameter-sets/{made.id}", flash=f"{made.name} is a candidate, not assessed{why}", level="caution"
         )
     words = f"{made.name} is a candidate; the verdict of its gates is {assessed.value.verdict}."
-    return redirect(f"/parameter-sets/{made.id}", flash=words, level=get_level(assessed.value.verdict))
+    return redirect(f"/parameter-sets/{made.id}", flash=words, level=get_level(assessed.value.verdict), code="made")

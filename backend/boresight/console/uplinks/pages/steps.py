@@ -304,7 +304,7 @@ async def export(
     def change(session: Session, prepared: packages.Prepared | None) -> Package:
         return packages.build(session, actor, blobs, set_id, prepared, policy=policy)
 
-    said = "The package is built; download it below."
+    said = "The package is built and downloads now; it can be downloaded again below."
     return await _taken_step(request, actor, blobs, "package", typed, change, said, prepare)
 
 
