@@ -154,7 +154,7 @@ def interval_of_rms(rms_rad: float | None, arcs: float | None, resampled: Sequen
     sigma = sigma_of_rms(rms_rad, arcs)
     if rms_rad is None or sigma is None:
         return None
-    return rms_rad - SIGMAS_OF_INTERVAL * sigma, rms_rad + SIGMAS_OF_INTERVAL * sigma
+    return max(0.0, rms_rad - SIGMAS_OF_INTERVAL * sigma), rms_rad + SIGMAS_OF_INTERVAL * sigma
 
 
 def interval_of_fit(result: Calibration, rms_rad: float | None) -> Ends | None:

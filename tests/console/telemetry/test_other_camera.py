@@ -13,7 +13,9 @@ from boresight.calibration.diagnosis.other_camera import (
     MOST_EXPOSURES,
     TOO_LIKELY,
     KnownCamera,
+    _count_places,
     _log_chance,
+    _Stars,
     find_other_cameras,
 )
 from boresight.calibration.diagnosis.trials import Bench
@@ -62,10 +64,14 @@ def _unnamed(telemetry):
     return replace(telemetry, **dict.fromkeys(NAMES))
 
 
-def _found(telemetry, own, others, catalogue, folder=None):
+def _find(telemetry, own, others, catalogue, folder=None):
     sample, _ = sample_exposures(telemetry, MOST_EXPOSURES)
     known = [KnownCamera(number, sensor, measured) for number, (sensor, measured) in enumerate(others)]
-    found = find_other_cameras(sample, KnownCamera(99, *own), known, catalogue, folder)
+    return find_other_cameras(sample, KnownCamera(99, *own), known, catalogue, folder)
+
+
+def _found(telemetry, own, others, catalogue, folder=None):
+    found = _find(telemetry, own, others, catalogue, folder)
     return [] if found is None else [one.sensor.name for one in found.cameras]
 
 
@@ -131,6 +137,20 @@ def test_evenly_spread_centroids_span_no_more_of_a_side_as_often_as_the_law_of_t
         f = np.quantile(draws, probability)
         said = 10 ** _log_chance((1 - 2 * BORDER) * f, n)
         assert abs(said - probability) < 4 * np.sqrt(probability * (1 - probability) / len(draws)) + 1e-4
+
+
+def test_a_detector_that_is_only_spanned_too_little_is_no_certain_sign_of_another_one(sets, catalogue):
+    small = _find(sets["SMALL"], (WIDE, None), [(SMALL, None)], catalogue)
+    assert [one.sensor.name for one in small.cameras] == ["SMALL"]
+    assert not small.is_certain
+    assert _find(sets["LONG"], (WIDE, None), [(LONG, None)], catalogue).is_certain
+
+
+def test_stars_that_are_seen_again_at_their_places_count_once(sets):
+    one = sets["WIDE"].exposure == sets["WIDE"].exposure[0]
+    places = np.stack([sets["WIDE"].row_px, sets["WIDE"].col_px])[:, one]
+    again = _Stars(*np.tile(places, 30), *np.empty((2, 0), int), np.empty(0))
+    assert _count_places(again, np.arange(places.shape[1] * 30)) == places.shape[1]
 
 
 def test_many_stars_inside_the_border_of_a_detector_are_likely_and_those_of_a_smaller_one_are_not():

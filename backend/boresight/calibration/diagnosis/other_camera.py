@@ -12,9 +12,11 @@ about by chance, where |r - 1| is at most `MOST_SCALE`, more than any launch put
 
     P(f) = f^(n-1) (n - (n-1) f)
 
-(David and Nagaraja, Order Statistics, 2.3); both sides must have log10 P_rows + log10 P_columns > `TOO_LIKELY`. Along each edge a
-`BORDER` of the side may be empty: the window of a centroid and masked pixels keep stars out of it. Medians bear that some stars are
-named wrongly. Mirrored and turned images keep their angles: they are left to `diagnose`.
+(David and Nagaraja, Order Statistics, 2.3). Centroids of one place, `CELL_PX` wide, count once, for a held field shows the same
+stars again and again. Both sides must have log10 P_rows + log10 P_columns > `TOO_LIKELY`. At each edge a `BORDER` of the side may
+be empty: the window of a centroid and masked pixels keep stars out of it. A detector that is merely spanned too little may also be
+masked, or its field have few stars: that is no certain sign. Medians bear that some stars are named wrongly. Mirrored and turned
+images keep their angles: they are left to `diagnose`.
 
 **Cameras of one design** differ by less than that. Two of them are told apart where stars have measured both in orbit: the set is
 the other's if its own e is over `CLEARLY` times that of the other, which is no more than `AT_NOISE`.
@@ -46,6 +48,8 @@ from boresight.telemetry.sensors import Sensor
 
 MOST_EXPOSURES, BUDGET_S = 20, 4.0
 MOST_OFF, TOO_LIKELY = 0.01, -9.0
+#: Size of the places that count once, pixels.
+CELL_PX = 4.0
 #: Share of a side along each edge where a detector may have no centroids.
 BORDER = 0.02
 #: How far past the edge the centroid of a star cut by it may be fitted, pixels.
@@ -95,10 +99,14 @@ class CameraFit:
 
 @dataclass(frozen=True)
 class OtherCameras:
-    """The cameras that a set is of, best first, none where it is of none that is known; and why not of the one it came for."""
+    """The cameras that a set is of, best first, none where it is of none that is known; and why not of the one it came for.
+
+    `is_certain`: not where its own detector is merely spanned too little.
+    """
 
     cameras: tuple[KnownCamera, ...]
     why: str
+    is_certain: bool = True
 
 
 @dataclass(frozen=True)
@@ -140,7 +148,8 @@ def find_other_cameras(
     found = [(fit, one) for one, fit in _fits(others, stars, ends) if fit.is_on and fit.holds]
     cameras = tuple(one for _, one in sorted(found, key=lambda pair: pair[0].error))
     is_of_none = abs(mine.scale - 1) > CLEAR_SCALE and mine.scatter <= MOST_SCATTER
-    return OtherCameras(cameras, _why_not(own, mine)) if cameras or is_of_none else None
+    is_certain = not (mine.holds and mine.off <= MOST_OFF)
+    return OtherCameras(cameras, _why_not(own, mine), is_certain) if cameras or is_of_none else None
 
 
 def _are_alike(own: KnownCamera, other: KnownCamera) -> bool:
@@ -199,7 +208,10 @@ def _fit(camera: KnownCamera, stars: _Stars) -> CameraFit:
     off = ~_near_detector(stars, sensor)
     on = np.flatnonzero(~off)
     shares = [_filled(stars.row_px[on], sensor.rows), _filled(stars.col_px[on], sensor.columns)]
-    filled, likely = shares[0] * shares[1], sum(_log_chance(share, len(on)) for share in shares) > TOO_LIKELY
+    filled, likely = (
+        shares[0] * shares[1],
+        sum(_log_chance(share, _count_places(stars, on)) for share in shares) > TOO_LIKELY,
+    )
     told = [_compare(sensor, x, stars) for x in (sensor.initial, camera.measured) if x is not None]
     scale, scatter, error = min(told, key=lambda one: one[2])
     measured = np.nan if camera.measured is None else told[-1][2]
@@ -215,6 +227,11 @@ def _near_detector(stars: _Stars, sensor: Sensor) -> BoolArray:
 def _filled(values: FloatArray, size: int) -> float:
     """Share of a side that centroids span."""
     return min(1.0, float(np.ptp(values)) / size) if len(values) else 0.0
+
+
+def _count_places(stars: _Stars, on: IntArray) -> int:
+    """Return how many places of a detector have centroids."""
+    return len({*zip(*(np.round(px[on] / CELL_PX).tolist() for px in (stars.row_px, stars.col_px)), strict=True)})
 
 
 def _log_chance(filled: float, n: int) -> float:

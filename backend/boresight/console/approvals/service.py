@@ -23,7 +23,9 @@ from boresight.console.approvals import gates
 from boresight.console.approvals import queries as rows
 from boresight.console.approvals.gates import GateAssessment
 from boresight.console.approvals.review import (
+    EVIDENCE,
     Acknowledgement,
+    Point,
     answer_points,
     list_points,
     read_points,
@@ -78,6 +80,10 @@ from boresight.platform.db.times import seconds_between
 from boresight.platform.web.text_validation import refuse_control_characters
 
 DECISIONS = ("APPROVE", "REFUSE")
+MEANINGS = {
+    "APPROVE": "I reviewed the evidence and approve this set for baseline",
+    "REFUSE": "I refuse this set",
+}
 SHOWN_S = 1.0  # how long a figure stands in sight before it counts as opened
 
 
@@ -89,15 +95,28 @@ class Decision:
     meaning: str
     comment: str = ""
     acknowledged: Sequence[Acknowledgement] | None = None  # None: by a client that was not asked for points
+    says_itself: bool = False  # the meaning is what was decided, with the figures that were not opened
 
     def check(self) -> None:
         """Check that the decision is complete."""
         if self.decision not in DECISIONS:
             raise RefusedInputError(f"There is no decision {self.decision!r}; choose APPROVE or REFUSE.")
-        if not self.meaning.strip():
+        if not self.meaning.strip() and not self.says_itself:
             raise RefusedInputError("Say what your signature means, for example: I approve this set for baseline.")
         if self.decision == "REFUSE" and not self.comment.strip():
             raise RefusedInputError("Say why you refuse: the submitter needs the comment.")
+
+
+def write_meaning(decided: Decision, points: Sequence[Point] | None) -> str:
+    """Say what a signature means, in the signer's words if there are any; an approval names the figures that were not opened."""
+    if not decided.says_itself:
+        return decided.meaning.strip()
+    unseen = [point.title for point in points or () if point.kind == EVIDENCE and point.opened_utc is None]
+    if decided.decision == "APPROVE" and unseen:
+        return f"I approve this set for baseline without having opened {', '.join(unseen)}"
+    if decided.decision == "APPROVE" and not any(point.kind == EVIDENCE for point in points or ()):
+        return "I approve this set for baseline"
+    return MEANINGS[decided.decision]
 
 
 def find_signatory(session: Session, actor: Actor, *, policy: Policy = POLICY) -> Signatory | None:
@@ -228,7 +247,7 @@ def _sign(
         user_id=user_id,
         printed_name=actor.printed_name,
         decision=decided.decision,
-        meaning=decided.meaning.strip(),
+        meaning=write_meaning(decided, points),
         comment=decided.comment.strip(),
         shown_sha256=compute_binding_sha256(approval),
         signed_utc=utc_now(),

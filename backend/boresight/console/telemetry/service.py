@@ -264,7 +264,7 @@ def _checked(
     other = None
     if catalogue is not None and cameras is not None:
         other = find_other_cameras(sample.get(), cameras.own, cameras.others, catalogue, cache_folder)
-    if other is not None and other.cameras and cameras is not None and not cameras.kept:
+    if other is not None and other.cameras and other.is_certain and cameras is not None and not cameras.kept:
         raise _make_refusal(other, name, sensor, keepable=not quality.off_detector.too_many)
     try:
         quality.off_detector.refuse()
@@ -275,7 +275,10 @@ def _checked(
     report = quality.report()
     if other is not None:
         said = (
-            f"The stars are those of {_named(other)}, but the set was kept with {sensor.name} deliberately: {other.why}."
+            f"The stars may be those of {_named(other)} rather than of {sensor.name}: {other.why}. If they are, upload the "
+            "set there."
+            if other.cameras and not other.is_certain
+            else f"The stars are those of {_named(other)}, but the set was kept with {sensor.name} deliberately: {other.why}."
             if other.cameras
             else f"The stars are not those of {sensor.name}, nor of another registered sensor: {other.why}. Register the sensor "
             f"that took them and upload the set there, or correct the focal length of {sensor.name}."

@@ -70,19 +70,6 @@ from boresight.verdicts.answers import make_four_views
 from boresight.verdicts.gates import GATES
 from boresight.verdicts.gates.judgement import GateReport
 
-MEANINGS = {
-    "APPROVE": "I reviewed the evidence and approve this set for baseline",
-    "REFUSE": "I refuse this set",
-}
-
-
-def write_meaning(decision: str, given: Sequence[Acknowledgement]) -> str:
-    """Say what a signature means whose signer left that empty: an approval names the figures that were not opened."""
-    unseen = [review.VIEWS.get(one.name, one.name) for one in given if one.kind == review.EVIDENCE]
-    if decision == "APPROVE" and unseen:
-        return f"I approve this set for baseline without having opened {', '.join(unseen)}"
-    return MEANINGS.get(decision, "")
-
 
 @dataclass(frozen=True)
 class SigningView:
@@ -202,7 +189,7 @@ def request_page(
         signers=approvals.list_request_signers(session, approval_id, policy=policy) if approval.state == "OPEN" else [],
         blocked=blocked or staleness.explain_outdated(session, approval, row),
         decisions=_decisions(approval, row),
-        meanings=MEANINGS.values(),
+        meanings=approvals.MEANINGS.values(),
         refusal=refusal,
         typed=typed or TypedText(),
         may_speak=bool(actor.roles - {"viewer"}),
@@ -390,8 +377,8 @@ async def _signed(request: Request, actor: Actor, approval_id: int, kind: str) -
     form = await read_texts(request)
     typed = read_signing(kind, form)
     given = [Acknowledgement(*key, typed.reasons.get(key, "")) for key in sorted(typed.ticked)]
-    meaning = typed.meaning.strip() or write_meaning(typed.decision, given)
-    decided = approvals.Decision(typed.decision, meaning, typed.comment, given)
+    says_itself = not typed.meaning.strip()
+    decided = approvals.Decision(typed.decision, typed.meaning, typed.comment, given, says_itself=says_itself)
     policy = get_server(request).policy
     checks: PasswordWorker = get_server(request).passwords
 
