@@ -7,7 +7,7 @@ comparison with frames on the axis a batch run is drawn as a level with its band
 The first bands are the a-priori ones and would flatten all that follows, so the window of each panel holds what
 follows the first steps, the median band, the truth, and the initial level where that is near; a double click shows all.
 
-The dotted line is where a run settled, and the last two panels judge it as a whole: its cost, and how far it still steps.
+The dash-dotted line is where a run settled, and the last two panels judge it as a whole: its cost, and how far it still steps.
 A batch run has its cost, half of chi-square, a filter its normalised innovation squared, sum nis / sum dof of the frames so
 far, which is 1 where the covariance is honest. The step norm is the root mean square over the n free parameters of
 (x_k - x_{k-1}) / sigma, in sigmas of the end for a batch and of the moment for a filter: a batch at rest steps by nothing, a
@@ -119,7 +119,7 @@ def mark_settled(
         if history is None or first is None or not first < len(history.x):
             continue
         x = float(history.x[first])
-        line = {"color": style.colour, "dash": "dot", "width": 1.2}
+        line = {"color": style.colour, "dash": "dashdot", "width": 1.2}
         shapes += [
             {"type": "line", "x0": x, "x1": x, "y0": 0, "y1": 1, "line": line, "xref": f"x{n}", "yref": f"y{n} domain"}
             for n in ["", *range(2, n_panels + 1)]
@@ -389,7 +389,7 @@ CONVERGENCE = Figure(
     guide=(
         "Each panel shows the change of one parameter from its initial value (dotted line at zero), with its own ±3σ band, "
         "and the last two show the cost and the step; double-click a panel to see the wide first bands. A trustworthy run "
-        "settles (dotted upright line), its band narrows around the curve, and the curve stays inside its earlier bands."
+        "settles (dash-dotted upright line), its band narrows around the curve, and the curve stays inside its earlier bands."
     ),
     draw=draw,
     table=table,
