@@ -15,12 +15,11 @@ from markupsafe import Markup, escape
 
 from boresight.platform.db.times import STYLE, TimeStyle
 from boresight.verdicts.numbers import (
-    MINUS,
+    AS_WRITTEN,
     MISSING,
-    NARROW_SPACE,
-    RAISED,
     count,
     duration,
+    find_tag_before,
     fixed,
     number,
     parameter,
@@ -69,60 +68,18 @@ def utc(context: Context, text: str | None) -> Markup | str:
 
 
 STORED_TIME = re.compile(r"\d(?<!\w\d)\d{3}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?Z")
-AS_WRITTEN = ("<pre", "<textarea", "<script", "<code")  # what people copy, or send back
 TOLD = (" title", " aria-label")  # attributes that are read out
-
-
-def _tag_before(page: str, found: re.Match[str]) -> str:
-    """Return what stands before a place in a page, from its last tag on: without a > the place is inside that tag."""
-    return page[max(page.rfind("<", 0, found.start()), 0) : found.start()]
 
 
 def show_times(page: str, style: TimeStyle) -> str:
     """Print every stored time in the texts of a page in a person's form; fields, quoted documents and attributes keep it."""
 
     def show(found: re.Match[str]) -> str:
-        tag = _tag_before(page, found)
+        tag = find_tag_before(page, found)
         is_text = ">" in tag and not tag.startswith(AS_WRITTEN)
         return _show(found[0], style) if is_text or tag.rpartition('="')[0].endswith(TOLD) else found[0]
 
     return STORED_TIME.sub(show, page)
-
-
-#: A number as a terminal or a log has it: a hyphen for the sign, commas, a power of ten with an e, a % without a space, urad. Each
-#: begins with one of few letters, which a page of many is searched for quickly.
-PLAIN_NUMBER = re.compile(
-    r"[-,%eu](?:(?<![\w.,/#‐-]-)(?<=-)(?=\.?\d)|(?<=\d,)(?=\d{3}(?:,\d{3})*(?![\d,]))|(?<=\d%)|(?<=\de)[+-]?\d{1,3}(?![\w-])"
-    r"|(?<!\wu)(?<=u)rad(?!\w))"
-)
-#: What stands before a comma that parts thousands.
-THOUSANDS = re.compile(r"(?:^|[^\w.,-])\d{1,3}(?:,\d{3})*$")
-#: What stands before the e of a power of ten, and not before an e among the digits of a checksum.
-MANTISSA = re.compile(r"(?:^|[^\w.,-]|(?<!\w)-)\d(?:\.\d+)?$")
-MOST_DIGITS = 40
-QUOTED = ("<q", "<blockquote", "<title")  # what people wrote
-
-
-def show_numbers(page: str) -> str:
-    """Write the numbers in the sentences of a page as its tables do; fields, attributes and what people wrote keep theirs."""
-
-    def show(found: re.Match[str]) -> str:
-        tag = _tag_before(page, found)
-        if ">" not in tag or tag.startswith((*AS_WRITTEN, *QUOTED)):
-            return found[0]
-        text = found[0]
-        before = max(found.start() - MOST_DIGITS, 0), found.start()
-        if text == ",":
-            return NARROW_SPACE if THOUSANDS.search(page, *before) else text
-        if text == "-":
-            return MINUS
-        if text == "%":
-            return f"{NARROW_SPACE}%"
-        if text == "urad":
-            return "µrad"
-        return f"·10{str(int(text[1:])).translate(RAISED)}" if MANTISSA.search(page, *before) else text
-
-    return PLAIN_NUMBER.sub(show, page)
 
 
 @pass_context
