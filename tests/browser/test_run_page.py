@@ -236,13 +236,16 @@ def test_the_page_can_be_read_before_its_figures_are_drawn(people, batch_run):
         window.page.unroute_all(behavior="ignoreErrors")
 
 
+QUIET_MS = 60_000  # of a page that nobody touches, in which it draws what is out of sight
+
+
 @pytest.mark.full
 def test_figures_far_below_are_drawn_without_being_scrolled_to_and_folded_ones_when_they_are_unfolded(
     people, batch_run
 ):
     with people.seat("analyst") as window:
         window.open(f"/runs/{batch_run}?part=evidence")
-        expect(window.page.locator("plot-figure[data-state=loading]:visible")).to_have_count(0)
+        expect(window.page.locator("plot-figure[data-state=loading]:visible")).to_have_count(0, timeout=QUIET_MS)
         assert window.page.evaluate("scrollY") == 0
         assert window.page.evaluate("document.documentElement.scrollHeight") <= LONGEST_EVIDENCE_PX
         for figure in CHAPTERS["trust"]:
