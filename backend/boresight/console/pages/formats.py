@@ -17,6 +17,7 @@ from boresight.platform.db.times import STYLE, TimeStyle
 from boresight.verdicts.numbers import (
     AS_WRITTEN,
     MISSING,
+    QUANTITIES,
     count,
     duration,
     find_tag_before,
@@ -27,6 +28,7 @@ from boresight.verdicts.numbers import (
     plus_minus,
     power,
     quantity,
+    set_symbols,
     sigma,
     sigmas,
     size,
@@ -40,6 +42,15 @@ def symbol(name: str) -> Markup:
     """Return a parameter's letter in the papers with its index as a subscript; its name where it has none."""
     letter, index = quantity(name).letters
     return Markup("{}<sub>{}</sub>").format(letter, index) if index else Markup("{}").format(letter)
+
+
+#: Those that are no word of a sentence: the skew's s also stands for seconds.
+IN_SENTENCES = [name for name in QUANTITIES if quantity(name).letters[1] or quantity(name).symbol == "f"]
+
+
+def symbols(sentence: str) -> Markup:
+    """Set the parameters' symbols in a sentence as the figure beside it has them."""
+    return Markup(set_symbols(str(escape(sentence)), IN_SENTENCES))  # noqa: S704 - escaped here
 
 
 def instant(text: str) -> datetime:
@@ -132,6 +143,7 @@ def words(text: str) -> str:
 FILTERS = (
     unit,
     symbol,
+    symbols,
     number,
     fixed,
     count,
