@@ -25,7 +25,6 @@ from boresight.cameras import CAMERA_MODELS
 from boresight.console.access import sessions
 from boresight.console.access.credentials import SESSION_COOKIE
 from boresight.console.fleet.tables import Sensor
-from boresight.console.pages.formats import show_numbers
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
@@ -41,6 +40,7 @@ from boresight.settings import Settings, read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
 from boresight.simulation.sensors import st16_truth
 from boresight.telemetry.sensors import sensor_document
+from boresight.verdicts.numbers import show_numbers
 from boresight.verdicts.verdict import summarise_run
 from tests.passwords import add_person
 from tests.stores import copied, environment_in

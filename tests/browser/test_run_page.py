@@ -236,13 +236,16 @@ def test_the_page_can_be_read_before_its_figures_are_drawn(people, batch_run):
         window.page.unroute_all(behavior="ignoreErrors")
 
 
+QUIET_MS = 60_000  # of a page that nobody touches, in which it draws what is out of sight
+
+
 @pytest.mark.full
 def test_figures_far_below_are_drawn_without_being_scrolled_to_and_folded_ones_when_they_are_unfolded(
     people, batch_run
 ):
     with people.seat("analyst") as window:
         window.open(f"/runs/{batch_run}?part=evidence")
-        expect(window.page.locator("plot-figure[data-state=loading]:visible")).to_have_count(0)
+        expect(window.page.locator("plot-figure[data-state=loading]:visible")).to_have_count(0, timeout=QUIET_MS)
         assert window.page.evaluate("scrollY") == 0
         assert window.page.evaluate("document.documentElement.scrollHeight") <= LONGEST_EVIDENCE_PX
         for figure in CHAPTERS["trust"]:
@@ -323,7 +326,16 @@ def test_trust_appears_by_itself_when_the_run_that_is_watched_ends(people, batch
         expect(window.page.locator("#parts")).to_contain_text("warning")
 
 
-LAUNCHED = ("joint", "cancelled", *(name for name in CAMERA_MODELS if name != "inverted_wang"), "real sky")
+SLOW = {"method": "sqrf", "replay_frames_per_s": 1.0}
+ENDS = {"cancelled": "CANCELLED", "failed": "FAILED"}
+LAUNCHED = (
+    "joint",
+    "cancelled",
+    "queued",
+    "failed",
+    *(name for name in CAMERA_MODELS if name != "inverted_wang"),
+    "real sky",
+)
 
 
 def launch(window, sensor_id, set_id, label, **more):
@@ -363,14 +375,24 @@ def describe_camera(installation, files, model):
 
 @pytest.fixture
 def launched(request, people, installation, files, sensor_id, telemetry):
-    """A run that is joint, cancelled, of real stars, or of a camera model."""
+    """A run that is joint, queued, failed, cancelled, of real stars, or of a camera model."""
     name = request.param
     with people.seat("analyst") as window:
         if name == "joint":
             run_id = launch(window, sensor_id, telemetry["calibration"], name, joint_set_ids=[telemetry["validation"]])
+        elif name == "queued":
+            before = launch(window, sensor_id, telemetry["calibration"], "Has the only worker", settings=SLOW)
+            run_id = launch(window, sensor_id, telemetry["calibration"], name)
+        elif name == "failed":
+            lines = (files / "calibration.csv").read_text().splitlines(keepends=True)
+            (files / "lost.csv").write_text("".join(lines[:-1]))
+            set_id = upload(window, sensor_id, files / "lost.csv")
+            table = installation.blob(window.read(f"/api/v1/telemetry-sets/{set_id}")["table_sha256"])
+            content = table.read_bytes()
+            table.unlink()
+            run_id = launch(window, sensor_id, set_id, name)
         elif name == "cancelled":
-            slow = {"method": "sqrf", "replay_frames_per_s": 1.0}
-            run_id = launch(window, sensor_id, telemetry["calibration"], name, settings=slow)
+            run_id = launch(window, sensor_id, telemetry["calibration"], name, settings=SLOW)
             window.open(f"/runs/{run_id}")
             window.send(f"/runs/{run_id}/cancel", {})
         elif name == "real sky":
@@ -381,8 +403,16 @@ def launched(request, people, installation, files, sensor_id, telemetry):
             own = register(window, describe_camera(installation, files, name))
             run_id = launch(window, own, upload(window, own, files / "calibration.csv"), name)
         window.open(f"/runs/{run_id}")
-        ends_as(window, "CANCELLED" if name == "cancelled" else "SUCCEEDED")
+        if name == "queued":
+            expect(window.page.locator("#run-head")).to_contain_text("QUEUED")
+        else:
+            ends_as(window, ENDS.get(name, "SUCCEEDED"))
+        if name == "failed":
+            table.write_bytes(content)  # the audit log verifies every file, also for the tests that follow
         yield window, run_id
+        if name == "queued":
+            for one in (run_id, before):
+                window.send(f"/runs/{one}/cancel", {})
 
 
 @pytest.mark.parametrize("launched", few_of(LAUNCHED, 2), indirect=True)

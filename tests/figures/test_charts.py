@@ -27,6 +27,7 @@ from boresight.figures.charts.frame_observability import NEVER
 from boresight.figures.charts.methods import method_scores
 from boresight.figures.charts.radial import OLDER
 from boresight.figures.factory import column
+from boresight.figures.style import theme
 from boresight.figures.style.axes import EXTRAPOLATED
 from boresight.verdicts.answers import make_four_views
 from boresight.verdicts.gates.measurements import GATES
@@ -142,7 +143,9 @@ def test_each_direction_is_a_column_with_its_largest_share_positive_and_the_weak
     assert np.abs(shares) == pytest.approx(np.abs(np.array(seen.right_singular_vectors).T), abs=1e-6)
     assert np.all(shares[np.argmax(np.abs(shares), axis=0), np.arange(8)] > 0)
     assert f"{seen.condition_number:.0f}" in drawn.layout.title.text
-    assert any("g_y and f move together" in annotation.text for annotation in drawn.layout.annotations)
+    assert any(
+        "<i>g</i><sub>y</sub> and <i>f</i> move together" in annotation.text for annotation in drawn.layout.annotations
+    )
     open_one = replace(seen, singular_values=[*seen.singular_values[:-1], 0.0], condition_number=None)
     assert "infinite" in draw("observability", sequential_result, observability=open_one).layout.title.text
 
@@ -281,6 +284,18 @@ def test_truth_is_drawn_only_where_a_simulation_knows_it(sequential_result):
     assert named(unknown, "initial")
     drawn = draw("methods", sequential_result, truth=None)
     assert (len(drawn.data), "true" in drawn.layout.title.text) == (1, False)
+
+
+def test_references_of_several_sensors_are_named_once_and_have_the_colour_of_their_run(sequential_result):
+    other = replace(
+        sequential_result, truth=Values({name: 1.1 * value for name, value in sequential_result.truth.items()})
+    )
+    drawn = FIGURES["convergence"].draw([Trace("Run 1", sequential_result), Trace("Run 2", other)])
+    truths = [trace for trace in drawn.data if (trace.name or "").startswith("truth") and trace.xaxis == "x"]
+    assert [trace.line.color for trace in truths] == list(theme.RUN_COLOURS[:2])
+    assert [trace.showlegend for trace in truths] == [True, False]
+    alike = FIGURES["convergence"].draw([Trace("Run 1", sequential_result), Trace("Run 2", sequential_result)])
+    assert [trace.line.color for trace in named(alike, "truth") if trace.showlegend] == [theme.TRUTH_COLOUR]
 
 
 def test_batch_and_baseline_are_levels_beside_a_filter_over_frames_that_share_their_cursor(

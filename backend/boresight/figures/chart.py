@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import orjson
 
 from boresight.calibration.calibration import Calibration
+from boresight.verdicts.numbers import typeset
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -73,5 +74,10 @@ class Figure:
 
 
 def figure_json(figure: go.Figure) -> bytes:
-    """Encode a figure for `Plotly.react`; NaN and infinities become null."""
-    return orjson.dumps(figure.to_plotly_json(), option=orjson.OPT_SERIALIZE_NUMPY)
+    """Encode a figure for `Plotly.react`, its sentences with numbers as on a page; NaN and infinities become null."""
+    document = figure.to_plotly_json()
+    layout = document.get("layout", {})
+    for words in (layout.get("title") or {}, *(layout.get("annotations") or ())):
+        if words.get("text"):
+            words["text"] = typeset(words["text"])
+    return orjson.dumps(document, option=orjson.OPT_SERIALIZE_NUMPY)

@@ -38,7 +38,7 @@ from boresight.figures.tables import (
     to_flag,
 )
 from boresight.resources import folder
-from boresight.verdicts.numbers import count, number
+from boresight.verdicts.numbers import count, number, show_numbers_of_report
 from boresight.verdicts.verdict import (
     describe_iterations,
     describe_rms,
@@ -73,7 +73,7 @@ def render_report(result: Calibration, *, four_eyes: bool = True) -> str:
     environment = Environment(
         loader=FileSystemLoader(folder("frontend") / "templates"), autoescape=True, undefined=StrictUndefined
     )
-    return environment.get_template("figures/report.html").render(
+    document = environment.get_template("figures/report.html").render(
         result=result,
         four_eyes=four_eyes,
         verdict=make_verdict(result),
@@ -92,6 +92,7 @@ def render_report(result: Calibration, *, four_eyes: bool = True) -> str:
         command=command(result),
         version=__version__,
     )
+    return show_numbers_of_report(document)
 
 
 def _examined(result: Calibration) -> dict[str, Any]:

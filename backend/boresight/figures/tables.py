@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 
 from boresight.calibration.calibration import (
     Calibration,
@@ -27,6 +27,7 @@ from boresight.calibration.trust.trust_tests import KIND_OF_TEST, get_test_title
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import FAR_TYPICAL_SIGMAS
 from boresight.figures.chart import Table
+from boresight.verdicts.gates.measurements import sigma_of_difference
 from boresight.verdicts.numbers import (
     MISSING,
     NARROW_SPACE,
@@ -56,6 +57,7 @@ class ParameterRow:
     """One parameter of a result; values are SI, None where nothing was estimated.
 
     `old`, `new`, `delta`, `sigma`, `sigma_with_misfit`: in the parameter's SI unit; the last is `sigma` where misfit is not known.
+    `sigma_of_difference`: of a set against the one that it replaces, as the gate Parameter shift has it; else None.
     """
 
     name: str
@@ -66,6 +68,7 @@ class ParameterRow:
     sigma_with_misfit: float | None
     typical_sigma: float | None
     truth: float | None
+    sigma_of_difference: float | None = None
 
     @property
     def estimated(self) -> bool:
@@ -81,6 +84,16 @@ class ParameterRow:
     def delta_over_sigma(self) -> float | None:
         """Return the change in sigmas, with misfit."""
         return _ratio(self.delta, self.sigma_with_misfit)
+
+    @property
+    def sigma_to_judge_by(self) -> float | None:
+        """Return the sigma that the change is judged by: of the difference from another set, else with misfit."""
+        return self.sigma_of_difference or self.sigma_with_misfit
+
+    @property
+    def delta_to_judge(self) -> float | None:
+        """Return the change in the sigmas that it is judged by."""
+        return _ratio(self.delta, self.sigma_to_judge_by)
 
     @property
     def delta_over_noise(self) -> float | None:
@@ -156,12 +169,19 @@ def set_rows(
     old = incumbent.parameters if incumbent else {}
     names = _model_order(found.camera_model, found.parameters)
     sigmas: tuple[Numbers, Numbers] = found.sigma or {}, found.reliable_sigma
-    return _lay_out(names, old, found.parameters, sigmas, typical_sigma, found.truth or {})
+    rows = _lay_out(names, old, found.parameters, sigmas, typical_sigma, found.truth or {})
+    return rows if incumbent is None else [_against(row, incumbent.reliable_sigma.get(row.name)) for row in rows]
+
+
+def _against(row: ParameterRow, sigma_0: float | None) -> ParameterRow:
+    """Give a row the sigma of its difference from a set with such a sigma of its own."""
+    variance = (row.sigma_with_misfit or 0.0) ** 2 + (sigma_0 or 0.0) ** 2
+    return replace(row, sigma_of_difference=float(sigma_of_difference(variance, row.typical_sigma or 0.0)) or None)
 
 
 def most_changed(rows: Sequence[ParameterRow], most: int = 4) -> list[ParameterRow]:
-    """Return the parameters that change most in their sigmas, with misfit, the greatest change first."""
-    changed = [(abs(ratio), row) for row in rows if (ratio := row.delta_over_sigma)]
+    """Return the parameters that change most in the sigmas that they are judged by, the greatest change first."""
+    changed = [(abs(ratio), row) for row in rows if (ratio := row.delta_to_judge)]
     return [row for _, row in sorted(changed, key=lambda pair: -pair[0])[:most]]
 
 

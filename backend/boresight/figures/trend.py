@@ -26,7 +26,7 @@ from plotly.subplots import make_subplots
 from boresight.calibration.calibration import Values
 from boresight.figures.chart import Table
 from boresight.figures.style import theme
-from boresight.verdicts.numbers import change_label, quantity, signed
+from boresight.verdicts.numbers import Quantity, change_label, quantity, scale_to, signed
 from boresight.verdicts.trend import SHOWN_AS, Trend, TrendPoint
 
 NAME = "trend"
@@ -67,12 +67,13 @@ def draw(trend: Trend, model: str | None = None) -> go.Figure:
     span = _span(trend, points)
     for row, name in enumerate(names, 1):
         zero = _zero(trend, points, name, own=own)
-        levels = _levels(trend, name, zero, span) if own else []
+        item = scale_to(quantity(name), zero, *(point.parameters.get(name) for point in points))
+        levels = _levels(trend, name, item, zero, span) if own else []
         for level in levels:
             _level(figure, level, row)
-        _marks(figure, points, name, zero, row)
-        _scale(figure, points, name, zero, levels, row, span)
-        figure.update_yaxes(title_text=change_label(quantity(name)), row=row, col=1)
+        _marks(figure, points, name, item, zero, row)
+        _scale(figure, points, name, item, zero, levels, row, span)
+        figure.update_yaxes(title_text=change_label(item), row=row, col=1)
     if warm:
         _temperature(figure, points, len(names) + 1)
     _records(figure, trend, rows)
@@ -125,8 +126,8 @@ def _span(trend: Trend, points: Sequence[TrendPoint]) -> tuple[str, str]:
     return min(times), max(times)
 
 
-def _marks(figure: go.Figure, points: Sequence[TrendPoint], name: str, zero: float, row: int) -> None:
-    factor = quantity(name).factor
+def _marks(figure: go.Figure, points: Sequence[TrendPoint], name: str, item: Quantity, zero: float, row: int) -> None:
+    factor = item.factor
     for counted, label in ((True, "Calibration ±3σ"), (False, "Not used")):
         shown = [point for point in points if point.counted is counted and name in point.parameters]
         colour = COUNTED if counted else LEFT_OUT
@@ -159,9 +160,9 @@ class Level:
     reach: float = 0.0
 
 
-def _levels(trend: Trend, name: str, zero: float, span: tuple[str, str]) -> list[Level]:
+def _levels(trend: Trend, name: str, item: Quantity, zero: float, span: tuple[str, str]) -> list[Level]:
     """List the baseline of now over all time with its band, those of before from when to when, and the truth."""
-    factor, found = quantity(name).factor, []
+    factor, found = item.factor, []
     if trend.baselines:
         now = trend.baselines[-1]
         reach = 3 * (now.sigma.get(name) or 0.0) * factor if now.measured else 0.0
@@ -189,13 +190,14 @@ def _scale(
     figure: go.Figure,
     points: Sequence[TrendPoint],
     name: str,
+    item: Quantity,
     zero: float,
     levels: Sequence[Level],
     row: int,
     span: tuple[str, str],
 ) -> None:
     """Scale a panel to what is new, and mark at its edges what lies beyond."""
-    factor = quantity(name).factor
+    factor = item.factor
     shown = sorted((point for point in points if name in point.parameters), key=lambda point: str(point.at_utc))
     values = np.array([(point.parameters[name] - zero) * factor for point in shown])
     reach = np.array([3 * point.sigma[name] * factor for point in shown])

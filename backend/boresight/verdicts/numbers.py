@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from boresight.calibration.calibration import Calibration
@@ -55,6 +57,14 @@ def quantity(name: str, result: Calibration | None = None) -> Quantity:
     return Quantity(symbol, unit, 1.0)
 
 
+def scale_to(item: Quantity, *values: float | None) -> Quantity:
+    """Put the power of ten of SI values into the unit, where they are large, so that axis and labels need none."""
+    power = find_power(*(value * item.factor for value in values if value is not None))
+    if not power:
+        return item
+    return replace(item, factor=item.factor / 10.0**power, unit=f"10{str(power).translate(RAISED)} {item.unit}".strip())
+
+
 def change_label(item: Quantity) -> str:
     """Axis label of a change, such as `Δf (mm)`."""
     return f"Δ{item.markup} ({item.unit})" if item.unit else f"Δ{item.markup}"
@@ -64,7 +74,7 @@ MISSING = "–"
 NARROW_SPACE = "\u202f"  # narrow, and no line breaks in it
 MINUS = "\u2212"  # as wide as a digit
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-LARGE = 1e7  # from here on a number is easier to read with a power of ten
+LARGE, SMALL = 1e7, 1e-4  # beyond these a number is easier to read with a power of ten
 
 
 def is_number(value: Any) -> bool:
@@ -147,12 +157,19 @@ def find_power(*values: float | None, large: float = LARGE) -> int:
     return math.floor(math.log10(greatest)) if greatest >= large else 0
 
 
+def _small_power(*values: float) -> int:
+    """Return the power of ten of the greatest of numbers that are all too small to be read with their zeros; else 0."""
+    greatest = max(map(abs, values))
+    return math.floor(math.log10(greatest)) if 0 < greatest < SMALL else 0
+
+
 def with_reach(value: float, reach: float, sigma: float, large: float = LARGE, power: int | None = None) -> str:
-    """Print `value ± reach`, both to the second digit of a sigma; one power of ten for both where either is large.
+    """Print `value ± reach`, both to the second digit of a sigma; with one power of ten where either is large or both are small.
 
     `power`: that of the row; their own where None.
     """
-    power = find_power(value, reach, large=large) if power is None else power
+    if power is None:
+        power = find_power(value, reach, large=large) or _small_power(value, reach)
     if not power:
         return " ± ".join(grouped(to_second_digit(one, sigma, power=0)) for one in (value, reach))
     decimals = max(power + 1 - math.floor(math.log10(sigma)), 0)
@@ -237,3 +254,72 @@ def duration(seconds: Any) -> str:
         if amount
     ]
     return " ".join(f"{amount}{NARROW_SPACE}{name}" for amount, name in parts[:2])
+
+
+AS_WRITTEN = ("<pre", "<textarea", "<script", "<code")  # what people copy, or send back
+QUOTED = ("<q", "<bdi", "<blockquote", "<title")  # what people wrote
+TOLD = (" title", " aria-label")  # attributes that are read out
+#: A number as a terminal or a log has it: a hyphen for the sign, commas, a power of ten with an e, a % without a space, urad. Each
+#: begins with one of few letters, which a page of many is searched for quickly.
+PLAIN_NUMBER = re.compile(
+    r"[-,%eu](?:(?<![\w.,/#‐-]-)(?<=-)(?=\.?\d)|(?<=\d,)(?=\d{3}(?:,\d{3})*(?![\d,]))|(?<=\d%)|(?<=\de)[+-]?\d{1,3}(?![\w-])"
+    r"|(?<!\wu)(?<=u)rad(?!\w))"
+)
+#: What stands before a comma that parts thousands.
+THOUSANDS = re.compile(r"(?:^|[^\w.,-])\d{1,3}(?:,\d{3})*$")
+#: What stands before the e of a power of ten, and not before an e among the digits of a checksum.
+MANTISSA = re.compile(r"(?:^|[^\w.,-]|(?<!\w)-)\d(?:\.\d+)?$")
+MOST_DIGITS = 40
+SCRIPT = re.compile(r"(<script\b.*?</script>)", re.DOTALL)
+
+
+def find_tag_before(page: str, found: re.Match[str]) -> str:
+    """Return what stands before a place in a page, from its last tag on: without a > the place is inside that tag."""
+    return page[max(page.rfind("<", 0, found.start()), 0) : found.start()]
+
+
+def is_told(tag: str, kept: tuple[str, ...] = AS_WRITTEN) -> bool:
+    """Whether what follows a tag is read by people: text outside the elements that are kept, or a tooltip or label."""
+    return not tag.startswith(kept) if ">" in tag else tag.rpartition('="')[0].endswith(TOLD)
+
+
+def show_numbers(page: str) -> str:
+    """Write the numbers in sentences, tooltips and labels of a page as its tables do; fields and what people wrote keep theirs."""
+
+    def show(found: re.Match[str]) -> str:
+        return _typeset(page, found) if is_told(find_tag_before(page, found), (*AS_WRITTEN, *QUOTED)) else found[0]
+
+    return PLAIN_NUMBER.sub(show, page)
+
+
+def show_numbers_of_report(document: str) -> str:
+    """Do the same in a document that has its scripts in itself, whose text may look like tags."""
+    parts = SCRIPT.split(document)
+    return "".join(part if place % 2 else show_numbers(part) for place, part in enumerate(parts))
+
+
+def typeset(sentence: str) -> str:
+    """Write the numbers in a sentence without tags as a table does."""
+    return PLAIN_NUMBER.sub(partial(_typeset, sentence), sentence)
+
+
+def _typeset(text: str, found: re.Match[str]) -> str:
+    """Write what begins or parts a number as people read it."""
+    sign = found[0]
+    before = max(found.start() - MOST_DIGITS, 0), found.start()
+    if sign == ",":
+        return NARROW_SPACE if THOUSANDS.search(text, *before) else sign
+    if sign == "-":
+        return MINUS
+    if sign == "%":
+        return f"{NARROW_SPACE}%"
+    if sign == "urad":
+        return "µrad"
+    return f"·10{str(int(sign[1:])).translate(RAISED)}" if MANTISSA.search(text, *before) else sign
+
+
+def set_symbols(sentence: str, names: Iterable[str]) -> str:
+    """Set the symbols of parameters in a sentence of a figure as its axes have them."""
+    markup = {quantity(name).symbol: quantity(name).markup for name in names}
+    words = "|".join(re.escape(symbol) for symbol in markup)
+    return re.sub(rf"(?<![\w'])(?:{words})(?!\w)", lambda found: markup[found[0]], sentence) if markup else sentence

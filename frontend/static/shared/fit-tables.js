@@ -3,7 +3,7 @@
  * times and states on two lines (`data-fit="closer"`), and where that is not enough a card a row (`data-fit="cards"`), each
  * cell under the heading of its column, so that nothing lies beyond an edge. One whose columns are to be compared
  * (`data-pinned`) keeps them beside each other where there is room for a few: its first column and the reference stay in sight
- * while the others are scrolled in its own place (`data-fit="pinned"`).
+ * while the others are scrolled in its own place (`data-fit="pinned"`), which fades where more follows (`data-more`).
  *
  * And bars that stay in sight begin where the top bar ends, however many lines it takes.
  */
@@ -33,14 +33,18 @@ function fit(table) {
   if (!place?.clientWidth || !table.tHead) return;
   widths.set(place, place.clientWidth);
   delete table.dataset.fit;
+  place.onscroll = null;
+  place.removeAttribute("data-more");
   const hasRoom = place.clientWidth >= ROOM_FOR_COLUMNS_PX;
   const isPinned = hasRoom && table.hasAttribute("data-pinned");
   for (const way of ["close", ...(hasRoom ? ["closer"] : []), isPinned ? "pinned" : "cards"]) {
     if (place.scrollWidth <= place.clientWidth) return;
     table.dataset.fit = way;
   }
-  if (isPinned) table.style.setProperty("--first-column", `${table.tHead.rows[0]?.cells[0]?.offsetWidth ?? 0}px`);
-  else label(table);
+  if (!isPinned) return label(table);
+  table.style.setProperty("--first-column", `${table.tHead.rows[0]?.cells[0]?.offsetWidth ?? 0}px`);
+  place.onscroll = () => place.toggleAttribute("data-more", place.scrollLeft + place.clientWidth < place.scrollWidth - 1);
+  place.onscroll(new Event("scroll"));
 }
 
 /** @param {ParentNode} root */

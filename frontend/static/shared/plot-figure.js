@@ -22,15 +22,23 @@ const SIZES = { narrow: 420, medium: 820 }; // below these, as a phone and as a 
 const PAPER_PX = { small: 330, large: 680 }; // what A4 leaves of a panel's width
 const WAIT_MS = 250; // a zoom, or another layout, is asked for when it has come to rest: a picture of a whole page squeezes it for a moment
 
-// Figures in sight are drawn at once; the others one after another whenever the browser has nothing better to do, with rests,
-// so that the page answers from the first second on however many it has
+// Figures in sight are drawn at once, the others when they come near. What nobody scrolled to is drawn for a print or a search
+// of the page one after another, with rests, while nobody does anything and nothing was drawn in sight for a while: no drawing
+// can be interrupted, and one of 0.3 s would hold up a key
 const near = new IntersectionObserver(
   (entries) => {
-    for (const { isIntersecting, target } of entries) if (isIntersecting && target instanceof PlotFigure) target.begin();
+    for (const { isIntersecting, target } of entries) if (isIntersecting && target instanceof PlotFigure) target.begin().then(noteBusy);
   },
   { rootMargin: "100px" },
 );
-const idle = () => new Promise((resolve) => requestIdleCallback(resolve, { timeout: 1500 }));
+const QUIET_MS = 5000;
+let busyAt = performance.now();
+const noteBusy = () => void (busyAt = performance.now());
+for (const act of ["keydown", "pointerdown", "wheel", "scroll"]) addEventListener(act, noteBusy, { capture: true, passive: true });
+async function waitForQuiet() {
+  for (let left = QUIET_MS; left > 0; left = busyAt + QUIET_MS - performance.now()) await pause(left);
+  await new Promise((resolve) => requestIdleCallback(resolve));
+}
 const REST = 2; // times as long as the drawing took
 /** @param {number} ms */
 const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
@@ -97,7 +105,7 @@ export class PlotFigure extends HTMLElement {
     this.#resizer.observe(this.canvas);
     this.#say("loading", "Loading the figure.");
     near.observe(this);
-    queue = queue.then(idle).then(() => this.#drawInTurn());
+    queue = queue.then(waitForQuiet).then(() => this.#drawInTurn());
   }
 
   async #drawInTurn() {

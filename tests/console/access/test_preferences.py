@@ -12,12 +12,13 @@ from hypothesis import strategies as st
 
 from boresight.console.access import preferences, users
 from boresight.console.access.queries import write_preference
-from boresight.console.pages.formats import STORED_TIME, show_numbers, show_times
+from boresight.console.pages.formats import STORED_TIME, show_times
 from boresight.errors import ForbiddenError, NotFoundError, RefusedInputError
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import open_reading, open_writing, utc_after
 from boresight.platform.db.times import STYLE, TIME_FORMS, TimeStyle, read_time
+from boresight.verdicts.numbers import show_numbers
 from tests.console.alarms.test_pages import drifting  # noqa: F401 - a fixture
 from tests.console.approvals.test_pages import signed, submitted
 from tests.sites import PASSWORD, PEOPLE

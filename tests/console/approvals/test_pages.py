@@ -188,11 +188,13 @@ def test_a_turn_of_the_attitude_that_the_data_show_is_a_warning_and_one_of_chanc
 
 
 def test_a_change_stands_beside_one_sigma_and_the_others_are_a_press_away(site, request_page):
+    """Of a set the one that its gate is in, of a run the one with misfit."""
     page = site.visitor("alan").get(request_page)
-    set_page = re.search(r"/parameter-sets/\d+", page)[0]
-    pages = {page: 'id="change-title"'}
-    pages |= {site.visitor("ada").get(at): '<table class="data parameters">' for at in (set_page, "/runs/1")}
-    for shown, begin in pages.items():
+    set_page = re.search(r"(/parameter-sets/\d+)/gates", page)[1]
+    pages = {page: ('id="change-title"', "difference", {"σ with misfit", "Change / σ with misfit"})}
+    pages |= {site.visitor("ada").get(set_page): ('<table class="data parameters">', "difference", {"σ with misfit"})}
+    pages |= {site.visitor("ada").get("/runs/1"): ('<table class="data parameters">', "misfit", set())}
+    for shown, (begin, leading, folded_away) in pages.items():
         changes = shown[shown.index(begin) :]
         table, folded = re.findall(r"<thead>.*?</thead>", changes, re.DOTALL)[:2]
         of_sigma, others = (
@@ -202,10 +204,23 @@ def test_a_change_stands_beside_one_sigma_and_the_others_are_a_press_away(site, 
             }
             for head in (table, folded)
         )
-        assert [cell for cell in of_sigma if "σ" in cell and not cell.endswith("σ with misfit")] == []
-        assert {"Noise σ", "Typical σ", "Change / noise σ"} <= others
+        assert [cell for cell in of_sigma if "σ" in cell and not cell.endswith(leading)] == []
+        assert {"Noise σ", "Typical σ", "Change / noise σ"} | folded_away <= others
         assert changes.index('<details class="panel-details other-sigmas">') < changes.index(folded)
         assert terms_of_parameters()["reliable_sigma"].address in shown
+
+
+def test_a_request_counts_changes_in_the_sigmas_of_its_gate(site, request_page):
+    page = site.visitor("alan").get(request_page)
+    name, worth, moved = re.search(
+        r"(\w+) changed most, by (\S+) σ of the difference.*?(\d+) of \d+ parameters", page
+    ).groups()
+    rows = re.findall(
+        r'<tr id="parameter-(\w+)">.*?<td class="num">([^<]*)(?:<small.*?</small>)?</td>\s*</tr>', page, re.DOTALL
+    )
+    worths = {one: float(told.replace("−", "-")) for one, told in rows}
+    assert worths[name] == float(worth.replace("−", "-"))
+    assert sum(abs(one) > 3 for one in worths.values()) == int(moved)
 
 
 def test_a_comment_stands_on_its_gate_is_answered_resolved_and_reopened(site, request_page):

@@ -10,6 +10,7 @@ import pytest
 from boresight.calibration.calibration import LeftOut, ProcessNoise, parse_calibration
 from boresight.calibration.options import METHODS
 from boresight.console.fleet.tables import Sensor
+from boresight.console.pages.formats import symbols
 from boresight.console.runs.pages.run import FORMER, PARTS, list_left_out, warn_of_old_validation
 from boresight.console.runs.queries import Line, write_event
 from boresight.console.runs.tables import RUN_STATES, Run, RunEvent
@@ -288,7 +289,7 @@ def test_the_result_opens_on_four_views_each_with_its_answer_and_the_way_to_its_
         list_small_figures(page) == [view.figure for view in views] == ["convergence", "rms", "radial", "observability"]
     )
     for view in views:
-        assert " ".join(view.answer.sentence.split()) in read(page)
+        assert read(f"<main>{symbols(view.answer.sentence)}</main>").strip() in read(page)
         assert f'href="/runs/2?part={view.part}#figure-{view.figure}"' in page
         assert f'id="figure-{view.figure}"' in site.visitor("victor").get(f"/runs/2?part={view.part}")
 

@@ -15,19 +15,20 @@ from markupsafe import Markup, escape
 
 from boresight.platform.db.times import STYLE, TimeStyle
 from boresight.verdicts.numbers import (
-    MINUS,
     MISSING,
-    NARROW_SPACE,
-    RAISED,
+    QUANTITIES,
     count,
     duration,
+    find_tag_before,
     fixed,
+    is_told,
     number,
     parameter,
     percent,
     plus_minus,
     power,
     quantity,
+    set_symbols,
     sigma,
     sigmas,
     size,
@@ -42,6 +43,15 @@ def symbol(name: str) -> Markup:
     """Return a parameter's letter in the papers with its index as a subscript; its name where it has none."""
     letter, index = quantity(name).letters
     return Markup("{}<sub>{}</sub>").format(letter, index) if index else Markup("{}").format(letter)
+
+
+#: Those that are no word of a sentence: the skew's s also stands for seconds.
+IN_SENTENCES = [name for name in QUANTITIES if quantity(name).letters[1] or quantity(name).symbol == "f"]
+
+
+def symbols(sentence: str) -> Markup:
+    """Set the parameters' symbols in a sentence as the figure beside it has them."""
+    return Markup(set_symbols(str(escape(sentence)), IN_SENTENCES))  # noqa: S704 - escaped here
 
 
 def instant(text: str) -> datetime:
@@ -70,62 +80,15 @@ def utc(context: Context, text: str | None) -> Markup | str:
 
 
 STORED_TIME = re.compile(r"\d(?<!\w\d)\d{3}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?Z")
-AS_WRITTEN = ("<pre", "<textarea", "<script", "<code")  # what people copy, or send back
-TOLD = (" title", " aria-label")  # attributes that are read out
-
-
-def _tag_before(page: str, found: re.Match[str]) -> str:
-    """Return what stands before a place in a page, from its last tag on: without a > the place is inside that tag."""
-    return page[max(page.rfind("<", 0, found.start()), 0) : found.start()]
-
-
-def _is_told(tag: str, kept: tuple[str, ...]) -> bool:
-    """Whether what follows is read by people: text outside the elements that are kept, or a tooltip or label."""
-    return not tag.startswith(kept) if ">" in tag else tag.rpartition('="')[0].endswith(TOLD)
 
 
 def show_times(page: str, style: TimeStyle) -> str:
     """Print every stored time in texts, tooltips and labels of a page in a person's form; fields and quoted documents keep it."""
 
     def show(found: re.Match[str]) -> str:
-        return _show(found[0], style) if _is_told(_tag_before(page, found), AS_WRITTEN) else found[0]
+        return _show(found[0], style) if is_told(find_tag_before(page, found)) else found[0]
 
     return STORED_TIME.sub(show, page)
-
-
-#: A number as a terminal or a log has it: a hyphen for the sign, commas, a power of ten with an e, a % without a space, urad. Each
-#: begins with one of few letters, which a page of many is searched for quickly.
-PLAIN_NUMBER = re.compile(
-    r"[-,%eu](?:(?<![\w.,/#‐-]-)(?<=-)(?=\.?\d)|(?<=\d,)(?=\d{3}(?:,\d{3})*(?![\d,]))|(?<=\d%)|(?<=\de)[+-]?\d{1,3}(?![\w-])"
-    r"|(?<!\wu)(?<=u)rad(?!\w))"
-)
-#: What stands before a comma that parts thousands.
-THOUSANDS = re.compile(r"(?:^|[^\w.,-])\d{1,3}(?:,\d{3})*$")
-#: What stands before the e of a power of ten, and not before an e among the digits of a checksum.
-MANTISSA = re.compile(r"(?:^|[^\w.,-]|(?<!\w)-)\d(?:\.\d+)?$")
-MOST_DIGITS = 40
-QUOTED = ("<q", "<bdi", "<blockquote", "<title")  # what people wrote
-
-
-def show_numbers(page: str) -> str:
-    """Write the numbers in sentences, tooltips and labels of a page as its tables do; fields and what people wrote keep theirs."""
-
-    def show(found: re.Match[str]) -> str:
-        if not _is_told(_tag_before(page, found), (*AS_WRITTEN, *QUOTED)):
-            return found[0]
-        text = found[0]
-        before = max(found.start() - MOST_DIGITS, 0), found.start()
-        if text == ",":
-            return NARROW_SPACE if THOUSANDS.search(page, *before) else text
-        if text == "-":
-            return MINUS
-        if text == "%":
-            return f"{NARROW_SPACE}%"
-        if text == "urad":
-            return "µrad"
-        return f"·10{str(int(text[1:])).translate(RAISED)}" if MANTISSA.search(page, *before) else text
-
-    return PLAIN_NUMBER.sub(show, page)
 
 
 @pass_context
@@ -178,6 +141,7 @@ def words(text: str) -> str:
 FILTERS = (
     unit,
     symbol,
+    symbols,
     number,
     fixed,
     count,

@@ -34,7 +34,7 @@ from boresight.console.access.passwords import NO_PROOF
 from boresight.console.fleet.timeline import describe_source
 from boresight.console.help.glossary import mark_terms
 from boresight.console.pages import formats
-from boresight.console.pages.formats import LEVELS, get_level, show_numbers, show_times, worst
+from boresight.console.pages.formats import LEVELS, get_level, show_times, worst
 from boresight.console.pages.frame import FLASH_COOKIE, make_page_frame
 from boresight.errors import (
     BoresightError,
@@ -54,6 +54,7 @@ from boresight.platform.web.problems import make_problem
 from boresight.platform.web.response_cache import GAPS
 from boresight.platform.web.static_files import has_documentation
 from boresight.resources import folder
+from boresight.verdicts.numbers import show_numbers
 
 T = TypeVar("T")
 _transaction = asynccontextmanager(open_write_session)

@@ -7,7 +7,7 @@ comparison with frames on the axis a batch run is drawn as a level with its band
 The first bands are the a-priori ones and would flatten all that follows, so the window of each panel holds what
 follows the first steps, the median band, the truth, and the initial level where that is near; a double click shows all.
 
-The dotted line is where a run settled, and the last two panels judge it as a whole: its cost, and how far it still steps.
+The dash-dotted line is where a run settled, and the last two panels judge it as a whole: its cost, and how far it still steps.
 A batch run has its cost, half of chi-square, a filter its normalised innovation squared, sum nis / sum dof of the frames so
 far, which is 1 where the covariance is honest. The step norm is the root mean square over the n free parameters of
 (x_k - x_{k-1}) / sigma, in sigmas of the end for a batch and of the moment for a filter: a batch at rest steps by nothing, a
@@ -18,7 +18,7 @@ A run is settled from the step on after which every free parameter stays within 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -45,7 +45,7 @@ from boresight.figures.style.axes import (
 )
 from boresight.figures.style.thinning import keep_extremes
 from boresight.verdicts.history import History, free_names, read_history, settled_step
-from boresight.verdicts.numbers import LARGE, RAISED, Quantity, change_label, grouped, quantity
+from boresight.verdicts.numbers import Quantity, change_label, grouped, quantity, scale_to
 
 PANELS = 2
 POINT_BUDGET = 1200  # a panel, of all runs together
@@ -119,7 +119,7 @@ def mark_settled(
         if history is None or first is None or not first < len(history.x):
             continue
         x = float(history.x[first])
-        line = {"color": style.colour, "dash": "dot", "width": 1.2}
+        line = {"color": style.colour, "dash": "dashdot", "width": 1.2}
         shapes += [
             {"type": "line", "x0": x, "x1": x, "y0": 0, "y1": 1, "line": line, "xref": f"x{n}", "yref": f"y{n} domain"}
             for n in ["", *range(2, n_panels + 1)]
@@ -228,14 +228,8 @@ def _panels(traces: Sequence[Trace], histories: Sequence[History], most_columns:
 
 
 def scaled_quantity(name: str, result: Calibration) -> Quantity:
-    """Put the power of ten of a typical value into the unit, so that it is the same however far a run has come."""
-    item = quantity(name, result)
-    typical = (result.typical_sigma.get(name) or 0.0) * item.factor
-    if typical < LARGE:
-        return item
-    power = int(np.floor(np.log10(typical)))
-    unit = f"10{str(power).translate(RAISED)} {item.unit}".strip()
-    return replace(item, factor=item.factor / 10.0**power, unit=unit)
+    """Return a parameter on the scale of its typical sigma, so that the unit is the same however far a run has come."""
+    return scale_to(quantity(name, result), result.typical_sigma.get(name))
 
 
 def _origin(name: str, traces: Sequence[Trace], histories: Sequence[History]) -> float:
@@ -289,22 +283,33 @@ def _seen(value: FloatArray, reach: FloatArray) -> list[float]:
     return [float(settled.min()), float(settled.max()), float(value[-1]) - half, float(value[-1]) + half]
 
 
+def _known(trace: Trace) -> dict[str, Mapping[str, float | None] | None]:
+    """Return the parameters that a run is compared with, by what they are."""
+    return {"initial": trace.result.initial, "baseline": trace.baseline, "truth": trace.result.truth}
+
+
 def _draw_references(
     figure: go.Figure, panel: ConvergencePanel, traces: Sequence[Trace], span: tuple[float, float]
 ) -> None:
-    """Add the initial level, the baseline's where it is another, and the true one where a simulation knows it."""
+    """Add the initial level, the baseline's where it is another, and the true one where a simulation knows it.
+
+    Where runs have different ones, as those of several sensors, each has the colour of its run.
+    """
+    apart = {key for key in REFERENCES if len({str(values) for trace in traces if (values := _known(trace)[key])}) > 1}
     levels: dict[tuple[str, float], tuple[str, str]] = {}
-    for trace in traces:
-        known = {"initial": trace.result.initial, "baseline": trace.baseline, "truth": trace.result.truth}
-        for key, values in known.items():
+    for trace, style in theme.styled(traces):
+        for key, values in _known(trace).items():
             value = values.get(panel.name) if values else None
             if value is not None:
-                levels[key, float(panel.change(value))] = REFERENCES[key]
-    first = panel.row == panel.column == 0
+                colour, dash = REFERENCES[key]
+                levels.setdefault((key, float(panel.change(value))), (style.colour if key in apart else colour, dash))
+    first, shown = panel.row == panel.column == 0, set[str]()
     height = max(panel.seen, default=0.0) - min(panel.seen, default=0.0)
     for (key, level), (colour, dash) in levels.items():
-        settings = {"showlegend": first, "hoverinfo": "skip", "hovertemplate": None}
-        drawn = theme.reference(span, level, key, colour, dash, **settings)
+        settings = {"showlegend": first and key not in shown, "hoverinfo": "skip", "hovertemplate": None}
+        shown.add(key)
+        name = f"{key}, in its run's colour" if key in apart else key
+        drawn = theme.reference(span, level, name, colour, dash, **settings)
         figure.add_trace(drawn, row=panel.row + 1, col=panel.column + 1)
         if key == "truth" or min(abs(level - seen) for seen in panel.seen or [level]) <= height:
             panel.seen.append(level)
@@ -391,7 +396,7 @@ CONVERGENCE = Figure(
     guide=(
         "Each panel shows the change of one parameter from its initial value (dotted line at zero), with its own ±3σ "
         "band, the last two panels show the cost and the step; double-click a panel to see the full range of the first "
-        "bands. A trustworthy run settles (dotted upright line), its band narrows around the curve, and the curve "
+        "bands. A trustworthy run settles (dash-dotted upright line), its band narrows around the curve, and the curve "
         "stays inside its earlier bands."
     ),
     draw=draw,

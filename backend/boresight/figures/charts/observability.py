@@ -32,7 +32,7 @@ from boresight.figures.chart import Table
 from boresight.figures.factory import Part, make_figure
 from boresight.figures.style import theme
 from boresight.verdicts.answers import describe_weak
-from boresight.verdicts.numbers import MINUS, count, number, percent, quantity
+from boresight.verdicts.numbers import count, number, percent, quantity, set_symbols, typeset
 
 THRESHOLD = 1.0 / WEAK
 WEAK_COLOUR = theme.RUN_COLOURS[1]
@@ -48,7 +48,10 @@ def draw(drawn: Sequence[Part[Observability]]) -> go.Figure:
     """Draw singular values as bars on a log axis, over the heat map of the first run's directions."""
     figure = make_subplots(2, 1, shared_xaxes=True, row_heights=[0.4, 0.6], vertical_spacing=0.07)
     for _, style, seen in drawn:
-        figure.add_trace(_bars(seen, style, labelled=len(drawn) == 1), row=1, col=1)
+        figure.add_trace(_bars(seen, style), row=1, col=1)
+    if len(drawn) == 1:
+        seen = drawn[0][2]
+        _write_over_bars(figure, seen, [number(value, 3) for value in seen.singular_values], row=1, col=1)
     figure.add_trace(_directions(drawn[0][0].result, drawn[0][2]), row=2, col=1)
     _dress(figure, drawn)
     return figure
@@ -58,14 +61,31 @@ def _modes(n_modes: int) -> list[str]:
     return [f"{i + 1}" for i in range(n_modes)]
 
 
-def _bars(seen: Observability, style: theme.RunStyle, *, labelled: bool) -> go.Bar:
+def _bars(seen: Observability, style: theme.RunStyle) -> go.Bar:
     values = np.array(seen.singular_values, dtype=np.float64)
     with np.errstate(divide="ignore"):
         spread = 1.0 / values
     hover = "s = %{y:.4g}<br>σ = %{customdata:.3g} typical σ"
-    more = {"text": [number(value, 3) for value in values] if labelled else None, "customdata": theme.short(spread)}
     shown = np.where(values > 0, values, np.nan)
-    return theme.bars(style, _modes(len(values)), shown, hover, marker=_looks(values, style.colour), **more)
+    looks = {"marker": _looks(values, style.colour), "customdata": theme.short(spread)}
+    return theme.bars(style, _modes(len(values)), shown, hover, **looks)
+
+
+def _write_over_bars(figure: go.Figure, seen: Observability, texts: Sequence[str], **place: int) -> None:
+    """Write over each bar; over one that does not reach the threshold above that, whose line would strike it out."""
+    figure.add_scatter(
+        x=_modes(len(texts)),
+        y=np.fmax(np.array(seen.singular_values, dtype=np.float64), THRESHOLD),
+        text=texts,
+        mode="markers+text",
+        marker={"size": 8, "color": theme.CLEAR},  # holds the text off the bar and the line
+        textposition="top center",
+        textfont={"family": theme.TABULAR, "size": 11},
+        cliponaxis=False,
+        hoverinfo="skip",
+        showlegend=False,
+        **place,
+    )
 
 
 def _looks(values: FloatArray, colour: str) -> dict[str, Any]:
@@ -141,7 +161,7 @@ def draw_narrow(drawn: Sequence[Part[Observability]]) -> go.Figure:
     """Draw the same without numbers in the cells and words below, for which a phone has no room: the page's table has them."""
     figure = draw(drawn)
     figure.update_traces(texttemplate="", showscale=False, selector={"type": "heatmap"})
-    figure.update_traces(text=None, selector={"type": "bar"})
+    figure.update_traces(text=None, selector={"type": "scatter"})
     figure.update_annotations(selector={"xref": "paper"}, text="")
     over_the_shortest = {"xanchor": "right", "y": 1, "yref": "y domain", "yanchor": "top"}
     words = f"dotted: below {THRESHOLD:g} (over {WEAK:g} typical σ), weak"
@@ -152,8 +172,8 @@ def draw_narrow(drawn: Sequence[Part[Observability]]) -> go.Figure:
 def draw_small(drawn: Sequence[Part[Observability]]) -> go.Figure:
     """Draw the bars alone, each with the parameters that its direction is made of."""
     (trace, style, seen), figure = drawn[0], go.Figure()
-    figure.add_trace(_bars(seen, style, labelled=False))
-    figure.update_traces(text=_mixtures(trace.result, seen), textposition="outside", cliponaxis=False, textangle=0)
+    figure.add_trace(_bars(seen, style))
+    _write_over_bars(figure, seen, _mixtures(trace.result, seen))
     theme.shrink(figure, l=50, t=4, r=54)
     _scale(figure, drawn[:1], room=1.1)
     figure.update_yaxes(title_text="typical σ / σ")
@@ -185,8 +205,9 @@ def _window(drawn: Sequence[Part[Observability]], room: float) -> list[float]:
 
 
 def _sentence(seen: Observability) -> str:
-    words = theme.escape(HYPHEN_MINUS.sub(MINUS, seen.weakest.sentence))
-    return "<br>".join(textwrap.wrap(f"Weakest direction: {words}", 88)) if words else ""
+    words = theme.escape(typeset(seen.weakest.sentence))
+    lines = textwrap.wrap(f"Weakest direction: {words}", 88) if words else []
+    return set_symbols("<br>".join(lines), seen.parameter_names)
 
 
 def table(seen: Observability) -> Table:

@@ -22,9 +22,10 @@ from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
 from boresight.figures.style.axes import BETWEEN_PANELS, grid_place, stacked_px
-from boresight.verdicts.numbers import percent
+from boresight.verdicts.numbers import NARROW_SPACE, percent
 
 NORMAL = np.linspace(-6, 6, 121)
+PERCENT = 100.0
 
 
 def draw(drawn: Sequence[Part[ResidualDistribution]], beside: int = 2) -> go.Figure:
@@ -45,7 +46,7 @@ def draw(drawn: Sequence[Part[ResidualDistribution]], beside: int = 2) -> go.Fig
     figure.add_hline(y=0, line=theme.LEVEL, **other)
     figure.update_xaxes(title_text="residual (σ)", range=[-6, 6], **one_panel)
     figure.update_xaxes(title_text="normal deviate", **other)
-    figure.update_yaxes(rangemode="tozero", tickformat=".0%", **one_panel)
+    figure.update_yaxes(rangemode="tozero", ticksuffix=f"{NARROW_SPACE}%", **one_panel)
     figure.update_yaxes(title_text="σ", **other)
     return figure
 
@@ -68,13 +69,13 @@ def _steps(one: Part[ResidualDistribution], histogram: Histogram, *, is_old: boo
         name = f"old parameters, {percent(beyond, 0)} beyond 6 σ"
     return go.Scatter(
         x=theme.short(edges),
-        y=theme.short(np.append(share, share[-1])),
+        y=theme.short(PERCENT * np.append(share, share[-1])),
         mode="lines",
         name=name,
         legendgroup=name,
         meta=theme.tag_run(style.label),
         line=line,
-        hovertemplate=f"%{{y:.2%}} from %{{x}} σ on<extra>{name}</extra>",
+        hovertemplate=f"%{{y:.2f}}{NARROW_SPACE}% from %{{x}} σ on<extra>{name}</extra>",
     )
 
 
@@ -83,7 +84,12 @@ def _normal_curve(width: float) -> go.Scatter:
     share = width * np.exp(-(NORMAL**2) / 2) / np.sqrt(2 * np.pi)
     line = {"color": theme.TRUTH_COLOUR, "width": 1.4, "dash": "dash"}
     return go.Scatter(
-        x=theme.short(NORMAL), y=theme.short(share), mode="lines", name="normal curve", line=line, hoverinfo="skip"
+        x=theme.short(NORMAL),
+        y=theme.short(PERCENT * share),
+        mode="lines",
+        name="normal curve",
+        line=line,
+        hoverinfo="skip",
     )
 
 

@@ -31,7 +31,7 @@ from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
 from boresight.figures.style.axes import BETWEEN_PANELS, MAX_MAPS, draw_maps, frame_maps, grid_place, stacked_px
-from boresight.verdicts.numbers import number
+from boresight.verdicts.numbers import count, number
 
 COLUMNS = ("row_px", "col_px", "d_row_px", "d_col_px")
 CELLS = 10  # along the longer side
@@ -54,7 +54,7 @@ def draw(drawn: Sequence[Part[Residuals]], beside: int = 2) -> go.Figure:
     """Draw the first run's stars as arrows, and the mean arrow of each cell beside or below."""
     stars = _stars(drawn[0][2])
     means = cell_means(stars)
-    names = [f"star by star, {_scale(stars):,.0f} times", f"mean of each cell, {_scale(means):,.0f} times"]
+    names = [f"star by star, {count(_scale(stars))} times", f"mean of each cell, {count(_scale(means))} times"]
     figure = _lay_pair(names, beside)
     style = drawn[0][1]
     _arrows(figure, stars, style, theme.translucent(style.colour, 0.75), is_mean=False, **grid_place(0, beside))
@@ -347,7 +347,7 @@ def _bar(figure: go.Figure, corner: tuple[float, float, float], scale: float, wh
             mode="lines+markers+text",
             line={"color": theme.REFERENCE_COLOUR, "width": 2},
             marker={"symbol": "line-ns-open", "size": 9, "color": theme.REFERENCE_COLOUR},
-            text=["", f"  {number(length, 1)} px, {scale:,.0f} times"],
+            text=["", f"  {number(length, 1)} px, {count(scale)} times"],
             textposition="middle right",
             hoverinfo="skip",
         ),

@@ -46,6 +46,7 @@ TICKS_URAD = [step * 10**decade for decade in range(-1, 6) for step in (1, 2, 5)
 MOST_BANDS = 3  # runs with their bands; more hide the curves
 POINT_BUDGET = 8000  # of all runs and curves together
 TRANSIENT_SHARE = 0.05  # of the steps, which the axis need not hold
+OLD = "old parameters"
 AGGREGATE_COLOUR = theme.RUN_COLOURS[1]
 
 
@@ -71,20 +72,33 @@ def draw_small(traces: Sequence[Trace]) -> go.Figure:
     figure.update_xaxes(title_text=axis_title(axis, traces))
     figure.update_yaxes(title_text="µrad")
     _scale(figure, traces[:1], axis, seen)
-    _name_curves(figure)
+    _name_curves(figure, traces)
     figure.update_annotations(font={"size": 10})
     return follow_errors(share_cursor(figure, counted(axis, traces)), URAD_PER_RAD, traces)
 
 
-def _name_curves(figure: go.Figure) -> None:
-    """Name tail and aggregate in the corners of their sides: the higher one at its end above, the lower one below."""
-    ends = {str(trace.meta["part"]): trace for trace in figure.data if (trace.meta or {}).get("part")}
-    ordered = sorted(ends.items(), key=lambda item: -float(item[1].y[-1]))
-    for (word, trace), y in zip(ordered, (0.74, 0.04), strict=False):
+def _name_curves(figure: go.Figure, traces: Sequence[Trace]) -> None:
+    """Name tail and aggregate in the corners of their sides, the curve of a batch at its end, and the old parameters' line."""
+    ends = [(str(trace.meta["part"]), trace) for trace in figure.data if (trace.meta or {}).get("part")]
+    right = {"x": 0.98, "xref": "x domain", "xanchor": "right"}
+    above, below = {"yanchor": "bottom"}, {"yanchor": "top"}
+    if len(ends) == 1:
+        sides = [{"y": _place(figure, float(ends[0][1].y[-1])), "yref": "y", "yshift": 2} | above]
+    else:  # beneath the line of the old parameters, and at the foot: a live curve moves on under them
+        ends.sort(key=lambda end: -float(end[1].y[-1]))
+        sides = [{"y": 1, "yref": "y domain", "yshift": -14} | below, {"y": 0, "yref": "y domain", "yshift": 2} | above]
+    for (word, trace), side in zip(ends, sides, strict=False):
         words = {"tail": "tail (whole set)", "aggregate": "aggregate (as it ran)"}.get(word, word)
-        colour = {"color": trace.line.color, "size": 10}
-        place = {"x": 0.98, "y": y, "xref": "x domain", "yref": "y domain", "xanchor": "right", "yanchor": "bottom"}
-        figure.add_annotation(text=words, font=colour, **place)
+        figure.add_annotation(text=words, font={"color": trace.line.color, "size": 10}, **right, **side)
+    old = traces[0].result.rms_arc_rad.initial
+    if old is not None and not any(str(one.text).startswith(OLD) for one in figure.layout.annotations):
+        level = {"y": _place(figure, old * URAD_PER_RAD), "yref": "y", "x": 0.55, "xref": "x domain"}
+        figure.add_annotation(text=f"{OLD}: {urad(old, 3)}", **level, **(below if len(ends) == 1 else above))
+
+
+def _place(figure: go.Figure, value: float) -> float:
+    """Return where an annotation has to stand for a value of the y axis: of a log axis its power."""
+    return float(np.log10(value)) if figure.layout.yaxis.type == "log" else value
 
 
 def _draw_curves(traces: Sequence[Trace]) -> tuple[go.Figure, str, list[float]]:
@@ -191,7 +205,7 @@ def _scale(figure: go.Figure, traces: Sequence[Trace], axis: str, seen: Sequence
     if len(traces) == 1 and old is not None and not window[0] <= old * URAD_PER_RAD <= window[1]:
         arrow = "↑" if old * URAD_PER_RAD > window[1] else "↓"
         place = {"x": 0.98, "y": 0.98, "xref": "x domain", "yref": "y domain", "xanchor": "right", "yanchor": "top"}
-        figure.add_annotation(text=f"old parameters: {urad(old, 3)} {arrow}", **place)
+        figure.add_annotation(text=f"{OLD}: {urad(old, 3)} {arrow}", **place)
 
 
 def _mark_tail(figure: go.Figure, traces: Sequence[Trace], axis: str) -> None:

@@ -280,13 +280,18 @@ def measure_sensor(inputs: GateInputs) -> Measurement:
     )
 
 
+def sigma_of_difference(variance: Any, typical: Any) -> FloatArray:
+    """Return the sigmas of the differences of two sets from the sum of both variances, which `FLOOR` keeps from being nothing."""
+    return np.asarray(np.sqrt(variance + (FLOOR * typical) ** 2))
+
+
 def measure_parameter_shift(inputs: GateInputs) -> Measurement:
     """Measure the largest shift from the baseline, in sigmas of the difference."""
     if inputs.incumbent is None:
         return absent("There is no baseline to compare it with.")
     x_0 = inputs.incumbent.state[0]
     P, P_0 = (inputs.spread(one.reliable_covariance) for one in (inputs.candidate, inputs.incumbent))
-    sigma = np.sqrt(np.diag(P) + np.diag(P_0) + (FLOOR * inputs.sensor.typical_sigma) ** 2)
+    sigma = sigma_of_difference(np.diag(P) + np.diag(P_0), inputs.sensor.typical_sigma)
     shift = (inputs.x - x_0) / sigma
     i = int(np.argmax(np.abs(shift)))
     moved = sum(np.abs(shift) > 3)

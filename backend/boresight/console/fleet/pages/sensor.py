@@ -49,7 +49,7 @@ from boresight.platform.web.paging import parse_row_id
 from boresight.site import SITE_FIELDS
 from boresight.telemetry.declarations import DECLARATIONS
 from boresight.telemetry.sensors import parse_sensor
-from boresight.verdicts.numbers import MISSING, NARROW_SPACE, fixed, is_number, urad
+from boresight.verdicts.numbers import MISSING, NARROW_SPACE, fixed, is_number, power, urad
 from boresight.verdicts.trend import Drift
 
 
@@ -164,7 +164,7 @@ def _trend(
         trend=document,
         models=[None, *dict.fromkeys(point.camera_model for point in document.others)],
         figure=figure,
-        rows=_rows(document.drift),
+        rows=_rows(document.drift, document.baselines[-1].parameters if document.baselines else {}),
         points=[*document.points, *document.others][::-1],
         open_alarms=alarms.list_alarms(session, alarms.AlarmFilter(sensor_id=sensor_id)),
         answer_level=LEVEL_OF_ANSWER[document.advice.answer],
@@ -172,7 +172,7 @@ def _trend(
     )
 
 
-def _rows(drift: Drift) -> Sequence[Mapping[str, Any]]:
+def _rows(drift: Drift, baseline: Mapping[str, float | None]) -> Sequence[Mapping[str, Any]]:
     """Return the drift of each tested parameter: the change with its sigma, and the slope with its own."""
     if drift.difference is None or drift.sigma is None:
         return []
@@ -182,6 +182,7 @@ def _rows(drift: Drift) -> Sequence[Mapping[str, Any]]:
             "name": name,
             "difference": drift.difference[name],
             "sigma": drift.sigma[name],
+            "power": power(name, baseline.get(name), drift.difference[name], drift.sigma[name]),
             "worth": drift.difference[name] / drift.sigma[name],
             "slope": slope.get(name),
             "slope_sigma": sigma.get(name),

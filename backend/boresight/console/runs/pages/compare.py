@@ -89,7 +89,9 @@ def _cell(found: Comparison, i: int, k: int) -> ComparedCell:
     name, result, base = found.names[i], found.compared[k].calibration, found.compared[found.reference].calibration
     value, sigma = result.parameters.get(name), result.reliable_sigma.get(name)
     shared = power(name, *(one.calibration.parameters.get(name) for one in found.compared))
-    printed = plus_minus(value, name, sigma, power=shared)
+    printed = plus_minus(value, name, sigma, power=shared).replace(
+        "± ", "±\N{NO-BREAK SPACE}"
+    )  # a line may break before it
     held = "held fixed" if value is not None and sigma is None else ""
     against = found.contrasts[k]
     if k == found.reference:
