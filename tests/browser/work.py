@@ -99,7 +99,7 @@ def submit(window: Window, reason: str) -> int:
 
 
 def sign(window: Window, button: str, password: str, comment: str = "") -> None:
-    window.page.get_by_role("textbox", name="Comment").fill(comment)
+    window.page.locator("#sign").get_by_label("Comment", exact=True).first.fill(comment)
     window.page.locator("#password").fill(password)
     window.page.locator("#sign").get_by_role("button", name=re.compile(f"^{button}")).first.click()
     window.page.get_by_role("dialog").get_by_role("button", name=re.compile(f"^{button}")).click()

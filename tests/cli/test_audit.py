@@ -155,7 +155,7 @@ def test_a_size_of_a_stored_file_that_was_edited_is_named(store, tmp_path):
     path = _store_a_file(tmp_path)
     _edit_by_hand(tmp_path, "UPDATE blobs SET size_bytes = size_bytes + 1", aside=True)
     found = store("audit", "verify")
-    assert (found.exit_code, f"{path.name[:12]} (of no row): another size" in found.stderr) == (1, True)
+    assert (found.exit_code, f"{path.name[:12]} (of no row): of a different size" in found.stderr) == (1, True)
 
 
 @pytest.mark.full

@@ -111,7 +111,7 @@ def test_the_same_command_gives_the_same_document_but_for_the_clock(wu, data_fol
     [
         ("enright", ("--sensors", "9"), "no sensor 9"),
         ("enright", ("--sensors", "a"), "write it like 3,4"),
-        ("wu", ("--sensors", "3"), "leave out --sensors"),
+        ("wu", ("--sensors", "3"), "omit --sensors"),
         ("wu", ("--frames", "12"), "more than 20"),
     ],
 )

@@ -70,7 +70,7 @@ def test_the_trend_says_what_counts_and_whether_the_baseline_holds(drifting, rea
     page = read(drifting.visitor("victor").get("/sensors/1/trend"))
     assert "DRIFT" in page
     assert "of the upload: the telemetry has no times" in page  # runs 1 and 2, of sets without times
-    assert page.count("Change ± 3 σ") == 1
+    assert page.count("Change ± σ of the difference") == 1
 
 
 def test_an_alarm_is_acknowledged_assigned_and_shelved_by_its_forms(drifting, read):
