@@ -174,7 +174,7 @@ def record(  # noqa: PLR0913 - a record has all of these, and a form gives them 
         if onboard_state == row.onboard_state:
             if package_id is not None:
                 raise RefusedInputError(
-                    f"{row.name} stays {row.onboard_state}: a record of C_SD names no package, leave package_id out."
+                    f"{row.name} stays {row.onboard_state}: a record of C_SD names no package. Leave out package_id."
                 )
             beside = EntryBasis(happened_on(happened), c_sd=c_sd, leaves_state=True)
             return add_entry(session, actor, row, onboard_state, source, beside)
