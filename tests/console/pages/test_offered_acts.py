@@ -5,9 +5,11 @@ from html.parser import HTMLParser
 
 import pytest
 
+from boresight.console.approvals import staleness
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.platform.db.sessions import open_reading, utc_after
 from tests.console.approvals.gates import TIGHT
+from tests.console.parameter_sets.test_pages import TURNED
 from tests.console.uplinks.pages import advance, define, table
 from tests.sites import PASSWORD, answer_points
 
@@ -143,10 +145,12 @@ def accepted(site, visitor, set_id, request_id):
 class Life:
     """A set and its newest request on their way, one step at a time."""
 
-    def __init__(self, site) -> None:
+    def __init__(self, site, run_id=1) -> None:
         self.site, self.request_id = site, None
         self.people = {name: site.visitor(name) for name in NAMES}
-        self.set_id = int(self.people["ada"].post("/runs/1/parameter-set").headers["location"].rpartition("/")[2])
+        self.set_id = int(
+            self.people["ada"].post(f"/runs/{run_id}/parameter-set").headers["location"].rpartition("/")[2]
+        )
         define(site)
 
     @property
@@ -253,3 +257,26 @@ def test_a_former_baseline_that_was_sent_is_offered_what_the_server_accepts(life
     former.holds("SUPERSEDED and VERIFIED", "olga", "both")
     former.record("UNKNOWN")
     former.holds("SUPERSEDED and UNKNOWN", "olga")
+
+
+def test_the_update_of_c_sd_is_offered_from_loading_on_whatever_was_told_of_it(site, results):
+    run = site.add_run("batch", state="SUCCEEDED", result={**results["batch"], "alignment": TURNED})
+    life = Life(site, run)
+    life.promoted()
+    life.holds("BASELINE that turns", "olga")
+    for state in ("SENT", "LOADED", "VERIFIED", "ACTIVE", "UNKNOWN"):
+        life.record(state)
+        life.holds(f"{state} that turns", "olga")
+        if state == "LOADED":
+            told = {"onboard_state": state, "source": "Pass 1", "c_sd": "LOADED", "c_sd_said": "TC 7"}
+            life.act("olga", "uplink/record", **told)
+            life.holds("LOADED with its C_SD", "olga")
+
+
+def test_an_approval_that_has_expired_offers_no_package(life, monkeypatch):
+    life.act("ada", "submit", reason=REASON)
+    life.sign("alan", "APPROVE")
+    life.holds("APPROVED", "olga", "ada")
+    monkeypatch.setattr(staleness, "utc_now", lambda: utc_after(366 * 86400.0))
+    life.holds("APPROVED and expired", "olga", "ada")
+    assert 'id="package-blocked"' in life.people["olga"].get(f"{life.place}/uplink")

@@ -16,6 +16,7 @@ from boresight.console.approvals.tables import Approval
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
 from boresight.console.runs.tables import Run, RunEvent
+from boresight.console.uplinks.tables import Uplink
 from boresight.console.webhooks.tables import Webhook, WebhookDelivery
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.audit.chain import append_own
@@ -25,10 +26,12 @@ from boresight.platform.audit.verification import WORDS
 from boresight.platform.blobs.tables import Blob as BlobRow
 from boresight.platform.db.declared import Base
 from boresight.platform.db.sessions import (
+    DowngradeLoss,
     Engine,
     current_revision,
     downgrade,
     head_revision,
+    list_downgrade_losses,
     migrate,
     open_engine,
     open_reading,
@@ -149,6 +152,25 @@ def test_a_webhook_knows_which_head_it_was_told_of_newest_after_the_way_up(store
     migrate(store)
     with open_reading(store) as session:
         assert session.get_one(Webhook, hook_id).told_head == "hash 2"
+
+
+def test_a_record_of_c_sd_alone_is_no_step_after_the_way_back_and_what_is_recorded_is_still_guarded(
+    store: Engine,
+) -> None:
+    _fill(store)
+    said = {"parameter_set_id": 1, "source": "pass 2", "recorded_utc": NOW, "recorded_by": 1, "c_sd": "LOADED"}
+    with open_writing(store) as session:
+        session.add(Uplink(onboard_state="LOADED", **said))
+        session.add(Uplink(onboard_state="ACTIVE", leaves_state=1, **said))
+        append_own(session, "recorded", "parameter-sets/1")
+    assert DowngradeLoss("uplinks", None, 1) in list_downgrade_losses(store, "0032")
+    downgrade(store, "0032")
+    with pytest.raises(sa.exc.DBAPIError, match="removed"):
+        _execute(store, "DELETE FROM uplinks")
+    migrate(store)
+    with open_reading(store) as session:
+        states = [row.onboard_state for row in session.scalars(sa.select(Uplink).order_by(Uplink.id))]
+    assert states == ["SENT", "LOADED"]
 
 
 def test_an_older_version_can_number_records_itself_again(store: Engine) -> None:

@@ -212,8 +212,9 @@ def list_baselines_over_time(
 
 
 def list_records(session: Session, sensor_ids: Collection[int]) -> dict[int, list[tuple[Uplink, ParameterSet]]]:
-    """Return what was recorded on board of each sensor's sets, oldest first."""
-    query = sa.select(ParameterSet.sensor_id, Uplink, ParameterSet).where(ParameterSet.sensor_id.in_(sensor_ids))
+    """Return the states that were recorded on board of each sensor's sets, oldest first."""
+    query = sa.select(ParameterSet.sensor_id, Uplink, ParameterSet)
+    query = query.where(ParameterSet.sensor_id.in_(sensor_ids), Uplink.leaves_state.is_(None))
     query = query.join(ParameterSet, Uplink.parameter_set_id == ParameterSet.id)
     return _trend_by_sensor(sensor_ids, session.execute(query.order_by(Uplink.id)), lambda row: (row[1], row[2]))
 
@@ -352,7 +353,8 @@ def find_in_force_at(session: Session, table: type[Versioned], sensor_id: int, t
 
 
 def list_records_after(session: Session, sensor_id: int, time_utc: str) -> Sequence[tuple[ParameterSet, Uplink]]:
-    """Return what was recorded on board after a time, oldest first."""
+    """Return the states that were recorded on board after a time, oldest first."""
     query = sa.select(ParameterSet, Uplink).join(Uplink, Uplink.parameter_set_id == ParameterSet.id)
     query = query.where(ParameterSet.sensor_id == sensor_id, Uplink.recorded_utc > time_utc)
+    query = query.where(Uplink.leaves_state.is_(None))
     return [(row, uplink) for row, uplink in session.execute(query.order_by(Uplink.id))]

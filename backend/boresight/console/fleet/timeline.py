@@ -161,7 +161,9 @@ def _uplink(reader: TimelineReader, row: Uplink) -> EventText:
         c_sd = f"Its update of C_SD was recorded as {row.c_sd}{f': {row.c_sd_said}' if row.c_sd_said else ''}."
         sentence = f"{sentence} {c_sd}" if row.is_step else f"{name}, {row.onboard_state} on board: {c_sd}"
     told = EventText("read-back" if row.method else "uplink", sentence, row.parameter_set_id, row.recorded_by)
-    return replace(told, state=row.onboard_state, said=row.source, sha256=evidence.shown_sha256)
+    return replace(
+        told, state=row.onboard_state if row.is_step else None, said=row.source, sha256=evidence.shown_sha256
+    )
 
 
 def describe_source(row: Uplink) -> str:

@@ -313,7 +313,7 @@ def _page(
         ],  # the line of the alignment says it
         warnings=[*panel.warnings, *warnings.values()],
         turning=TURNING,
-        c_sd=find_c_sd_record(session, set_id),
+        c_sd=find_c_sd_record(session, row),
         turn=warnings.get("attitude-turn"),
         needed=get_needed(request, session, actor),
         policy=policy,

@@ -302,11 +302,20 @@ def _sign(signer: Signer, content: bytes) -> dict[str, str]:
     return {"key": signer.public.id, "public_key": signer.public.text, "signature": signer.sign(content)}
 
 
+def _find_approval(session: Session, row: ParameterSet) -> Approval | None:
+    """Return the request that an approved set is exported by; a baseline needs none."""
+    return approval_rows.find_latest_approval(session, row.id, "APPROVED") if row.ground_state == "APPROVED" else None
+
+
+def explain_why_not_export(session: Session, row: ParameterSet) -> str | None:
+    """Say why an approved set would be refused: its request has expired, or it has changed since; None where it would not."""
+    approval = _find_approval(session, row)
+    return None if approval is None else staleness.explain_outdated(session, approval, row)
+
+
 def _refuse_unsigned(session: Session, actor: Actor, row: ParameterSet) -> None:
     """Refuse an approved set that has changed since it was signed; a baseline is not checked."""
-    approval = (
-        approval_rows.find_latest_approval(session, row.id, "APPROVED") if row.ground_state == "APPROVED" else None
-    )
+    approval = _find_approval(session, row)
     if approval is not None:
         staleness.refuse_expired(session, approval, row)
         staleness.refuse_changed_binding(session, actor, approval, row)

@@ -23,10 +23,10 @@ BOARD_WORDS = {
     "UNKNOWN": "caution",
     "NOT SENT": "off",
 }
-
-
 #: As `Uplink.is_step`.
-IS_STEP = sa.or_(Uplink.c_sd.is_(None), Uplink.onboard_state == "LOADED")
+IS_STEP = Uplink.leaves_state.is_(None)
+#: After these nothing is known any more of the C_SD that is on board with a set.
+FORGETS_C_SD = ("SENT", "MISMATCH", "UNKNOWN")
 
 
 def list_records_until(session: Session, sensor_id: int, time_utc: str) -> Sequence[tuple[ParameterSet, Uplink]]:
@@ -66,12 +66,26 @@ def find_newest_compared(session: Session, parameter_set_id: int, method: str, a
     return session.scalar(query.where(Uplink.id > after_id).order_by(Uplink.id.desc()).limit(1))
 
 
-def find_c_sd_record(session: Session, parameter_set_id: int) -> Uplink | None:
-    """Return the newest of a set's records, since it was last sent, that tells of its update of C_SD."""
-    sent = find_newest_record(session, parameter_set_id, "SENT")
-    query = sa.select(Uplink).where(Uplink.parameter_set_id == parameter_set_id, Uplink.c_sd.is_not(None))
-    query = query.where(Uplink.id > (0 if sent is None else sent.id))
+def find_c_sd_record(session: Session, row: ParameterSet) -> Uplink | None:
+    """Return the newest of a set's records that tells of its update of C_SD and still holds.
+
+    It holds until the set is sent again, is not known to be on board, or the update of another set is loaded.
+    """
+    of_set = Uplink.parameter_set_id == row.id
+    forgotten = sa.and_(of_set, IS_STEP, Uplink.onboard_state.in_(FORGETS_C_SD))
+    replaced = sa.and_(~of_set, Uplink.c_sd == "LOADED")
+    since = sa.select(sa.func.coalesce(sa.func.max(Uplink.id), 0)).join(ParameterSet)
+    since = since.where(ParameterSet.sensor_id == row.sensor_id, sa.or_(forgotten, replaced))
+    query = sa.select(Uplink).where(of_set, Uplink.c_sd.is_not(None), Uplink.id > since.scalar_subquery())
     return session.scalar(query.order_by(Uplink.id.desc()).limit(1))
+
+
+def find_later_c_sd(session: Session, row: ParameterSet) -> ParameterSet | None:
+    """Return the set whose update of C_SD was loaded last, where that set is newer than this one."""
+    query = sa.select(ParameterSet).join(Uplink, Uplink.parameter_set_id == ParameterSet.id)
+    query = query.where(ParameterSet.sensor_id == row.sensor_id, Uplink.c_sd == "LOADED")
+    last = session.scalar(query.order_by(Uplink.id.desc()).limit(1))
+    return last if last is not None and last.id > row.id else None
 
 
 def list_other_sets(session: Session, row: ParameterSet) -> Sequence[ParameterSet]:

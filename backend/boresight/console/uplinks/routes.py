@@ -51,6 +51,7 @@ from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.media import StoredFile, ZipFile
 from boresight.platform.web.openapi import refuses
 from boresight.platform.web.paging import Id, Listing, Page, Paged
+from boresight.platform.web.text_validation import LONGEST_TEXT
 
 router = operations("/uplinks", tags=["uplinks"])
 
@@ -61,7 +62,9 @@ class Record(Shape):
     parameter_set_id: Id
     onboard_state: str = Field(examples=["SENT"])
     source: str = Field(
-        description="The pass, the procedure or the read-back file.", examples=["Pass 4711, TC log line 88"]
+        max_length=LONGEST_TEXT,
+        description="The pass, the procedure or the read-back file.",
+        examples=["Pass 4711, TC log line 88"],
     )
     package_id: Id | None = Field(None, description="The uplink package that was sent, where one was built.")
     happened_utc: str | None = Field(None, description="When it happened, if earlier than now.")
@@ -70,8 +73,12 @@ class Record(Shape):
         description="Of a set whose loading turns the attitude: whether its update of C_SD was loaded. Given with LOADED, or "
         "later with the state that the set is in, which then stays; left out, it is not told.",
     )
-    c_sd_said: str = Field("", description="When and how the update was loaded, or why it is not needed.")
-    meaning: str | None = Field(None, description="For ACTIVE: what the signature means.")
+    c_sd_said: str = Field(
+        "",
+        max_length=LONGEST_TEXT,
+        description="When and how the update was loaded, or why it is not needed; with `c_sd`.",
+    )
+    meaning: str | None = Field(None, max_length=LONGEST_TEXT, description="For ACTIVE: what the signature means.")
     password: SecretStr | None = Field(None, description="For ACTIVE: your password again, because a person signs.")
     factor: SecretStr = factor_field()
 
@@ -84,6 +91,7 @@ class Record(Shape):
 def _entry(session: Session, actor: Actor, record: Record, proof: PasswordProof, seen: int | None) -> Uplink:
     """Record the entry: with a signature as `:activate` does, otherwise by statement."""
     set_id, happened = record.parameter_set_id, record.happened_utc
+    c_sd = uplinks.CsdAnswer.from_given(record.c_sd, record.c_sd_said)
     if not record.signed:
         return uplinks.record(
             session,
@@ -94,9 +102,9 @@ def _entry(session: Session, actor: Actor, record: Record, proof: PasswordProof,
             seen,
             package_id=record.package_id,
             happened=happened,
-            c_sd=None if record.c_sd is None else uplinks.CsdAnswer(record.c_sd, record.c_sd_said),
+            c_sd=c_sd,
         )
-    if record.onboard_state != "ACTIVE" or record.package_id is not None or record.c_sd is not None:
+    if record.onboard_state != "ACTIVE" or record.package_id is not None or c_sd is not None:
         raise RefusedInputError(
             "Only ACTIVE is signed, and its package and C_SD are recorded by themselves; leave out password and meaning, or those."
         )
@@ -145,7 +153,7 @@ onboard_router = operations("/parameter-sets", tags=["uplinks"])
 MOST_FIELDS = 10
 FORM = multipart(
     ("source",),
-    source={"type": "string", "description": "The pass, the procedure or the packet."},
+    source={"type": "string", "maxLength": LONGEST_TEXT, "description": "The pass, the procedure or the packet."},
     file=file_field("The dump of the table."),
     crc={"type": "string", "description": "Or the CRC that was reported, in hexadecimal."},
     happened_utc={"type": "string", "description": "When it was read, if earlier than now."},
@@ -224,8 +232,14 @@ def read_back(
 class Activation(Shape):
     """The signed entry that a set is what the sensor runs with."""
 
-    source: str = Field(description="Source of the statement.", examples=["TM page STR-2, pass 4711"])
-    meaning: str = Field(description="What the signature means.", examples=["I saw this table active in telemetry."])
+    source: str = Field(
+        max_length=LONGEST_TEXT, description="Source of the statement.", examples=["TM page STR-2, pass 4711"]
+    )
+    meaning: str = Field(
+        max_length=LONGEST_TEXT,
+        description="What the signature means.",
+        examples=["I saw this table active in telemetry."],
+    )
     password: SecretStr = password_field("Your password again: the person signs, not the log-in.")
     factor: SecretStr = factor_field()
     happened_utc: str | None = Field(None, description="When it became active, if earlier than now.")

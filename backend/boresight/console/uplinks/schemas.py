@@ -27,10 +27,12 @@ class Uplink(Row):
     printed_name: str | None = Field(description="The person who signed that the set is active.")
     meaning: str | None = Field(description="What the signature means.")
     c_sd: Literal["LOADED", "NOT YET", "NOT NEEDED"] | None = Field(
-        description="Whether the update of C_SD was loaded that keeps the attitude with the set; null where it was not told. "
-        "In a record of another state than LOADED it is what the record is about: the state stays."
+        description="Whether the update of C_SD was loaded that keeps the attitude with the set; null where it was not told."
     )
     c_sd_said: str | None = Field(description="When and how the update was loaded, or why not.")
+    is_step: bool = Field(
+        description="Whether it records a state; false where it only tells of C_SD and the state stays."
+    )
 
 
 class HandOver(BaseModel):

@@ -33,7 +33,7 @@ from boresight.platform.audit import log as audit
 from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import Session, utc_now
 from boresight.platform.db.times import read_time
-from boresight.platform.web.text_validation import refuse_control_characters
+from boresight.platform.web.text_validation import refuse_control_characters, refuse_long
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,15 @@ class CsdAnswer:
 
     answer: str
     said: str = ""
+
+    @classmethod
+    def from_given(cls, answer: str | None, said: str) -> CsdAnswer | None:
+        """Make it of what was given; None where nothing was."""
+        if not answer and said.strip():
+            raise RefusedInputError(
+                "Say with c_sd_said also in c_sd whether the update of C_SD was loaded, or leave both out."
+            )
+        return cls(answer, said) if answer else None
 
 
 @dataclass(frozen=True)
@@ -53,6 +62,7 @@ class EntryBasis:
     printed_name: str | None = None
     meaning: str | None = None
     c_sd: CsdAnswer | None = None
+    leaves_state: bool = False
 
 
 STATEMENT = EntryBasis()
@@ -71,6 +81,7 @@ def get_set_for_entry(
     """Return the set of an operator's entry, after checking role and version."""
     require_entrant(actor)
     refuse_control_characters(source=source)
+    refuse_long(source=source)
     row = session.get_known(ParameterSet, parameter_set_id)
     if seen_version is not None:
         require_seen(session, row, seen_version)
@@ -115,6 +126,7 @@ def add_entry(
         meaning=basis.meaning,
         c_sd=basis.c_sd and basis.c_sd.answer,
         c_sd_said=(basis.c_sd and basis.c_sd.said.strip()) or None,
+        leaves_state=1 if basis.leaves_state else None,
     )
     before = {"onboard_state": row.onboard_state, "version": row.version}
     row.onboard_state = onboard_state
@@ -158,9 +170,14 @@ def record(  # noqa: PLR0913 - a record has all of these, and a form gives them 
     """Record the next on-board state of a set by statement, with where it is known from; or, beside its state, its C_SD."""
     row = get_set_for_entry(session, actor, parameter_set_id, source, seen_version)
     if c_sd is not None:
-        _check_c_sd(row, onboard_state, c_sd)
+        _check_c_sd(session, row, onboard_state, c_sd)
         if onboard_state == row.onboard_state:
-            return add_entry(session, actor, row, onboard_state, source, EntryBasis(happened_on(happened), c_sd=c_sd))
+            if package_id is not None:
+                raise RefusedInputError(
+                    f"{row.name} stays {row.onboard_state}: a record of C_SD names no package. Leave out package_id."
+                )
+            beside = EntryBasis(happened_on(happened), c_sd=c_sd, leaves_state=True)
+            return add_entry(session, actor, row, onboard_state, source, beside)
     _refuse_statement(actor, row, onboard_state)
     _refuse_step(row, onboard_state)
     if onboard_state == "LOADED":
@@ -169,23 +186,31 @@ def record(  # noqa: PLR0913 - a record has all of these, and a form gives them 
     return add_entry(session, actor, row, onboard_state, source, EntryBasis(details, c_sd=c_sd))
 
 
-def turns_attitude(row: ParameterSet) -> bool:
-    """Whether loading a set turns the reported attitude by more than chance, so that an update of C_SD belongs to it."""
-    return bool(warn_of_turn(parse_parameter_set(row.document)))
+def explain_c_sd(session: Session, row: ParameterSet) -> str | None:
+    """Say why an update of C_SD belongs to loading a set: it turns the attitude, or is older than the C_SD on board; else None."""
+    turn = warn_of_turn(parse_parameter_set(row.document)).get("attitude-turn")
+    later = None if turn else rows.find_later_c_sd(session, row)
+    if later is None:
+        return turn
+    return (
+        f"The update of C_SD of {later.name} was loaded: going back to {row.name} turns the reported attitude unless the C_SD of "
+        "before is loaded with it."
+    )
 
 
 def is_c_sd_open(session: Session, row: ParameterSet) -> bool:
     """Whether a set's update of C_SD is needed, as far as is known, and not recorded as loaded."""
-    record = rows.find_c_sd_record(session, row.id)
-    return turns_attitude(row) and (record is None or record.c_sd == "NOT YET")
+    record = rows.find_c_sd_record(session, row)
+    return explain_c_sd(session, row) is not None and (record is None or record.c_sd == "NOT YET")
 
 
-def _check_c_sd(row: ParameterSet, onboard_state: str, told: CsdAnswer) -> None:
+def _check_c_sd(session: Session, row: ParameterSet, onboard_state: str, told: CsdAnswer) -> None:
     """Refuse what cannot be said of a set's update of C_SD."""
     refuse_control_characters(c_sd_said=told.said)
+    refuse_long(c_sd_said=told.said)
     if told.answer not in C_SD_ANSWERS:
         raise RefusedInputError(f"There is no answer {told.answer!r} of C_SD; choose from {', '.join(C_SD_ANSWERS)}.")
-    if parse_parameter_set(row.document).alignment is None:
+    if parse_parameter_set(row.document).alignment is None and explain_c_sd(session, row) is None:
         raise RefusedInputError(f"{row.name} has no update of C_SD: leave c_sd out.")
     if told.answer != "NOT YET" and not told.said.strip():
         needed = "when and how the update of C_SD was loaded" if told.answer == "LOADED" else "why no update is needed"
@@ -214,6 +239,7 @@ def activate(
     _refuse_step(row, "ACTIVE")
     _refuse_unread(session, row)
     refuse_control_characters(meaning=meaning)
+    refuse_long(meaning=meaning)
     if not meaning.strip():
         raise RefusedInputError("Say what your signature means, for example: I saw this table active in telemetry.")
     details = happened_on(happened) | {"shown_sha256": compute_shown_sha256(session, row)}

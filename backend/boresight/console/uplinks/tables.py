@@ -48,7 +48,7 @@ class Uplink(Base):
     """A record of an on-board state; never edited.
 
     `c_sd`: whether the update of C_SD was loaded that keeps the attitude with the set; null where it was not told. `c_sd_said`:
-    when and how, or why not.
+    when and how, or why not. `leaves_state`: 1 where it only tells of C_SD and the set stays in its state; null for a step.
     """
 
     __tablename__ = "uplinks"
@@ -66,11 +66,12 @@ class Uplink(Base):
     meaning: Mapped[str | None] = mapped_column(sa.Text)
     c_sd: Mapped[str | None] = mapped_column(sa.Text)
     c_sd_said: Mapped[str | None] = mapped_column(sa.Text)
+    leaves_state: Mapped[int | None]
 
     @property
     def is_step(self) -> bool:
         """Whether it records a state; else it records the update of C_SD beside the state that the set was in."""
-        return self.c_sd is None or self.onboard_state == "LOADED"
+        return self.leaves_state is None
 
     @property
     def typed_evidence(self) -> UplinkEvidence:

@@ -8,6 +8,7 @@ from boresight.errors import RefusedInputError
 
 LAYOUT = "\t\n\r"
 LONGEST_NAME = 255  # characters, the usual limit of file systems
+LONGEST_TEXT = 2000  # characters of what a person writes with a record that stays
 _HIDDEN_CATEGORIES = {
     "Cc",
     "Cf",
@@ -31,6 +32,16 @@ def refuse_control_characters(**texts: str) -> None:
                     f"The {named} contains the control character U+{ord(letter):04X} at position {place}; remove it.",
                     code="control-character",
                 )
+
+
+def refuse_long(**texts: str) -> None:
+    """Refuse texts that are too long for the lists and pages that show them."""
+    for name, text in texts.items():
+        if len(text) > LONGEST_TEXT:
+            raise RefusedInputError(
+                f"The {name.replace('_', ' ')} has {len(text)} characters; shorten it to {LONGEST_TEXT} at most.",
+                code="text-too-long",
+            )
 
 
 def normal_name(what: str, text: str, longest: int = LONGEST_NAME) -> str:

@@ -213,7 +213,9 @@ def _page(
         why_no_reference=why,
         next_states=uplinks.list_next_statements(session, row),
         sendable={one.id for one in uplinks.list_sendable_packages(session, row, built)},
-        c_sd=find_c_sd_record(session, row.id),
+        c_sd=find_c_sd_record(session, row),
+        why_c_sd=uplinks.explain_c_sd(session, row),
+        may_record_c_sd=row.onboard_state in uplinks.WITH_C_SD,
         c_sd_open=uplinks.is_c_sd_open(session, row) and row.onboard_state in uplinks.WITH_C_SD,
         crc_held=uplinks.has_shown_mismatch(session, row),
         why_not_active=uplinks.explain_why_not_activate(session, actor, row),
@@ -221,6 +223,7 @@ def _page(
         stores=[link for link in _links(request).values() if link.store and row.ground_state == "BASELINE"],
         handed_over=hand_overs.list_hand_overs(session, [one.id for one in built]),
         may_export=row.ground_state in packages.EXPORTED,
+        why_not_export=packages.explain_why_not_export(session, row),
         readable=row.onboard_state in read_backs.READABLE,
         blocked=None if "operator" in actor.roles else NO_ROLE,
         names=names,
@@ -344,11 +347,15 @@ async def record(request: Request, actor: Who, blobs: Blobs, set_id: int) -> Res
         state, source = typed.get("onboard_state", ""), typed.get("source", "")
         package_id = parse_row_id(package)
         happened = typed.get("happened_utc")
-        c_sd = uplinks.CsdAnswer(typed["c_sd"], typed.get("c_sd_said", "")) if typed.get("c_sd") else None
-        if state == "LOADED" and c_sd is None and uplinks.turns_attitude(session.get_known(ParameterSet, set_id)):
+        if (
+            state == "LOADED"
+            and not typed.get("c_sd")
+            and uplinks.explain_c_sd(session, session.get_known(ParameterSet, set_id))
+        ):
             raise RefusedInputError(
                 "Say whether the update of C_SD was loaded with the set: choose one of the answers."
             )
+        c_sd = uplinks.CsdAnswer.from_given(typed.get("c_sd"), typed.get("c_sd_said", ""))
         seen = seen_version(typed)
         return uplinks.record(
             session, actor, set_id, state, source, seen, package_id=package_id, happened=happened, c_sd=c_sd
