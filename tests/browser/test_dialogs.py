@@ -51,7 +51,7 @@ def holds(window, name, *, named=(OLD, NEW)):
         window.keep(f"dialog-{name}-{size['width']}", whole=False)
         for words in named:
             expect(dialog).to_contain_text(words)
-        expect(dialog).to_contain_text("cannot be undone")
+        expect(dialog).to_contain_text("cannot be undone", ignore_case=True)
         page.keyboard.press("Escape")
         expect(dialog).to_be_hidden()
         expect(opener).to_be_focused()

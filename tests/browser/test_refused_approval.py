@@ -66,7 +66,7 @@ def test_an_approval_with_open_points_is_held_in_its_dialog_which_leads_to_the_f
         asked = window.page.get_by_role("dialog")
         expect(asked.get_by_role("button", name="Approve")).to_be_disabled()
         asked.get_by_role("link", name="To the first open point").click()
-        expect(window.page.locator("#sign .point input[type=checkbox]").first).to_be_focused()
+        expect(window.page.locator("#sign .point .reason").first).to_be_focused()
         answer_points(window)
         window.page.locator("#sign").get_by_role("button", name="Approve").first.click()
         expect(asked.get_by_role("button", name="Approve")).to_be_enabled()
