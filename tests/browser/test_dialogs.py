@@ -138,7 +138,7 @@ def test_the_dialogs_on_the_way_to_the_spacecraft(people, baseline):
         page = window.page
         window.open(f"/parameter-sets/{baseline}/uplink")
         page.locator("#stations").get_by_role("button", name="Export").click()
-        holds(window, "record-sent", named=(NAME, OLD, NEW, "nothing"))
+        holds(window, "record-sent", named=(NAME, OLD, NEW, "not send anything"))
         page.locator("[data-act][popovertarget=record-sent]").click()
         confirm(window, "Record SENT: package", Source="Pass 1")
         for name in ("record-loaded", "record-mismatch", "record-unknown"):

@@ -133,7 +133,7 @@ def test_a_drift_alarm_is_seen_handled_understood_and_over(people, store, drifti
         row = window.page.get_by_role("table", name="Sensors").get_by_role("row", name=re.compile("ST16-5"))
         expect(row).to_contain_text("Drift detected: alarm")
         window.shoot("80-overview-drift", wide=True)
-        window.page.locator("#live-mine").get_by_role("link", name=re.compile("ST16-5 drifts")).click()
+        window.page.locator("#live-mine li").filter(has_text="ST16-5 drifts").get_by_role("link").click()
         window.page.wait_for_url(re.compile(r"/alarms/\d+$"))
         address = re.sub(".*(/alarms/.*)", r"\1", window.page.url)
         window.holds_in_themes_and_widths("alarm")
