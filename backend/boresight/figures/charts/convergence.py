@@ -347,9 +347,7 @@ def draw_small(traces: Sequence[Trace]) -> go.Figure:
     words = {"xref": "paper", "yref": "paper", "showarrow": False, "font": {"size": 10}}
     title = f"{axis_title(history.axis, traces)}; band ±3σ"
     figure.add_annotation(text=title, x=1, y=0, xanchor="right", yanchor="top", yshift=-16, **words)
-    figure.add_annotation(
-        text="from final value (σ)", x=0, y=0.5, xanchor="right", xshift=-26, textangle=-90, **words
-    )
+    figure.add_annotation(text="from final value (σ)", x=0, y=0.5, xanchor="right", xshift=-26, textangle=-90, **words)
     follow_parameters(figure, [panel for panel in panels if panel], traces)
     return share_cursor(figure, counted(history.axis, traces))
 
