@@ -74,7 +74,7 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
         yield site
 
 
-def read_answer(connection: socket.socket, wait_s: float = 5.0) -> tuple[int, dict[str, str], bytes]:
+def read_answer(connection: socket.socket, wait_s: float = 30.0) -> tuple[int, dict[str, str], bytes]:
     connection.settimeout(wait_s)
     received = b""
     while piece := connection.recv(65536):
