@@ -20,6 +20,12 @@ function listOpen() {
   });
 }
 
+/** The reason that is typed next, which ticks its point. */
+function findOpenReason() {
+  const first = listOpen()[0];
+  return first ? find(".reason", HTMLInputElement, first.parentElement ?? document) : null;
+}
+
 function showCount() {
   const left = find("[data-left]", HTMLElement);
   const count = listOpen().length;
@@ -136,8 +142,7 @@ document.addEventListener("click", (event) => {
   if (!toPoint) return;
   event.preventDefault();
   toPoint.closest("dialog")?.close();
-  const first = listOpen()[0];
-  (first && find(".reason", HTMLInputElement, first.parentElement ?? document))?.focus(); // typing it ticks the point
+  findOpenReason()?.focus();
 });
 for (const own of ["wheel", "touchmove", "keydown"]) addEventListener(own, () => { isLed = false; }, { passive: true }); // who moves by themselves is not led
 
@@ -159,5 +164,5 @@ fitPanel();
 showCount();
 if (["#review", "#sign"].includes(location.hash) && panel) { // who comes to sign has the figures before them, and the first reason to type
   openViews();
-  find("input.reason", HTMLInputElement, listOpen()[0]?.parentElement ?? document)?.focus({ preventScroll: true });
+  findOpenReason()?.focus({ preventScroll: true });
 }

@@ -49,6 +49,7 @@ async function showChosen(dialog, input) {
   place.textContent = `File ${file.name}, ${file.size} bytes`;
   if (!globalThis.crypto?.subtle) return; // not a secure context
   const digest = new Uint8Array(await crypto.subtle.digest("SHA-256", await file.arrayBuffer()));
+  if (input.files?.[0] !== file) return; // another one was chosen meanwhile
   place.textContent += `, SHA-256 ${Array.from(digest, (one) => one.toString(16).padStart(2, "0")).join("").slice(0, 16)}`;
 }
 

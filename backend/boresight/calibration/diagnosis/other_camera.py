@@ -208,10 +208,8 @@ def _fit(camera: KnownCamera, stars: _Stars) -> CameraFit:
     off = ~_near_detector(stars, sensor)
     on = np.flatnonzero(~off)
     shares = [_filled(stars.row_px[on], sensor.rows), _filled(stars.col_px[on], sensor.columns)]
-    filled, likely = (
-        shares[0] * shares[1],
-        sum(_log_chance(share, _count_places(stars, on)) for share in shares) > TOO_LIKELY,
-    )
+    filled, places = shares[0] * shares[1], _count_places(stars, on)
+    likely = sum(_log_chance(share, places) for share in shares) > TOO_LIKELY
     told = [_compare(sensor, x, stars) for x in (sensor.initial, camera.measured) if x is not None]
     scale, scatter, error = min(told, key=lambda one: one[2])
     measured = np.nan if camera.measured is None else told[-1][2]
