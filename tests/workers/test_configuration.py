@@ -1,12 +1,16 @@
 """What the cluster does beside tasks: little, and nothing for pages that are not there; and who may speak to it."""
 
+import gc
 import os
+import sys
+import threading
 import time
 
 import dask
 import pytest
 from cryptography import x509
 from distributed import Client, get_worker
+from distributed.gc import disable_gc_diagnosis, enable_gc_diagnosis
 
 from boresight.workers.cluster import Cluster, Nanny
 
@@ -85,3 +89,32 @@ def test_the_certificate_of_the_workers_outlasts_every_server_and_each_server_ha
             Client(cluster._local.scheduler.address, security=other._local.security, timeout=2, set_as_default=False)
     finally:
         other.close(())
+
+
+class SlowGarbage:
+    """An object that is found by a collection only, and takes its time to go."""
+
+    def __init__(self, found, may_go):
+        self.itself, self.found, self.may_go = self, found, may_go
+
+    def __del__(self):
+        self.found.set()
+        self.may_go.wait()
+
+
+def test_a_scheduler_that_starts_during_a_collection_of_another_thread_raises_nothing_there(monkeypatch):
+    raised, found, may_go = [], threading.Event(), threading.Event()
+    monkeypatch.setattr(sys, "unraisablehook", raised.append)
+
+    def start_scheduler():  # as far as diagnosis goes
+        found.wait()
+        enable_gc_diagnosis()
+        may_go.set()
+
+    other = threading.Thread(target=start_scheduler)
+    other.start()
+    SlowGarbage(found, may_go)
+    gc.collect()
+    other.join()
+    disable_gc_diagnosis()
+    assert not raised

@@ -15,6 +15,7 @@ from typing import Any
 import dask
 import distributed
 from distributed import Client, Event, KilledWorker, SpecCluster
+from distributed.gc import enable_gc_diagnosis
 from distributed.system import MEMORY_LIMIT
 
 import boresight
@@ -44,6 +45,8 @@ CONFIGURATION = {
     "distributed.worker.memory.monitor-interval": "500ms",  # of 100 ms, by each worker and by its nanny
     "distributed.worker.profile.enabled": False,  # looks at the computing thread a hundred times a second
 }
+# A scheduler enables it as it starts; in the middle of a collection by another thread, its callback fails. From here on it stays.
+enable_gc_diagnosis()
 
 
 END_S = 2.0  # a stuck thread, as in a DNS query, is abandoned
