@@ -23,7 +23,7 @@ PRODUCT = passwords._HASHER
 
 def use_hasher(patch: pytest.MonkeyPatch, hasher: PasswordHasher = CHEAP) -> None:
     patch.setattr(passwords, "_HASHER", hasher)
-    patch.setattr(passwords, "_UNKNOWN", hasher.hash("nobody has this password"))
+    patch.setattr(passwords, "_UNKNOWN", passwords.write_dummy_hash(hasher))
 
 
 @cache

@@ -96,13 +96,14 @@ def make_dummy(new: NewDummy, actor: Who, session: Writing) -> dict[str, object]
     return {"id": new.id, "made_by": actor.name}
 """,
     f"{PACKAGE}/console/dummies/pages.py": """
-from fastapi import APIRouter, Request
+from fastapi import Request
 from fastapi.responses import HTMLResponse
 from boresight.console.access.dependencies import Who
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import render
 from boresight.errors import NotFoundError
 
-router = APIRouter()
+router = PageRouter()
 
 @router.get("/dummies/{dummy_id}", response_class=HTMLResponse)
 def dummy_page(request: Request, actor: Who, dummy_id: int) -> HTMLResponse:

@@ -62,6 +62,7 @@ from boresight.platform.web import static_files
 from boresight.platform.web.concurrency_limit import ConcurrencyLimit, ConcurrencyLimits
 from boresight.platform.web.connections import Connections, open_file_limit
 from boresight.platform.web.figure_cache import FigureCache
+from boresight.platform.web.lazy_route import LazyRoute
 from boresight.platform.web.metrics import CachedCheck, Metrics
 from boresight.platform.web.middleware import (
     AcceptEncodingMiddleware,
@@ -89,11 +90,11 @@ log = logging.getLogger(__name__)
 
 ENDS_WITHIN_S = 10  # requests under way when the listener is closed
 DRAIN_TURN_S = 0.1
-#: Every route. What each wants of a request is worked out when it is first sought: once a process, however many
+#: Every route. What each wants of a request is worked out when it is first needed: once a process, however many
 #: servers it makes; so a server's `dependency_overrides` change nothing.
 ROUTES = APIRouter(generate_unique_id_function=lambda route: route.name)
 api_routes.include_routes(ROUTES)
-ROUTES.include_router(static_files.router)
+ROUTES.routes.extend(static_files.router.routes)
 pages.include_pages(ROUTES)
 SWITCH_S = (
     0.001  # after so long a thread that computes lets another go on; the event loop waits for that with each answer
@@ -316,11 +317,11 @@ def _encrypt_secrets(app: FastAPI) -> None:
 
 
 def _warm(app: FastAPI) -> None:
-    """Work out what each route wants before the first page asks, half a second, and load the catalogue before the first upload."""
-    nowhere = {"type": "http", "method": "GET", "path": "/-", "root_path": ""}
+    """Build the routes before somebody asks for them, and load the catalogue before the first upload."""
+    for route in app.routes:
+        if isinstance(route, LazyRoute):
+            route.prepare()
     try:
-        for route in app.routes:
-            route.matches(dict(nowhere))
         app.state.catalogue()
     except Exception:
         log.exception("The star catalogue could not be loaded; the first upload will try again")

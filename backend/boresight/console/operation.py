@@ -23,7 +23,6 @@ from typing import Annotated, Any
 import orjson
 from fastapi import APIRouter, Depends, Header, Security
 from fastapi.datastructures import DefaultPlaceholder
-from fastapi.routing import APIRoute
 from fastapi.security import APIKeyCookie, HTTPBearer
 from pydantic import TypeAdapter
 from starlette.concurrency import run_in_threadpool
@@ -38,6 +37,7 @@ from boresight.platform.actors import Actor
 from boresight.platform.audit.queries import find_response, forget_responses
 from boresight.platform.audit.tables import IdempotentResponse
 from boresight.platform.db.sessions import Engine, Session, open_reading, utc_after, utc_now
+from boresight.platform.web.lazy_route import LazyRoute
 from boresight.platform.web.openapi import dependency_refusals, refusals
 
 PREFIX = "/api/v1"
@@ -184,40 +184,19 @@ def _read(content: bytes) -> tuple[bytes, bool]:
     )
 
 
-class Operation(APIRoute):
+class Operation(LazyRoute):
     """A route of the API."""
 
-    def __init__(
-        self,
-        path: str,
-        endpoint: Callable[..., Any],
-        *,
-        name: str | None = None,
-        methods: set[str] | list[str] | None = None,
-        status_code: int | None = None,
-        response_model: Any = None,
-        responses: dict[int | str, dict[str, Any]] | None = None,
-        **options: Any,
-    ) -> None:
-        name = name or endpoint.__name__
-        if isinstance(response_model, DefaultPlaceholder):
-            response_model = None
-        posts, signature = "POST" in (methods or ()), inspect.signature(endpoint, eval_str=True)
+    def _build(self, options: dict[str, Any]) -> None:
+        shape = options.get("response_model")
+        if isinstance(shape, DefaultPlaceholder):
+            shape = None
+        posts, signature = "POST" in (self.methods or ()), inspect.signature(self.endpoint, eval_str=True)
         writes = next((one.name for one in signature.parameters.values() if one.annotation == Writing), None)
-        if response_model is not None or (posts and writes):
-            status = status_code or HTTPStatus.OK
-            endpoint = _answered(endpoint, signature, _Writer(response_model, status), writes if posts else None)
-        options["operation_id"] = name
-        super().__init__(
-            path,
-            endpoint,
-            name=name,
-            methods=methods,
-            status_code=status_code,
-            response_model=response_model,
-            responses=responses,
-            **options,
-        )
+        if shape is not None or (posts and writes):
+            writer = _Writer(shape, options.get("status_code") or HTTPStatus.OK)
+            self.endpoint = _answered(self.endpoint, signature, writer, writes if posts else None)
+        super()._build({**options, "response_model": shape, "operation_id": self.name})
         self.responses = {**dependency_refusals(self.dependant), **self.responses}
 
 

@@ -6,6 +6,7 @@ from typing import Any
 from unittest.mock import Mock
 
 import pytest
+from argon2.exceptions import VerifyMismatchError
 from zxcvbn.matching import RANKED_DICTIONARIES
 
 from boresight.console import list_queries as lists
@@ -19,7 +20,7 @@ from boresight.platform.actors import Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import Engine, open_reading, open_writing
 from tests.console.conftest import PASSWORD
-from tests.passwords import add_person, approve, new_password, proved
+from tests.passwords import PRODUCT, add_person, approve, new_password, proved
 from tests.refusals import has_code
 
 GIVEN, OWN = "given by the administrator", "known to nobody else"
@@ -381,3 +382,11 @@ def test_the_counts_do_not_grow_without_bound(limiter, monkeypatch):
 )
 def test_an_address_of_ipv6_stands_for_its_network(address, place):
     assert name_network(address) == place
+
+
+def test_the_dummy_hash_has_the_costs_of_a_stored_one_and_no_password_fits():
+    dummy = passwords.write_dummy_hash(PRODUCT)
+    assert not PRODUCT.check_needs_rehash(dummy)
+    assert len(dummy) == len(PRODUCT.hash(PASSWORD))
+    with pytest.raises(VerifyMismatchError):
+        PRODUCT.verify(dummy, "")

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import Depends, Request
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access import api_keys, users
@@ -21,6 +21,7 @@ from boresight.console.access.tables import ROLES, ApiKey, User
 from boresight.console.backups import service as backups
 from boresight.console.jobs.dependencies import ServerMaintenance
 from boresight.console.pages.formats import LEVEL_OF_STATE
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import render
 from boresight.console.runs import service as runs
 from boresight.errors import NotFoundError, RefusedInputError
@@ -35,7 +36,7 @@ from boresight.verdicts.verdict import LEVELS, make_verdict_marks
 SOON_S = 14 * 86400.0
 ALONE = ("approver", "administrator")  # roles that one person alone should not be the only one to have
 
-router = APIRouter()
+router = PageRouter()
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,7 @@ STATES = {
     "nothing": ("Nothing yet", ("nothing",)),
 }
 
-gallery_router = APIRouter(dependencies=[Depends(get_actor)])
+gallery_router = PageRouter(dependencies=[Depends(get_actor)])
 
 
 def _find_traces(name: str, of: str) -> tuple[str, ...]:

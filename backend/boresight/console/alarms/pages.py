@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import Depends, Request
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access import users
@@ -18,6 +18,7 @@ from boresight.console.alarms.tables import ALARM_KINDS, Alarm, AlarmEvent
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import RowWithFields
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import (
     RefusalContext,
     make_change,
@@ -43,7 +44,7 @@ from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session, utc_after
 from boresight.platform.web.paging import parse_row_id
 
-router = APIRouter(dependencies=[Depends(csrf)])
+router = PageRouter(dependencies=[Depends(csrf)])
 
 ALARMS = Table(
     "alarms",

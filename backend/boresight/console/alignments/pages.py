@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from fastapi import APIRouter, Depends, Request
+from fastapi import Depends, Request
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.calibration.alignment.align import AlignmentOptions
@@ -30,6 +30,7 @@ from boresight.console.alignments.tables import (
 from boresight.console.approvals.service import Decision
 from boresight.console.fleet import queries as sensor_rows
 from boresight.console.fleet import service as sensors
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import (
     RefusalContext,
     attempt,
@@ -64,7 +65,7 @@ from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.gates.judgement import gate_rows
 from boresight.verdicts.numbers import fixed, number
 
-router = APIRouter(dependencies=[Depends(csrf)])
+router = PageRouter(dependencies=[Depends(csrf)])
 
 ALIGNMENTS = Table(
     "alignments",

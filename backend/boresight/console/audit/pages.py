@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from fastapi import APIRouter, Request
+from fastapi import Request
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access.dependencies import KNOWN, Blobs, Reading, Who
@@ -21,6 +21,7 @@ from boresight.console.audit.queries import name_subjects
 from boresight.console.audit.service import anchor_now
 from boresight.console.jobs.dependencies import ServerAnchoring, ServerMaintenance
 from boresight.console.operation import RowWithFields
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import make_change, render
 from boresight.console.pages.tables import (
     Table,
@@ -228,7 +229,7 @@ PAGE_OF_NOUN = {
     "ingest-decisions": "ingest",
 }
 
-router = APIRouter()
+router = PageRouter()
 
 
 @dataclass(frozen=True)

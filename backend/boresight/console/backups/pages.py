@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Request
+from fastapi import Request
 from fastapi.responses import HTMLResponse
 
 from boresight.console.access.dependencies import Blobs, Reading, ServerSettings, Who
 from boresight.console.backups import service
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import render
 from boresight.errors import BoresightError
 from boresight.platform.web.paging import parse_row_id
 from boresight.settings import Settings
 
-router = APIRouter()
+router = PageRouter()
 
 ROWS_A_PAGE = 50
 

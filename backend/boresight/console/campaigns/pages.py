@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any
 from urllib.parse import urlencode
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import Depends, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import FormData, QueryParams
@@ -25,6 +25,7 @@ from boresight.console.campaigns import service as campaigns
 from boresight.console.campaigns.service import FAILED, MOST_SENSORS, CampaignView, MemberRequest, make_result_line
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.service import SensorChoices
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import (
     AttemptResult,
     ask,
@@ -44,7 +45,7 @@ from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
 from boresight.verdicts.verdict import LEVELS
 
-router = APIRouter(dependencies=[Depends(csrf)])
+router = PageRouter(dependencies=[Depends(csrf)])
 
 CAMPAIGNS = Table(
     "campaigns",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import Depends, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
@@ -13,13 +13,14 @@ from boresight.console.access.dependencies import Reading, Who, csrf, get_server
 from boresight.console.change_proposals import service as proposals
 from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import RefusalContext, attempt, read_texts, redirect, render, seen_version
 from boresight.console.pages.tables import Table, TableColumn, accept_one, read_page, read_view
 from boresight.console.runs.pages.list import read_names
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import open_reading
 
-router = APIRouter(dependencies=[Depends(csrf)])
+router = PageRouter(dependencies=[Depends(csrf)])
 
 PROPOSALS = Table(
     "change-proposals",

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from itertools import groupby
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import Depends, Request
 from fastapi.responses import HTMLResponse
 
 from boresight.calibration.options import OPTIONS, format_value
 from boresight.console.access.dependencies import same_for_roles
 from boresight.console.help.glossary import list_terms
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import render
 from boresight.settings import SETTINGS
 
-router = APIRouter(dependencies=[Depends(same_for_roles)])
+router = PageRouter(dependencies=[Depends(same_for_roles)])
 
 
 @router.get("/help/glossary", response_class=HTMLResponse)

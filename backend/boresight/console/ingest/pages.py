@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any, Protocol
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import Depends, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
@@ -32,6 +32,7 @@ from boresight.console.list_queries import list_newest
 from boresight.console.mission_control import queries as link_rows
 from boresight.console.mission_control.tables import FAILURES_TOLD
 from boresight.console.operation import RowWithFields
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import (
     RefusalContext,
     make_change,
@@ -63,7 +64,7 @@ from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.paging import parse_row_id
 
-router = APIRouter(dependencies=[Depends(csrf)])
+router = PageRouter(dependencies=[Depends(csrf)])
 
 DECISIONS = Table(
     "ingest-decisions",

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Form, Request
+from fastapi import Depends, Form, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
@@ -18,6 +18,7 @@ from boresight.console.messages import queries
 from boresight.console.messages import service as messages
 from boresight.console.messages.kinds import KINDS
 from boresight.console.messages.service import AddressChoice, Outlets
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import RefusalContext, attempt, make_change, read_again, redirect, render
 from boresight.errors import BoresightError
 from boresight.platform.actors import Actor
@@ -26,7 +27,7 @@ from boresight.platform.db.sessions import Session
 from boresight.platform.db.times import list_zones
 from boresight.platform.web.paging import parse_row_id
 
-router = APIRouter(prefix="/preferences/messages", dependencies=[Depends(csrf)])
+router = PageRouter(prefix="/preferences/messages", dependencies=[Depends(csrf)])
 
 ROWS_A_PAGE = 50
 #: Of a new address, until its person chooses otherwise.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import Depends, Request
 from fastapi.concurrency import contextmanager_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import UploadFile
@@ -13,6 +13,7 @@ from boresight.console.access.dependencies import KNOWN, Blobs, Database, Readin
 from boresight.console.notes import attachments
 from boresight.console.notes import service as notes
 from boresight.console.notes.tables import Note
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import RefusalContext, get_texts, make_change, read_again, render
 from boresight.errors import BoresightError, NotFoundError
 from boresight.platform.actors import Actor
@@ -20,7 +21,7 @@ from boresight.platform.blobs import files
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session
 
-router = APIRouter(dependencies=[Depends(csrf)])
+router = PageRouter(dependencies=[Depends(csrf)])
 
 WORDS = {"runs": "run", "sensors": "sensor", "parameter-sets": "parameter set"}
 

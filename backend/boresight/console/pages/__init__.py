@@ -7,12 +7,10 @@ from importlib import import_module
 from pkgutil import walk_packages
 from types import ModuleType
 
-from fastapi import APIRouter, Depends
-from fastapi.responses import HTMLResponse
+from fastapi import APIRouter
 
 from boresight import console
-from boresight.console.pages.frame import know_fleet
-from boresight.console.pages.rendering import check_numbers
+from boresight.console.pages.page_router import PageRouter
 
 
 def modules() -> Iterator[ModuleType]:
@@ -23,16 +21,13 @@ def modules() -> Iterator[ModuleType]:
             yield import_module(found.name)
 
 
-def routers(module: ModuleType) -> Iterator[APIRouter]:
+def routers(module: ModuleType) -> Iterator[PageRouter]:
     """Yield every router that a module of pages declares, in the order in which it declares them."""
-    yield from (value for value in vars(module).values() if isinstance(value, APIRouter))
+    yield from (value for value in vars(module).values() if isinstance(value, PageRouter))
 
 
 def include_pages(routes: APIRouter) -> None:
-    """Join the routers of every module of pages to the routes of a server."""
-    first = [Depends(check_numbers), Depends(know_fleet)]
+    """Join the pages to the routes of a server, directly, because the framework matches and resolves an included router's twice."""
     for page in modules():
         for router in routers(page):
-            routes.include_router(
-                router, include_in_schema=False, default_response_class=HTMLResponse, dependencies=first
-            )
+            routes.routes.extend(router.routes)

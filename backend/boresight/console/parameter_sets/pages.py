@@ -11,7 +11,7 @@ from functools import partial
 from itertools import islice
 from typing import Any
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import Depends, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
@@ -31,6 +31,7 @@ from boresight.console.approvals.tables import Approval
 from boresight.console.fleet.pages.sensors import list_sensor_choices
 from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import RowWithFields
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import (
     RefusalContext,
     attempt,
@@ -94,7 +95,7 @@ SETS = Table(
     kind="sets",
 )
 
-router = APIRouter(dependencies=[Depends(get_actor)])
+router = PageRouter(dependencies=[Depends(get_actor)])
 
 
 @router.get("/parameter-sets", response_class=HTMLResponse, dependencies=[Depends(same_for_roles)])
@@ -165,7 +166,7 @@ def _try(row: ParameterSet, sensor: SensorDescription, model: str) -> ConvertedS
     return ConvertedSet(model, tried.misfit_px, tried.allowed_px, tried.outcome, None)
 
 
-parameter_set_router = APIRouter(dependencies=[Depends(csrf)])
+parameter_set_router = PageRouter(dependencies=[Depends(csrf)])
 
 
 @dataclass(frozen=True)

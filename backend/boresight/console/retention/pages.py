@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request
+from fastapi import Query, Request
 from fastapi.responses import HTMLResponse
 
 from boresight.console.access.dependencies import Reading, ServerSettings
 from boresight.console.fleet.queries import list_sensor_heads
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import render
 from boresight.console.retention import service
 
 MOST_DAYS = 36_500.0
 TRIED_DAYS = 365.0  # shown where nothing is removed
 
-router = APIRouter()
+router = PageRouter()
 
 
 @router.get("/retention", response_class=HTMLResponse)

@@ -5,18 +5,19 @@ from __future__ import annotations
 from functools import partial
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Form, Request
+from fastapi import Depends, Form, Request
 from fastapi.responses import HTMLResponse, JSONResponse, Response
 
 from boresight.console.access import users
 from boresight.console.access.dependencies import Reading, Who, csrf, same_for_one
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import make_change, render
 from boresight.console.saved_views import service as views
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
 from boresight.platform.web.origins import is_own_path
 
-router = APIRouter(dependencies=[Depends(csrf)])
+router = PageRouter(dependencies=[Depends(csrf)])
 PLACE = "/saved-views"
 
 

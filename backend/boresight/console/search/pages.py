@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 from itertools import islice
 from typing import Any
 
-from fastapi import APIRouter, Depends
+from fastapi import Depends
 from fastapi.responses import JSONResponse
 
 from boresight.calibration.options import OPTIONS
@@ -22,6 +22,7 @@ from boresight.console.alarms.tables import Alarm
 from boresight.console.approvals.tables import Approval
 from boresight.console.fleet.tables import Sensor
 from boresight.console.help.glossary import list_terms
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
@@ -44,7 +45,7 @@ HELP = {
     "Gallery of figures": "/gallery",
 }
 
-router = APIRouter(dependencies=[Depends(get_actor)])
+router = PageRouter(dependencies=[Depends(get_actor)])
 
 
 @dataclass(frozen=True)

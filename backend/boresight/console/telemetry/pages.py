@@ -12,7 +12,7 @@ from functools import partial
 from typing import Annotated, Any
 
 import orjson
-from fastapi import APIRouter, Depends, Form, Request
+from fastapi import Depends, Form, Request
 from fastapi.concurrency import contextmanager_in_threadpool, run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
@@ -33,6 +33,7 @@ from boresight.console.fleet.pages.sensors import list_sensor_choices
 from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import RowWithFields
 from boresight.console.pages.drawings import Drawing, detector_map, histogram, number_bars
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import (
     AttemptResult,
     RefusalContext,
@@ -75,7 +76,7 @@ from boresight.telemetry.read.formats import parse_json
 
 SCRIPTED = "x-boresight-upload"  # sent by the script that shows an upload's progress
 
-router = APIRouter()
+router = PageRouter()
 
 
 SETS = Table(
@@ -292,7 +293,7 @@ def _refused(upload: Upload, refusal: RefusalContext | None) -> TelemetryContext
     return TelemetryContext(parse_row_id(sensor), purpose=known, refusal=refusal, **typed)
 
 
-profile_router = APIRouter(dependencies=[Depends(csrf)])
+profile_router = PageRouter(dependencies=[Depends(csrf)])
 
 
 def _profiles_page(
@@ -358,7 +359,7 @@ async def archive_version(request: Request, actor: Who, profile_id: int) -> Resp
 
 RUNS_SHOWN = 100
 
-telemetry_set_router = APIRouter(dependencies=[Depends(csrf)])
+telemetry_set_router = PageRouter(dependencies=[Depends(csrf)])
 
 
 def make_drawings(quality: QualityReport) -> list[Drawing]:

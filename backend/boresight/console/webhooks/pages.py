@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Form, Request
+from fastapi import Depends, Form, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access.dependencies import Reading, SecretKeeper, Who, csrf
 from boresight.console.jobs.dependencies import ServerWebhookSender
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import RefusalContext, attempt, make_change, read_again, redirect_refused, render
 from boresight.console.webhooks import service as webhooks
 from boresight.console.webhooks.secrets import get_state
@@ -22,7 +23,7 @@ from boresight.platform.db.secret_box import SecretBox
 from boresight.platform.db.sessions import Session
 from boresight.platform.web.paging import parse_row_id
 
-router = APIRouter(dependencies=[Depends(csrf)])
+router = PageRouter(dependencies=[Depends(csrf)])
 
 ROWS_A_PAGE = 50
 

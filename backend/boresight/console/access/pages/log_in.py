@@ -6,7 +6,7 @@ from functools import partial
 from typing import Annotated
 from urllib.parse import quote
 
-from fastapi import APIRouter, Depends, Form, Request
+from fastapi import Depends, Form, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
@@ -25,12 +25,13 @@ from boresight.console.access.dependencies import (
 )
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.access.second_factors import GivenFactor
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import RefusalContext, attempt, redirect, render
 from boresight.errors import SecondFactorError, SessionEndedError, UnauthenticatedError
 from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.origins import is_own_path
 
-login_router = APIRouter()
+login_router = PageRouter()
 
 
 def local_path(address: str) -> str:

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from functools import partial
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Form, Request
+from fastapi import Depends, Form, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
@@ -26,6 +26,7 @@ from boresight.console.access.dependencies import (
 )
 from boresight.console.access.passwords import MINIMUM_PASSWORD_LENGTH, NewPassword, PasswordProof
 from boresight.console.access.tables import User
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import RefusalContext, attempt, make_change, read_again, redirect, render
 from boresight.errors import RefusedInputError
 from boresight.platform.actors import SCOPES, Actor, SessionLimits, require_person, require_role
@@ -33,7 +34,7 @@ from boresight.platform.db.sessions import Session, utc_now
 from boresight.platform.db.times import TimeForm, TimeStyle, list_zones
 from boresight.platform.web.paging import parse_row_id
 
-router = APIRouter(dependencies=[Depends(csrf)])
+router = PageRouter(dependencies=[Depends(csrf)])
 
 SESSIONS_SHOWN = 200
 WHY_ENDED = {
@@ -295,7 +296,7 @@ async def revoke_key(request: Request, actor: Who, key_id: int) -> Response:
     return await _change(request, actor, change, "The key {0.label!r} is revoked.", "keys")
 
 
-password_router = APIRouter(prefix="/password", dependencies=[Depends(csrf)])
+password_router = PageRouter(prefix="/password", dependencies=[Depends(csrf)])
 
 
 @password_router.get("", response_class=HTMLResponse, dependencies=[KNOWN])
@@ -341,7 +342,7 @@ def set_password(actor: Actor, user_id: int, session: Session, password: NewPass
     users.change_password(session, actor, user_id, password, current)
 
 
-preference_router = APIRouter(prefix="/preferences", dependencies=[Depends(csrf)])
+preference_router = PageRouter(prefix="/preferences", dependencies=[Depends(csrf)])
 FORMS: Mapping[TimeForm, str] = {
     "day_of_year": "UTC with day of year",
     "iso": "UTC calendar date (ISO 8601)",

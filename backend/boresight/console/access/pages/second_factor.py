@@ -8,7 +8,7 @@ from functools import partial
 from typing import Annotated, Any
 
 import segno
-from fastapi import APIRouter, Depends, Form, Request
+from fastapi import Depends, Form, Request
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access import confirmations, second_factors
@@ -24,6 +24,7 @@ from boresight.console.access.dependencies import (
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.access.second_factors import FactorOffer
 from boresight.console.access.tables import SecondFactor
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import (
     RefusalContext,
     attempt,
@@ -38,7 +39,7 @@ from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
 from boresight.platform.web.paging import parse_row_id
 
-router = APIRouter(prefix="/second-factor", dependencies=[Depends(csrf)])
+router = PageRouter(prefix="/second-factor", dependencies=[Depends(csrf)])
 
 KINDS = {"totp": "Authenticator app", "webauthn": "Security key"}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import astuple, fields
 from functools import partial
 
-from fastapi import APIRouter, Request
+from fastapi import Request
 from fastapi.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
 
 from boresight.console.access import external_identities
@@ -14,13 +14,14 @@ from boresight.console.access.dependencies import log_in_or_wait
 from boresight.console.access.external_identities import Entering
 from boresight.console.access.openid_connect import ATTEMPT_S, Attempt, IdentityProvider, ProviderAnswer
 from boresight.console.access.pages.log_in import local_path, show_log_in, wait_for_factor
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import RefusalContext, attempt, redirect, redirect_refused
 from boresight.errors import BoresightError, NotFoundError, SingleSignOnError
 from boresight.platform.actors import Actor, require_person
 from boresight.platform.audit.security_log import tell
 from boresight.platform.db.sessions import Session
 
-router = APIRouter(prefix="/login/single-sign-on")
+router = PageRouter(prefix="/login/single-sign-on")
 
 
 def _provider(request: Request) -> IdentityProvider:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Form, Request
+from fastapi import Depends, Form, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
@@ -33,6 +33,7 @@ from boresight.console.change_proposals import service as proposals
 from boresight.console.fleet import queries as sensor_rows
 from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import RowWithFields
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import (
     RefusalContext,
     attempt,
@@ -202,7 +203,7 @@ def _decisions(approval: Approval, row: ParameterSet) -> list[tuple[str, str]]:
     return [("APPROVE", f"Approve {row.name} for baseline"), refuse] if approval.state == "OPEN" else [refuse]
 
 
-router = APIRouter(dependencies=[Depends(csrf)])
+router = PageRouter(dependencies=[Depends(csrf)])
 
 VIEWS = {
     "waiting": "Waiting for a signature",

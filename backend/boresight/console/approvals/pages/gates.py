@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import Depends, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
@@ -26,6 +26,7 @@ from boresight.console.approvals.tables import GateProfile, GateReport, Waiver
 from boresight.console.change_proposals import service as proposals
 from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import (
     AttemptResult,
     RefusalContext,
@@ -146,7 +147,7 @@ def _name(session: Session, report: GateReport | None) -> str:
     return session.get_known(User, report.created_by).printed_name
 
 
-router = APIRouter(dependencies=[Depends(csrf)])
+router = PageRouter(dependencies=[Depends(csrf)])
 
 
 @router.get("/parameter-sets/{set_id:int}/gates", response_class=HTMLResponse)

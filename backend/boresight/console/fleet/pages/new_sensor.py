@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from fastapi import APIRouter, Request
+from fastapi import Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
@@ -20,6 +20,7 @@ from boresight.console.fleet.pages.sensors import (
     compute_optics,
     show_sensors,
 )
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import RefusalContext
 from boresight.console.telemetry.dependencies import Upload, Uploaded, require_meant
 from boresight.errors import BoresightError, NotFoundError, RefusedInputError
@@ -27,7 +28,7 @@ from boresight.settings import Settings
 from boresight.telemetry.data_sheets import ASKED
 from boresight.telemetry.new_sensor import Described, read_typed
 
-router = APIRouter()
+router = PageRouter()
 
 #: What is asked beside the stars; all of it may be left out.
 ASKED_BESIDE = ("name", "rows", "columns", "pixel_pitch_um")

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import Depends, Request
 from fastapi.responses import HTMLResponse, JSONResponse
 
 from boresight.console import list_queries as lists
@@ -34,6 +34,7 @@ from boresight.console.ingest import queries as ingest_queries
 from boresight.console.pages.drawings import Sparkline, sparkline
 from boresight.console.pages.formats import LEVELS
 from boresight.console.pages.frame import FleetStatusCache
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import render
 from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.runs import service as runs
@@ -57,7 +58,7 @@ RUNS_IN_A_SPARKLINE = 16
 VIEWS = ("rows", "tiles")
 CAME_BACK = ("STALE", "REJECTED")  # states of a request that its submitter is shown
 
-router = APIRouter()
+router = PageRouter()
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,14 @@ from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import Depends, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access.dependencies import KNOWN, Reading, Stars, csrf, get_server
 from boresight.console.fleet import pointings
 from boresight.console.fleet.tables import Sensor
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import (
     RefusalContext,
     read_again,
@@ -34,7 +35,7 @@ from boresight.simulation.plans import PointingPlan
 from boresight.simulation.pointings import Constraints
 from boresight.sky.catalogue import Catalogue
 
-router = APIRouter(dependencies=[Depends(csrf)])
+router = PageRouter(dependencies=[Depends(csrf)])
 
 MINUTES = 10.0
 SET, RUN = "set", "run"

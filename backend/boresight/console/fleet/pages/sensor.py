@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Form, Request
+from fastapi import Depends, Form, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
@@ -30,6 +30,7 @@ from boresight.console.fleet.tables import Sensor
 from boresight.console.fleet.trend import read_trend
 from boresight.console.fleet.trend_document import advise, make_trend_document
 from boresight.console.notes import service as notes
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import RefusalContext, attempt, make_change, redirect, render
 from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets.tables import ParameterSet
@@ -137,7 +138,7 @@ def _interval(ends: Sequence[float | None], factor: float, decimals: int) -> str
     return f"{NARROW_SPACE}to{NARROW_SPACE}".join(_number(end, factor, decimals) for end in ends)
 
 
-router = APIRouter()
+router = PageRouter()
 
 LEVEL_OF_ANSWER = {"YES": "caution", "NOT YET": "normal", "MORE DATA NEEDED": "standby"}
 LEVEL_OF_DRIFT = {"DRIFT": "serious", "GROUND SHIFT": "caution", "HOLDS": "normal", "NOT TESTED": "off"}
@@ -193,7 +194,7 @@ def _rows(drift: Drift, baseline: Mapping[str, float | None]) -> Sequence[Mappin
 
 RUNS_SHOWN, SETS_SHOWN = 10, 100
 
-sensor_router = APIRouter(dependencies=[Depends(csrf)])
+sensor_router = PageRouter(dependencies=[Depends(csrf)])
 
 
 @dataclass(frozen=True)

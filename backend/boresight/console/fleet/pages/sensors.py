@@ -12,7 +12,7 @@ from textwrap import indent
 from typing import Any
 
 import numpy as np
-from fastapi import APIRouter, Depends, Request
+from fastapi import Depends, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import FormData, UploadFile
@@ -32,6 +32,7 @@ from boresight.console.fleet.status import SensorStatus, SensorTile
 from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import RowWithFields
 from boresight.console.pages.formats import LEVELS
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import RefusalContext, attempt, redirect, render
 from boresight.console.pages.tables import (
     Table,
@@ -54,7 +55,7 @@ from boresight.telemetry.declarations import DECLARATIONS
 from boresight.telemetry.new_sensor import Described, describe_typed
 from boresight.telemetry.read.formats import parse_json, read_text
 
-router = APIRouter(dependencies=[Depends(csrf)])
+router = PageRouter(dependencies=[Depends(csrf)])
 
 EXAMPLE = f"""{{
   "name": "ST16-7",

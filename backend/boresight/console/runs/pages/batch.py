@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Form, Request
+from fastapi import Depends, Form, Request
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access.dependencies import Who, csrf, get_server
 from boresight.console.approvals.pages.gates import assess_set
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import RefusalContext, attempt, read_again, render
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.runs import service as runs
@@ -20,7 +21,7 @@ from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
 from boresight.platform.web.paging import parse_row_id
 
-router = APIRouter(dependencies=[Depends(csrf)])
+router = PageRouter(dependencies=[Depends(csrf)])
 
 ACTS = {"assess": "Assess", "archive": "Archive", "restore": "Restore"}
 MOST = {"assess": 20, "archive": 200, "restore": 200}  # a measurement on validation frames takes up to seconds

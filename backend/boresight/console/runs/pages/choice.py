@@ -8,12 +8,13 @@ from functools import partial
 from typing import Any
 from urllib.parse import urlencode
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import Depends, Request
 from fastapi.responses import JSONResponse, Response
 
 from boresight.calibration.choice.result import Candidate, Choice, State, Sufficiency, TermTest, write_p
 from boresight.console.access.dependencies import Reading, Who, csrf, get_server
 from boresight.console.fleet.tables import Sensor
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import make_change
 from boresight.console.runs import choices
 from boresight.console.runs import service as runs
@@ -233,7 +234,7 @@ def _find_launch_href(session: Session, found: Choice, run: Run) -> str | None:
     return f"/runs/new?{urlencode(ticked)}"
 
 
-router = APIRouter(dependencies=[Depends(csrf)])
+router = PageRouter(dependencies=[Depends(csrf)])
 
 
 @router.post("/runs/{run_id:int}/choice")

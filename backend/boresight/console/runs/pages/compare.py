@@ -12,7 +12,7 @@ from typing import Annotated, Any
 from urllib.parse import urlencode
 
 import numpy as np
-from fastapi import APIRouter, Depends, Query, Request
+from fastapi import Depends, Query, Request
 from fastapi.responses import HTMLResponse
 
 from boresight.calibration.evaluation.contrast import Contrast
@@ -20,6 +20,7 @@ from boresight.calibration.options import ALL, METHODS, OPTIONS, get_method_titl
 from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading, get_server
 from boresight.console.pages.formats import words
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import render
 from boresight.console.runs import comparisons
 from boresight.console.runs.comparisons import ComparedRun, Comparison, UnlikeModelsError, joint
@@ -350,7 +351,7 @@ CROWDED_RUNS = 8
 OVERLAYS = {"lines": "every run", "band": "lowest to highest", "table": "no figures, tables only"}
 ALIGNED_BY = {"frame": "frame number", "time": "time since the first frame", "update": "update"}
 
-router = APIRouter(dependencies=[Depends(get_actor)])
+router = PageRouter(dependencies=[Depends(get_actor)])
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any
 from urllib.parse import urlencode
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import Depends, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import FormData, QueryParams
@@ -36,6 +36,7 @@ from boresight.console.fleet import queries as sensor_queries
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.service import SensorChoices
 from boresight.console.fleet.tables import Sensor
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import AttemptResult, RefusalContext, ask, attempt, get_texts, redirect, render
 from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets.tables import ParameterSet
@@ -501,7 +502,7 @@ def differences(before: CalibrationSettings, now: CalibrationSettings) -> list[C
     ]
 
 
-router = APIRouter(dependencies=[Depends(csrf)])
+router = PageRouter(dependencies=[Depends(csrf)])
 
 
 def _launch(session: Session, actor: Actor, typed: TypedForm, forecast_sources: ForecastSources | None = None) -> Any:

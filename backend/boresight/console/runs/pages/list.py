@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import Depends, Request
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.calibration.options import METHODS, CalibrationSettings, get_method_title
@@ -18,6 +18,7 @@ from boresight.console.fleet import queries as sensor_queries
 from boresight.console.fleet.pages.sensors import list_sensor_choices
 from boresight.console.operation import RowWithFields
 from boresight.console.pages.formats import instant, seconds_since
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import make_change, render
 from boresight.console.pages.tables import (
     Table,
@@ -100,7 +101,7 @@ OF_SUMMARY = (
     "frames",
 )
 
-router = APIRouter(dependencies=[Depends(get_actor)])
+router = PageRouter(dependencies=[Depends(get_actor)])
 
 
 @dataclass(frozen=True)
@@ -239,7 +240,7 @@ def _csv_row(run: Run, names: RunNames) -> RowWithFields:
     return RowWithFields(run, duration_s=line.seconds, **told, **{name: getattr(summary, name) for name in OF_SUMMARY})
 
 
-preset_router = APIRouter(dependencies=[Depends(csrf)])
+preset_router = PageRouter(dependencies=[Depends(csrf)])
 
 MOST_SHOWN = 500
 

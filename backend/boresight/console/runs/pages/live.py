@@ -10,12 +10,13 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import Depends, Request
 from fastapi.responses import HTMLResponse, JSONResponse, PlainTextResponse, Response
 
 from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading, Who, csrf, get_server
 from boresight.console.pages.formats import seconds_since
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import make_change, read_texts, redirect, render
 from boresight.console.runs import queries as run_queries
 from boresight.console.runs import service as runs
@@ -170,7 +171,7 @@ def _waits_for(session: Session, workers: WorkerState | None) -> tuple[str, str]
     return "workers-busy", f"{which} busy{named}; the run starts when one is free."
 
 
-router = APIRouter(dependencies=[Depends(csrf)])
+router = PageRouter(dependencies=[Depends(csrf)])
 
 
 def make_live_part(request: Request, session: Session, run: Run) -> dict[str, Any]:
@@ -209,7 +210,7 @@ async def cancel(request: Request, actor: Who, run_id: int) -> Response:
     return await make_change(request, change, f"/runs/{run_id}", f"Cancelling of run #{run_id} was requested.")
 
 
-run_log_router = APIRouter()
+run_log_router = PageRouter()
 
 LEVELS = {"info": "All lines", "warning": "Warnings and errors", "error": "Errors"}
 SYMBOLS = {"info": "off", "warning": "caution", "error": "serious"}
@@ -242,7 +243,7 @@ def log_lines(request: Request, session: Reading, run_id: int, after: int = 0, l
     return render(request, "runs/log_lines.html", lines=filter_lines(rows, level), symbols=SYMBOLS)
 
 
-run_file_router = APIRouter(dependencies=[Depends(get_actor)])
+run_file_router = PageRouter(dependencies=[Depends(get_actor)])
 
 
 def _attachment(name: str) -> dict[str, str]:

@@ -16,7 +16,7 @@ from functools import partial
 from typing import Any, NamedTuple
 from urllib.parse import urlencode
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import Depends, Request
 from fastapi.responses import HTMLResponse, Response
 from markupsafe import Markup
 from starlette.datastructures import QueryParams
@@ -33,6 +33,7 @@ from boresight.console.fleet.tables import Sensor
 from boresight.console.notes import queries as note_queries
 from boresight.console.notes import service as notes
 from boresight.console.pages.formats import get_level, short_hash, time_element, words
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import attempt, redirect, redirect_refused, render
 from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets import service as parameter_sets
@@ -573,7 +574,7 @@ def _find_span(row: TelemetrySet) -> tuple[datetime, datetime] | None:
     return None if time is None else (datetime.fromisoformat(time.start_utc), datetime.fromisoformat(time.end_utc))
 
 
-router = APIRouter(dependencies=[Depends(csrf)])
+router = PageRouter(dependencies=[Depends(csrf)])
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import Depends, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import UploadFile
@@ -37,6 +37,7 @@ from boresight.console.approvals.review import warn_of_turn
 from boresight.console.fleet import timeline
 from boresight.console.fleet.tables import Sensor
 from boresight.console.fleet.timeline import AsOf, describe_source
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import (
     RefusalContext,
     attempt,
@@ -67,7 +68,7 @@ from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.paging import parse_row_id
 
-board_router = APIRouter()
+board_router = PageRouter()
 
 BOARDS = Table(
     "sensors",
@@ -157,7 +158,7 @@ def list_package_members(content: bytes) -> list[PackageMember]:
         ]
 
 
-router = APIRouter(dependencies=[Depends(csrf)])
+router = PageRouter(dependencies=[Depends(csrf)])
 
 NO_ROLE = "Recording what is on board needs the role operator. An administrator can give it to you on the page Users and keys."
 

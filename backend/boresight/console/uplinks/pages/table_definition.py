@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import Depends, Request
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.cameras import CAMERA_MODELS
@@ -18,6 +18,7 @@ from boresight.console.change_proposals import service as proposals
 from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.pages.sensors import read_document, typed_document
 from boresight.console.fleet.tables import Sensor
+from boresight.console.pages.page_router import PageRouter
 from boresight.console.pages.rendering import RefusalContext, attempt, read_again, redirect, render
 from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.runs.pages.list import read_names
@@ -32,7 +33,7 @@ from boresight.uplink.checksum import CHECKSUMS
 from boresight.uplink.fields import Field
 from boresight.uplink.table_definition import DecodedField, plain_definition
 
-router = APIRouter(dependencies=[Depends(csrf)])
+router = PageRouter(dependencies=[Depends(csrf)])
 
 MAY_SET = frozenset({"analyst", "administrator"})
 ENTRIES = (
