@@ -309,9 +309,12 @@ class _Fleet:
         administrator, _ = self._log_in("administrator")
         rules = {"oldest_days": MOST_DAYS, "preset": "first-calibration"}
         with open_writing(self.engine) as session:
-            row = policies.draft(session, self.analyst, sensor_id, rules, "A pass every fortnight.")
-            found = policies.compute_rehearsal(session, row.id)
-            policies.record_rehearsal(session, self.analyst, row.id, found, row.version)
+            drafted = policies.draft(session, self.analyst, sensor_id, rules, "A pass every fortnight.")
+            policy_id, version = drafted.id, drafted.version
+        with open_reading(self.engine) as session:  # it takes seconds, and somebody may want to log in
+            found = policies.compute_rehearsal(session, policy_id)
+        with open_writing(self.engine) as session:
+            row = policies.record_rehearsal(session, self.analyst, policy_id, found, version)
             return policies.enable(session, administrator, row.id, row.version).id
 
     def _take_in(self, number: int, policy_id: int) -> None:
