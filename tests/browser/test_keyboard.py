@@ -67,7 +67,7 @@ def hold_in(held):
 def test_who_skips_to_the_content_of_a_page_that_still_loads_is_not_thrown_back(people, batch_run):
     with people.seat("analyst") as window:
         held = []
-        window.page.route("**/static/shared/clock.js", hold_in(held))
+        window.page.route("**/shared/clock.js", hold_in(held))
         window.page.goto("/runs", wait_until="commit")
         expect(window.page.get_by_role("link", name=f"#{batch_run}", exact=True)).to_be_visible()
         for key in ("Tab", "Enter", "Tab"):

@@ -4,7 +4,7 @@
 import { make } from "./dom.js";
 import { writeNumbersIn } from "./numbers.js";
 
-const FILE = "/static/plotly.min.js";
+const FILE = new URL("../plotly.min.js", import.meta.url).href; // of the same version
 // Plotly writes its maps' style sheet into the page unless this is there; no figure is a map, and the policy refuses it
 const MAP_STYLE = "9f215cf04c5486422605d13261cb87401f4e7763b6296af81e98efbc0130da53";
 const CONFIG = { displaylogo: false, displayModeBar: false, responsive: false, scrollZoom: false };

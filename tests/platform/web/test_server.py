@@ -19,8 +19,10 @@ from playwright.sync_api import sync_playwright
 
 from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.platform.jobs.worker_news import WorkerState
+from boresight.platform.web import static_files
 from boresight.platform.web.metrics import CachedCheck
 from boresight.platform.web.middleware import SECURITY_HEADERS, SECURITY_POLICY, takes_gzip
+from boresight.platform.web.static_files import static_version
 from boresight.server import _Server, create_app
 from tests.browser.window import launch_chromium
 from tests.served import House, serving, settings_in
@@ -161,6 +163,34 @@ def test_a_static_file_is_sent_once_and_confirmed_afterwards(house: House) -> No
     assert first.headers["cache-control"] == "public, no-cache"
     assert (again.status_code, again.content) == (304, b"")
     assert not first.headers["etag"].startswith("W/")
+
+
+def test_what_a_page_names_is_kept_by_browsers_and_is_the_same_file(house: House) -> None:
+    named = set(
+        re.findall(r'"(/static/[^"]+)"', house.person("ada").get("/runs", headers={"Accept": "text/html"}).text)
+    )
+    assert len(named) > 10
+    for address in named:
+        answer = house.anybody().get(address)
+        assert answer.headers["cache-control"] == "public, max-age=31536000, immutable"
+        assert answer.content == house.anybody().get(re.sub("/version-[^/]+", "", address)).content
+
+
+def test_a_file_under_another_servers_version_is_asked_for_again(house: House) -> None:
+    address = f"/static/version-{static_version()[::-1]}/shared/style.css"
+    assert house.anybody().get(address).headers["cache-control"] == "public, no-cache"
+
+
+def test_a_change_of_any_static_file_is_a_new_version(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "static" / "one.js"
+    file.parent.mkdir()
+    monkeypatch.setattr(static_files, "folder", lambda _name: tmp_path)
+    versions = set()
+    for text in ("a", "b"):
+        file.write_text(text)
+        versions.add(static_version.__wrapped__())
+    file.rename(file.with_name("two.js"))
+    assert len(versions | {static_version.__wrapped__()}) == 3
 
 
 def test_plotly_comes_from_the_python_package(house: House) -> None:

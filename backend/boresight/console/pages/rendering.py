@@ -52,7 +52,7 @@ from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.paging import parse_row_id
 from boresight.platform.web.problems import make_problem
 from boresight.platform.web.response_cache import GAPS
-from boresight.platform.web.static_files import has_documentation
+from boresight.platform.web.static_files import has_documentation, static_version
 from boresight.resources import folder
 from boresight.verdicts.numbers import show_numbers
 
@@ -168,9 +168,18 @@ FLASH_SECONDS = 60
 MOST_RENDERED = 8  # pages
 
 
+class PageTemplates(FileSystemLoader):
+    """The templates, with the version of the static files in their addresses."""
+
+    def get_source(self, environment: Environment, template: str) -> tuple[str, str, Callable[[], bool]]:
+        """Return a template's source, where it is, and a function that tells whether it is unchanged."""
+        source, path, is_current = super().get_source(environment, template)
+        return source.replace('"/static/', f'"/static/version-{static_version()}/'), path, is_current
+
+
 def _environment() -> Environment:
     environment = Environment(
-        loader=FileSystemLoader(folder("frontend") / "templates"),
+        loader=PageTemplates(folder("frontend") / "templates"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

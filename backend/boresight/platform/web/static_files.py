@@ -1,6 +1,10 @@
 """The files of the pages: style, modules, Plotly and Swagger UI as their Python packages ship them; and the documentation.
 
 Both are for everybody: they tell nothing of the installation, and who cannot log in reads there why.
+
+A page names each static file by an address that contains the version of them all, a digest of their contents. What is
+there never changes, so a browser asks for it once and not again with every page; a module finds those that it imports
+beside itself, under the same version. Without a version, or with another server's, the browser asks each time.
 """
 
 from __future__ import annotations
@@ -9,7 +13,7 @@ import gzip
 import hashlib
 import mimetypes
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 import fastapi_swagger
@@ -33,6 +37,7 @@ NO_DOCUMENTATION = (
 )
 COMPRESS_FROM_BYTES = 1024
 CACHED = "public, no-cache"  # the browser caches it, but revalidates
+CACHED_FOR_A_YEAR = "public, max-age=31536000, immutable"
 TYPES = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".woff2": "font/woff2"}
 COMPRESSED_TYPES = ("text/javascript", "text/css", "image/svg+xml")
 
@@ -66,6 +71,17 @@ def _file_path(name: str) -> Path:
     return _inside(folder("frontend") / "static", name, "There is no such file here; reload the page that needs it.")
 
 
+@cache
+def static_version() -> str:
+    """Return the version of the static files, as they were when it was first asked for."""
+    top = folder("frontend") / "static"
+    files = {path.relative_to(top).as_posix(): path for path in top.rglob("*") if path.is_file()} | SHIPPED
+    digest = hashlib.sha256()
+    for name, path in sorted(files.items()):
+        digest.update(name.encode() + hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()[:16]
+
+
 def has_documentation() -> bool:
     """Tell whether the documentation was built, so that a page may lead there."""
     try:
@@ -97,6 +113,12 @@ def _inside(top: Path, name: str, otherwise: str) -> Path:
     return place
 
 
+@router.get("/static/version-{version}/{name:path}", name="versioned static")
+def versioned_static_file(version: str, name: str, request: Request) -> Response:
+    """Send a static file that the browser need not ask for again."""
+    return _send(_file_path(name), request, CACHED_FOR_A_YEAR if version == static_version() else CACHED)
+
+
 @router.get("/static/{name:path}", name="static")
 def static_file(name: str, request: Request) -> Response:
     """Send a static file, or 304 if the browser's copy is current."""
@@ -115,11 +137,11 @@ def documentation_page(name: str, request: Request) -> Response:
     return _send(_page(name), request)
 
 
-def _send(place: Path, request: Request) -> Response:
+def _send(place: Path, request: Request, cached: str = CACHED) -> Response:
     content = _content(place, place.stat().st_mtime_ns)
     zipped = content.compressed is not None and takes_gzip(request.headers.get("accept-encoding", "").encode())
     tag = f'"{content.sha256}{"-gz" if zipped else ""}"'
-    headers = {"ETag": tag, "Cache-Control": CACHED}  # the compressing middleware adds Vary
+    headers = {"ETag": tag, "Cache-Control": cached}  # the compressing middleware adds Vary
     if tag in [known.strip() for known in request.headers.get("if-none-match", "").split(",")]:
         return Response(status_code=304, headers=headers)
     if zipped:
