@@ -74,7 +74,6 @@ def _page(
 ) -> HTMLResponse:
     with open_reading(get_server(request).engine) as session:
         row = session.get_known(ChangeProposal, proposal_id)
-        own = row.proposed_by == actor.user_id
         return render(
             request,
             "change_proposals/change_proposal.html",
@@ -85,7 +84,7 @@ def _page(
             sensor=session.get_known(Sensor, row.sensor_id),
             differences=proposals.list_differences(session, row),
             blocked=proposals.explain_why_not_decide(session, actor, row),
-            may_withdraw=row.state == "OPEN" and (own or "administrator" in actor.roles),
+            may_withdraw=proposals.may_withdraw(session, actor, row),
             names=read_names(session),
             refusal=refusal,
             comment=comment,
