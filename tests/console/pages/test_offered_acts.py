@@ -234,3 +234,24 @@ def test_an_approval_that_has_expired_offers_no_package(life, monkeypatch):
     monkeypatch.setattr(staleness, "utc_now", lambda: utc_after(366 * 86400.0))
     life.holds("APPROVED and expired", "olga", "ada")
     assert 'id="package-blocked"' in life.people["olga"].get(f"{life.place}/uplink")
+
+
+def step_of_run(life, run_id):
+    """What the bar of a run's page has: its stations that are next, and the classes of the button that makes a set of the run."""
+    page = life.people["ada"].get(f"/runs/{run_id}").partition('id="stations"')[2].partition("</section>")[0]
+    (button,) = re.findall(rf'action="/runs/{run_id}/parameter-set".*?<button class="([^"]*)"', page)
+    return page.count('aria-current="step"'), set(button.split()), page
+
+
+def test_a_run_whose_telemetry_is_active_on_board_says_so_and_makes_no_set_the_next_step(site, results, life):
+    of_other_data = site.add_run("batch", state="SUCCEEDED", result=results["batch"], telemetry_set_id=2)
+    life.promoted()
+    life.record("SENT", "LOADED", "VERIFIED")
+    assert step_of_run(life, 2)[:2] == (1, {"button-primary", "button-small"})
+    life.record("ACTIVE")
+    following, button, page = step_of_run(life, 2)
+    assert (following, button) == (0, {"button-small"})
+    assert "PS-ST16-1-1" in page
+    assert step_of_run(life, of_other_data)[:2] == (1, {"button-primary", "button-small"})
+    assert "/runs/2/parameter-set" not in life.people["olga"].get("/runs/2")
+    assert life.people["ada"].post("/runs/2/parameter-set").status_code == 303
