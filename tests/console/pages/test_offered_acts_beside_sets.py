@@ -8,15 +8,13 @@ import pytest
 from boresight.console.alarms import service as alarms
 from boresight.console.change_proposals import service as proposals
 from boresight.console.ingest.service import supersede_overtaken
-from boresight.console.ingest.tables import ANSWERS, IngestDecision
-from boresight.platform.actors import COMMAND_LINE
-from boresight.platform.audit import log as audit
+from boresight.console.ingest.tables import ANSWERS
 from boresight.platform.db.sessions import open_writing, utc_after
 from tests.console.alarms.alarms import alarm as raise_alarm
-from tests.console.alignments.pairs import aligned, ask, ended, run_of, trackers
+from tests.console.alignments.pairs import aligned, aligned_well
 from tests.console.approvals.gates import TIGHT
 from tests.console.change_proposals.proposals import proposed
-from tests.console.ingest.decisions import asked, draft, received, step
+from tests.console.ingest.decisions import draft, received, step, with_alternatives
 from tests.console.pages.offers import REASON, Offers, is_accepted
 from tests.console.telemetry.test_imports import PROFILE
 from tests.served import PASSWORD, PEOPLE
@@ -173,8 +171,8 @@ def _of_alignment(house, alignment_id):
     return acts
 
 
-def test_the_page_of_an_alignment_offers_what_the_server_accepts(house, tmp_path):
-    row = ended(house, ask(house, *(run_of(house, one) for one in trackers(tmp_path))).json()["id"])
+def test_the_page_of_an_alignment_offers_what_the_server_accepts(house):
+    row = aligned_well(house)
     page = f"/alignments/{row['id']}"
 
     def held(state):
@@ -255,20 +253,10 @@ def _of_decision(house, decision_id):
     }
 
 
-def _asked(house):
-    row = asked(house)
-    with open_writing(house.app.state.engine) as session:
-        decision = session.get_one(IngestDecision, row["id"])
-        offered = [{"answer": one, "sentence": one, "recommended": False} for one in ANSWERS]
-        decision.evidence = {**decision.evidence, "alternatives": offered}
-        audit.append(session, COMMAND_LINE, "decided", f"ingest-decisions/{decision.id}")
-    return row
-
-
 def test_the_page_of_a_decision_offers_what_the_server_accepts(house):
     row = received(house)
     holds(house, "CALIBRATING", f"/ingest/{row['id']}", _of_decision(house, row["id"]))
-    row = _asked(house)
+    row = with_alternatives(house)
     acts, page = _of_decision(house, row["id"]), f"/ingest/{row['id']}"
     holds(house, "ASKED", page, acts)
     prepared = _read(house, f"parameter-sets/{row['parameter_set_id']}")
@@ -277,7 +265,7 @@ def test_the_page_of_a_decision_offers_what_the_server_accepts(house):
     holds(house, "its set was submitted on its own page", page, acts)
     _do(house, "ada", acts[f"{page}/answer WAIT"])
     holds(house, "ANSWERED", page, _of_decision(house, row["id"]))
-    row = _asked(house)
+    row = with_alternatives(house)
     with open_writing(house.app.state.engine) as session:
         supersede_overtaken(session, row["id"])
     holds(house, "SUPERSEDED", f"/ingest/{row['id']}", _of_decision(house, row["id"]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 
 from fastapi import APIRouter, Depends, Request
@@ -66,11 +66,11 @@ def change_proposals_page(request: Request, session: Reading, actor: Who) -> HTM
 @router.get("/change-proposals/{proposal_id:int}", response_class=HTMLResponse)
 def change_proposal_page(request: Request, actor: Who, proposal_id: int) -> HTMLResponse:
     """Show a proposal with what it changes."""
-    return _page(request, actor, proposal_id, None, "")
+    return _page(request, actor, proposal_id, None, {})
 
 
 def _page(
-    request: Request, actor: Actor, proposal_id: int, refusal: RefusalContext | None, comment: str
+    request: Request, actor: Actor, proposal_id: int, refusal: RefusalContext | None, typed: Mapping[str, str]
 ) -> HTMLResponse:
     with open_reading(get_server(request).engine) as session:
         row = session.get_known(ChangeProposal, proposal_id)
@@ -87,7 +87,7 @@ def _page(
             may_withdraw=proposals.may_withdraw(session, actor, row),
             names=read_names(session),
             refusal=refusal,
-            comment=comment,
+            typed=typed,
         )
 
 
@@ -106,5 +106,5 @@ async def decide(request: Request, actor: Who, proposal_id: int) -> Response:
         return redirect(f"/change-proposals/{proposal_id}")
     outcome = await attempt(request, changes[action])
     if outcome.value is None:
-        return await run_in_threadpool(_page, request, actor, proposal_id, outcome.refusal, comment)
+        return await run_in_threadpool(_page, request, actor, proposal_id, outcome.refusal, form)
     return redirect(f"/change-proposals/{proposal_id}", flash=EFFECTS[action])
