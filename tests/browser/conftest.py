@@ -11,6 +11,9 @@ from tests.browser.installation import Installation
 from tests.browser.people import PRINTED_NAMES, People, get_password
 from tests.browser.window import launch_chromium
 from tests.browser.work import choose_filter, ends_as, look_at_views, make_set, queue, sign, submit, upload
+from tests.served import house
+
+__all__ = ["house"]
 
 FRAMES = "100"
 SLOW_FRAMES_PER_S, QUICK_FRAMES_PER_S = 2.0, 100.0

@@ -2,13 +2,21 @@
 
 import json
 import re
+from contextlib import contextmanager
 
 import pytest
 from playwright.sync_api import expect
 
+from boresight.console.ingest.tables import ANSWERS
 from tests.browser.people import get_password
-from tests.browser.window import GLANCE, PHONE, TABLET
+from tests.browser.window import GLANCE, PHONE, TABLET, Window
 from tests.browser.work import make_set, queue, register_with_table, sent_table, sign, submit, upload
+from tests.console.access.authenticators import enrol_app
+from tests.console.alignments.pairs import aligned_well, submitted
+from tests.console.approvals.gates import blocked
+from tests.console.change_proposals.proposals import proposed
+from tests.console.ingest.decisions import draft, in_force, step, with_alternatives
+from tests.console.uplinks.routes import hand_over
 
 pytestmark = pytest.mark.browser
 
@@ -174,4 +182,136 @@ def test_the_dialog_that_disables_a_webhook(people):
         made = window.page.request.post("/api/v1/webhooks", data=HOOK, headers={"X-CSRF-Token": token})
         assert made.ok, made.text()
         window.open(f"/webhooks/{made.json()['id']}")
-        holds(window, "disable", named=(HOOK["label"], HOOK["url"]))
+        for name in ("disable", "renew-secret"):
+            holds(window, name, named=(HOOK["label"], HOOK["url"]))
+
+
+@contextmanager
+def seat(browser, house, client):
+    """Sit at a window of somebody who is logged in at the house, where each state is made over REST and nothing is computed."""
+    context = browser.new_context(base_url=house.address, viewport=GLANCE, reduced_motion="reduce")
+    context.add_cookies([{"name": one.name, "value": one.value, "url": house.address} for one in client.cookies.jar])
+    window = Window(context)
+    yield window
+    complaints = window.leave()
+    context.close()
+    assert not complaints, complaints
+
+
+def _waiver(house):
+    row = blocked(house)
+    return f"/parameter-sets/{row['id']}/gates", ["waive-gate-dialog"], [row["name"]]
+
+
+def _hand_over(house):
+    _, made = hand_over(house)
+    row = house.person("olga").get(f"/api/v1/parameter-sets/{made['parameter_set_id']}").json()
+    return f"/parameter-sets/{row['id']}/uplink", ["hand-over-yamcs"], [row["name"], "Nothing is commanded"]
+
+
+def _address(house):
+    new = {"address": "ada@mission.invalid", "label": "Desk of Ada"}
+    made = house.person("ada").post("/api/v1/message-addresses", json=new)
+    assert made.status_code == 201, made.text
+    return f"/preferences/messages/{made.json()['id']}", ["remove"], [new["label"]]
+
+
+def _key(house):
+    house.key("ada", "runs")
+    newest = house.person("ada").get("/api/v1/api-keys").json()["items"][0]
+    return "/users", [f"revoke-{newest['id']}"], [newest["label"]]
+
+
+def _draft(house):
+    row = step(house, draft(house, house.new_sensor()["id"]), "rehearse")
+    return _policy(house, row, "enable", "switch-off")
+
+
+def _policy(house, row, *steps):
+    sensor = house.person("ada").get(f"/api/v1/sensors/{row['sensor_id']}").json()
+    return f"/sensors/{sensor['id']}/ingest", [f"step-{name}" for name in steps], [sensor["name"]]
+
+
+def _decision(house):
+    row = with_alternatives(house)
+    sensor = house.person("ada").get(f"/api/v1/sensors/{row['sensor_id']}").json()
+    return f"/ingest/{row['id']}", [f"answer-{place}" for place in range(1, len(ANSWERS) + 1)], [sensor["name"]]
+
+
+def _to_submit(house):
+    row = aligned_well(house)
+    return f"/alignments/{row['id']}", ["submit"], [f"Submit alignment {row['id']}"]
+
+
+def _request(*names):
+    def make(house):
+        row = submitted(house)
+        return f"/alignment-requests/{row['id']}", names, []
+
+    return make
+
+
+def _proposal(*names):
+    def make(house):
+        row = proposed(house)
+        sensor = house.person("ada").get(f"/api/v1/sensors/{row['sensor_id']}").json()
+        return f"/change-proposals/{row['id']}", names, [sensor["name"]]
+
+    return make
+
+
+def _change(page):
+    def make(house):
+        sensor = house.new_sensor()
+        return f"/sensors/{sensor['id']}/{page}", ["set-change"], [sensor["name"], "version 1"]
+
+    return make
+
+
+OTHERS = {
+    "a waiver": ("ada", _waiver),
+    "a hand-over": ("olga", _hand_over),
+    "an address of messages": ("ada", _address),
+    "a key": ("adele", _key),
+    "a policy that is a draft": ("adele", _draft),
+    "a policy in force": ("olga", lambda house: _policy(house, in_force(house), "pause", "switch-off")),
+    "a policy that is paused": (
+        "ada",
+        lambda house: _policy(house, step(house, in_force(house), "pause", reason="x"), "resume"),
+    ),
+    "a decision on telemetry": ("ada", _decision),
+    "an alignment": ("ada", _to_submit),
+    "an alignment that waits": ("alan", _request("approve", "refuse")),
+    "an alignment that is taken back": ("ada", _request("withdraw")),
+    "a proposal": ("adele", _proposal("confirm", "refuse")),
+    "a proposal that is taken back": ("ada", _proposal("withdraw")),
+    "limits": ("adele", _change("gates")),
+    "a layout": ("ada", _change("table-definition")),
+}
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("what", OTHERS)
+def test_the_dialogs_of_other_acts(browser, house, what):
+    name, make = OTHERS[what]
+    place, dialogs, named = make(house)
+    with seat(browser, house, house.person(name)) as window:
+        window.open(place)
+        for reason in window.page.locator("main textarea[name=reason]:visible").all():
+            reason.fill("To look at.")  # a dialog inside a form opens when the form is complete
+        for dialog in dialogs:
+            holds(window, dialog, named=named)
+
+
+@pytest.mark.full
+def test_the_dialogs_of_second_factors(browser, house):
+    name, user_id = house.new_person("analyst")
+    client = house.log_in(name)
+    enrol_app(client)
+    with seat(browser, house, client) as window:
+        window.open("/second-factor")
+        for opener in window.page.locator("[data-act]").all():
+            holds(window, opener.get_attribute("popovertarget"), named=())
+    with seat(browser, house, house.person("adele")) as window:
+        window.open("/users")
+        holds(window, f"reset-factor-{user_id}", named=(name.title(),))

@@ -32,7 +32,7 @@ def test_a_file_in_the_watched_folder_becomes_a_question_that_a_person_answers(p
         expect(page.get_by_text("No past set has a calibration to judge")).to_be_visible()
     with people.seat("administrator") as window:
         window.open(f"/sensors/{sensor_id}/ingest")
-        window.page.get_by_role("button", name=re.compile("^Enable policy")).click()
+        window.page.get_by_role("button", name=re.compile("^Enable")).click()
         window.page.get_by_role("dialog").get_by_role("button", name=re.compile("^Enable policy")).click()
         expect(window.page.get_by_text("The policy is in force.")).to_be_visible()
     place = installation.watched / SENSOR

@@ -97,10 +97,15 @@ def _good(house: House) -> Made:
     return "victor", {"alignment_id": _aligned[house.address]}
 
 
+def aligned_well(house: House) -> dict[str, Any]:
+    """An alignment that no gate blocks."""
+    made = trackers(house.app.state.settings.data_folder)
+    return ended(house, ask(house, *(run_of(house, one) for one in made)).json()["id"])
+
+
 def submitted(house: House) -> dict[str, Any]:
     """A request for an alignment that is open."""
-    made = trackers(house.app.state.settings.data_folder)
-    row = ended(house, ask(house, *(run_of(house, one) for one in made)).json()["id"])
+    row = aligned_well(house)
     body = {"reason": "Both trackers were calibrated again."}
     answer = house.person("ada").post(f"/api/v1/alignments/{row['id']}:submit", json=body)
     assert answer.status_code == 201, answer.text
@@ -120,8 +125,7 @@ def _signing(name: str) -> Any:
 
 
 def _to_submit(house: House) -> Made:
-    made = trackers(house.app.state.settings.data_folder)
-    row = ended(house, ask(house, *(run_of(house, one) for one in made)).json()["id"])
+    row = aligned_well(house)
     return "ada", {"alignment_id": row["id"], "json": {"reason": "Both trackers were calibrated again."}}
 
 

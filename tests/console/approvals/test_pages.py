@@ -363,7 +363,8 @@ def test_limits_are_tried_on_past_runs_and_stay_in_the_form_and_who_is_no_admini
     assert fields(page)["parameter-shift.limit"] == "0.5"
     viewer = site.visitor("victor")
     form = fields(viewer.get(EDITOR)) | {"coverage.limit": "0.3", "reason": "I wish."}
-    assert 'value="set" disabled' in viewer.get(EDITOR)
+    assert 'disabled aria-describedby="set-blocked"' in viewer.get(EDITOR)
+    assert 'value="set"' not in viewer.get(EDITOR)
     assert [viewer.post(EDITOR, **form, action=action).status_code for action in ("set", "try")] == [403, 200]
     with open_reading(site.engine) as session:
         assert gate_profiles.get_profile_in_force(session, 1).number == 0

@@ -116,7 +116,8 @@ def test_who_may_not_decide_is_told_why_the_proposer_takes_it_back_and_another_r
     assert asking_site.visitor("adele").post(f"{page}/decide", version="1", action="withdraw").status_code == 303
     assert "WITHDRAWN" in read(asking_site.visitor("adele").get(page))
     page, agnes = _proposed(asking_site), asking_site.visitor("agnes")
-    assert agnes.post(f"{page}/decide", version="1", action="refuse").status_code == 422
+    unsaid = agnes.post(f"{page}/decide", version="1", action="refuse")
+    assert (unsaid.status_code, re.findall(r'<dialog id="(\w+)"[^>]* open>', unsaid.text)) == (422, ["refuse"])
     agnes.post(f"{page}/decide", version="1", action="refuse", comment="Not before the eclipse.")
     words = read(asking_site.visitor("adele").get(page))
     assert "REFUSED" in words

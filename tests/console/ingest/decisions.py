@@ -4,7 +4,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from boresight.console.ingest.tables import IngestDecision
+from boresight.console.ingest.tables import ANSWERS, IngestDecision
 from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.runs.tables import Run
@@ -74,6 +74,17 @@ def asked(house: House) -> dict[str, Any]:
         decision.evidence = {"reference_id": baseline.id if baseline else None, "alternatives": [], "reasons": []}
         audit.append(session, INGEST, "decided", f"ingest-decisions/{decision.id}")
     return dict(house.person("ada").get(f"/api/v1/ingest-decisions/{row['id']}").json())
+
+
+def with_alternatives(house: House) -> dict[str, Any]:
+    """Bring a decision to where a person is asked for one of every answer."""
+    row = asked(house)
+    with open_writing(house.app.state.engine) as session:
+        decision = session.get_one(IngestDecision, row["id"])
+        offered = [{"answer": one, "sentence": f"{one} is an answer.", "recommended": False} for one in ANSWERS]
+        decision.evidence = {**decision.evidence, "alternatives": offered}
+        audit.append(session, INGEST, "decided", f"ingest-decisions/{decision.id}")
+    return row
 
 
 def _of_policy(state: str, name: str, **body: Any) -> Callable[[House], Made]:

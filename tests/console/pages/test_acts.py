@@ -1,7 +1,9 @@
 """A dialog names the consequences of its act, and the server asks for what the dialog asks."""
 
 import re
+from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -13,10 +15,46 @@ from tests.console.uplinks.pages import advance, define, version
 from tests.sites import PASSWORD, answer_points
 
 STEPS = "/parameter-sets/1/uplink"
+TEMPLATES = Path(__file__).resolve().parents[3] / "frontend" / "templates"
+TOKENS = re.compile(r"{% call\b[^%]*?(?P<call>\w+)\(|(?P<end>{% endcall %})|(?P<form><form\b(?:{{.*?}}|[^>])*>)")
+OPENS = re.compile(r"\b(?:act_dialog|change_dialog|decision_buttons)\(")
+#: Addresses of forms without a dialog: what they do can be done again, undone, or adds only a record of what somebody typed.
+WITHOUT_DIALOG = """
+    * /alarms/*/* /alignments/new /approvals/*/assign /approvals/*/remarks /approvals/*/threads /approvals/*/threads/*/*
+    /audit/anchors /campaigns/*/cancel /campaigns/*/launch-failed /campaigns/new* /favourites /import-profiles
+    /import-profiles/*/archive /login /login/second-factor /logout /notes/*/* /parameter-sets/*/assess /parameter-sets/*/submit
+    /parameter-sets/*/uplink/package /password /preferences /preferences/messages /preferences/messages/*
+    /preferences/messages/*/try /presets/*/archive /runs/*/cancel /runs/*/choice /runs/batch /runs/new /runs/new* /saved-views
+    /saved-views/*/remove /second-factor/begin /second-factor/enrol /sensors /sensors/* /sensors/*/annotations /sensors/*/ingest
+    /sensors/*/ingest/rehearse /sensors/*/plan /sensors/propose /sessions/*/end /sessions/end-others /telemetry
+    /telemetry/*/accept-as-new-sensor /telemetry/*/accept-mapping /telemetry/*/accept-sensor /telemetry/*/archive
+    /telemetry/*/diagnose /users /users/*/enable /users/*/end-sessions /users/*/password /users/*/roles /users/keys /webhooks
+    /webhooks/*/deliveries/*/redeliver /webhooks/*/enable /webhooks/*/try
+"""
 
 
 def dialogs(page):
     return dict(re.findall(r'<dialog id="([^"]*)" class="panel act-dialog"(.*?)</dialog>', page, re.DOTALL))
+
+
+def list_forms_without_dialog(text: str) -> Iterator[str]:
+    """Yield the addresses of a template's forms that are neither in the dialog of an act nor hold one."""
+    calls = []
+    for token in TOKENS.finditer(text):
+        if token["call"]:
+            calls.append(token["call"])
+        elif token["end"]:
+            calls.pop()
+        elif 'method="post"' in token["form"]:
+            address = re.search(r' action="((?:{{.*?}}|[^"])*)"', token["form"])[1]
+            inside = text[token.end() :].partition("</form>")[0]
+            if "act_dialog" not in calls and not OPENS.search(inside):
+                yield re.split(r"[?#]", re.sub(r"{{.*?}}", "*", address))[0]
+
+
+def test_no_form_of_an_act_that_cannot_be_taken_back_is_without_its_dialog():
+    found = {one for path in TEMPLATES.rglob("*.html") for one in list_forms_without_dialog(path.read_text())}
+    assert found == set(WITHOUT_DIALOG.split())
 
 
 @pytest.fixture

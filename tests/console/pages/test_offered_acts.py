@@ -1,7 +1,6 @@
 """What the pages of a set offer to whom, in every state on its way, is what the server would accept: no more and no less."""
 
 import re
-from html.parser import HTMLParser
 
 import pytest
 
@@ -9,56 +8,12 @@ from boresight.console.approvals import staleness
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.platform.db.sessions import open_reading, utc_after
 from tests.console.approvals.gates import TIGHT
+from tests.console.pages.offers import REASON, Offers, is_accepted
 from tests.console.parameter_sets.test_pages import TURNED
 from tests.console.uplinks.pages import advance, define, table
 from tests.sites import PASSWORD, answer_points
 
 NAMES = ("ada", "alan", "olga", "adele", "victor", "both")
-REASON = "The limit was only set to be tried."
-
-
-class Offers(HTMLParser):
-    """The buttons of a page that would send a form: its address and fields, and the dialog that it is in."""
-
-    def __init__(self, page: str) -> None:
-        super().__init__()
-        self.sent: list[tuple[str, dict[str, str], str | None]] = []
-        self.openers: set[str] = set()
-        self._ahead: dict[str, dict[str, str]] = {}  # fields that stand before the form that they name
-        self._form: tuple[str, dict[str, str]] | None = None
-        self._dialog: str | None = None
-        self.feed(page)
-
-    def handle_starttag(self, tag: str, given: list[tuple[str, str | None]]) -> None:
-        has = {name: value or "" for name, value in given}
-        if tag == "form":
-            fields = self._ahead.get(has.get("id", ""), {})
-            self._form = (has.get("action", ""), fields) if has.get("method") == "post" else None
-        elif tag == "dialog":
-            self._dialog = has["id"]
-        elif tag == "a" and "#" in has.get("href", ""):
-            self.openers.add(has["href"].partition("#")[2])
-        elif tag in {"input", "textarea", "select"} and "disabled" not in has:
-            if "form" in has:
-                self._ahead.setdefault(has["form"], {})[has.get("name", "")] = has.get("value", "")
-            elif self._form:
-                self._form[1].setdefault(has.get("name", ""), has.get("value", ""))
-        elif tag == "button" and not {"disabled", "hidden"} & set(has):
-            if "data-act" in has:
-                self.openers.add(has["popovertarget"])
-            elif has.get("type", "submit") == "submit" and self._form:
-                fields = self._form[1]
-                fields |= {has["name"]: has.get("value", "")} if "name" in has else {}
-                self.sent.append((has.get("formaction", self._form[0]), dict(fields), self._dialog))
-
-    def handle_endtag(self, tag: str) -> None:
-        if tag == "form":
-            self._form = None
-        if tag == "dialog":
-            self._dialog = None
-
-    def reachable(self) -> list[tuple[str, dict[str, str]]]:
-        return [(place, fields) for place, fields, dialog in self.sent if dialog is None or dialog in self.openers]
 
 
 def offered(visitor, set_id, request_id):
@@ -135,8 +90,7 @@ def accepted(site, visitor, set_id, request_id):
             if body is not None:
                 options["json"] = body | ({"expires_utc": utc_after(3600.0)} if verb == "waive" else {})
         answer = visitor.send("POST", place, params={"validate_only": "true"}, **options)
-        assert answer.status_code in {200, 201, 401, 403, 404, 409, 412, 422}, (act, answer.text)
-        return answer.status_code in {200, 201}
+        return is_accepted(act, answer)
 
     acts = set(ACTS) - ({"submit"} if was_baseline else set())  # a former baseline goes back by a roll-back
     return {act for act in acts if tried(act)}
@@ -280,3 +234,24 @@ def test_an_approval_that_has_expired_offers_no_package(life, monkeypatch):
     monkeypatch.setattr(staleness, "utc_now", lambda: utc_after(366 * 86400.0))
     life.holds("APPROVED and expired", "olga", "ada")
     assert 'id="package-blocked"' in life.people["olga"].get(f"{life.place}/uplink")
+
+
+def step_of_run(life, run_id):
+    """What the bar of a run's page has: its stations that are next, and the classes of the button that makes a set of the run."""
+    page = life.people["ada"].get(f"/runs/{run_id}").partition('id="stations"')[2].partition("</section>")[0]
+    (button,) = re.findall(rf'action="/runs/{run_id}/parameter-set".*?<button class="([^"]*)"', page)
+    return page.count('aria-current="step"'), set(button.split()), page
+
+
+def test_a_run_whose_telemetry_is_active_on_board_says_so_and_makes_no_set_the_next_step(site, results, life):
+    of_other_data = site.add_run("batch", state="SUCCEEDED", result=results["batch"], telemetry_set_id=2)
+    life.promoted()
+    life.record("SENT", "LOADED", "VERIFIED")
+    assert step_of_run(life, 2)[:2] == (1, {"button-primary", "button-small"})
+    life.record("ACTIVE")
+    following, button, page = step_of_run(life, 2)
+    assert (following, button) == (0, {"button-small"})
+    assert "PS-ST16-1-1" in page
+    assert step_of_run(life, of_other_data)[:2] == (1, {"button-primary", "button-small"})
+    assert "/runs/2/parameter-set" not in life.people["olga"].get("/runs/2")
+    assert life.people["ada"].post("/runs/2/parameter-set").status_code == 303

@@ -78,7 +78,7 @@ DONE = {
 
 
 @router.get("/alarms", response_class=HTMLResponse)
-def alarms_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
+def alarms_page(request: Request, session: Reading) -> HTMLResponse:
     """Show the alarms that are open, those to be acknowledged first; or those sought."""
     view = read_view(request, ALARMS)
     found = read_page(session, view, state=_state(view))
@@ -95,7 +95,6 @@ def alarms_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
         choices=sensors.list_choices(session, keep=[sensor] if sensor else []),
         names=read_names(session, sensors_of=found.rows),
         state_of=alarms.get_alarm_state,
-        may_handle=bool(actor.roles.intersection(alarms.HANDLERS)),
     )
 
 
@@ -152,7 +151,7 @@ def _page(
         is_reading=_is_reading,
         people=[user for user in users.list_users(session) if user.disabled_utc is None],
         names=read_names(session),
-        may_handle=bool(actor.roles.intersection(alarms.HANDLERS)) and row.closed_utc is None,
+        may_handle=alarms.may_handle(actor, row),
         until=typed.get("until") or utc_after(A_SHIFT_S),
         typed=typed,
         refusal=refusal,

@@ -91,7 +91,7 @@ def acknowledge(session: Session, actor: Actor, alarm_id: int, text: str, seen_v
 
 
 def shelve(session: Session, actor: Actor, alarm_id: int, until: str, reason: str, seen_version: int | None) -> Alarm:
-    """Shelve an alarm until a time; it is not counted meanwhile."""
+    """Shelve an alarm until a time, or until another one; it is not counted meanwhile."""
     row = _take_to_handle(session, actor, alarm_id, seen_version, "shelve an alarm")
     until_utc = read_time(until)
     if not utc_now() < until_utc <= utc_after(MOST_DAYS * DAY_S):
@@ -107,7 +107,7 @@ def shelve(session: Session, actor: Actor, alarm_id: int, until: str, reason: st
 def unshelve(session: Session, actor: Actor, alarm_id: int, seen_version: int | None) -> Alarm:
     """Take an alarm from the shelf before its time."""
     row = _take_to_handle(session, actor, alarm_id, seen_version, "unshelve an alarm")
-    if row.shelved_until_utc is None:
+    if not is_shelved(row):
         raise ConflictError(f"Alarm {row.id} is not shelved; there is nothing to unshelve.")
     row.shelved_until_utc = None
     record_step(session, actor, row, "UNSHELVED", "")
@@ -132,12 +132,17 @@ def comment(session: Session, actor: Actor, alarm_id: int, text: str, seen_versi
     return row
 
 
+def may_handle(actor: Actor, row: Alarm) -> bool:
+    """Whether an actor may act on an alarm now."""
+    return row.closed_utc is None and bool(actor.roles.intersection(HANDLERS))
+
+
 def _take_to_handle(session: Session, actor: Actor, alarm_id: int, seen_version: int | None, what: str) -> Alarm:
     require_person(actor, what)
     require_role(actor, *HANDLERS)
     row = session.get_known(Alarm, alarm_id)
     require_seen(session, row, seen_version)
-    if row.closed_utc is not None:
+    if not may_handle(actor, row):
         raise ConflictError(f"Alarm {row.id} was closed at {row.closed_utc}; write a note on its sensor instead.")
     return row
 

@@ -40,7 +40,7 @@ LONGEST_REASON = 2000
 def submit(session: Session, actor: Actor, blobs: BlobStore, alignment_id: int, reason: str) -> AlignmentRequest:
     """Ask that an alignment go on board with the parameters of its runs."""
     user_id = require_person(actor, "submit an alignment")
-    require_role(actor, "analyst")
+    require_role(actor, service.ALIGNER)
     row = session.get_known(Alignment, alignment_id)
     refuse_control_characters(reason=reason)
     if not reason.strip() or len(reason) > LONGEST_REASON:
@@ -121,16 +121,21 @@ def sign(
     return request
 
 
+def may_withdraw(actor: Actor, request: AlignmentRequest) -> bool:
+    """Whether an open request is the actor's to take back: its submitter, or an administrator."""
+    return request.submitted_by == actor.user_id or "administrator" in actor.roles
+
+
 def withdraw(
     session: Session, actor: Actor, request_id: int, reason: str, seen_version: int | None
 ) -> AlignmentRequest:
     """Take an open request back: its submitter, or an administrator; one that is approved stays, as decision 113 says."""
-    user_id = require_person(actor, "withdraw a request")
+    require_person(actor, "withdraw a request")
     require_scope(actor, "runs")
     request = session.get_known(AlignmentRequest, request_id)
     require_seen(session, request, seen_version)
     refuse_control_characters(reason=reason)
-    if request.submitted_by != user_id and "administrator" not in actor.roles:
+    if not may_withdraw(actor, request):
         raise ForbiddenError(
             "Somebody else submitted this request; ask them or an administrator to withdraw it, or an approver to refuse it."
         )

@@ -158,7 +158,7 @@ def alignments_page(request: Request, session: Reading, actor: Who) -> HTMLRespo
         sensor=sensor,
         choices=sensors.list_choices(session, keep=[sensor] if sensor else []),
         states=ALIGNMENT_STATES,
-        may_start="analyst" in actor.roles,
+        may_start=service.may_align(actor),
         sensors=_sensor_names(session, found.rows),
         names=read_names(session),
     )
@@ -170,12 +170,14 @@ def _sensor_names(session: Session, rows: Sequence[Alignment]) -> Mapping[int, s
 
 
 @router.get("/alignments/new", response_class=HTMLResponse)
-def new_alignment_page(request: Request, session: Reading, a: str = "", b: str = "") -> HTMLResponse:
+def new_alignment_page(request: Request, session: Reading, actor: Who, a: str = "", b: str = "") -> HTMLResponse:
     """Show the form that starts an alignment; a link may name its runs."""
-    return _form(request, {"run_a_id": a, "run_b_id": b}, None, session)
+    return _form(request, actor, {"run_a_id": a, "run_b_id": b}, None, session)
 
 
-def _form(request: Request, typed: Mapping[str, str], refusal: RefusalContext | None, session: Session) -> HTMLResponse:
+def _form(
+    request: Request, actor: Actor, typed: Mapping[str, str], refusal: RefusalContext | None, session: Session
+) -> HTMLResponse:
     return render(
         request,
         "alignments/new_alignment.html",
@@ -183,6 +185,7 @@ def _form(request: Request, typed: Mapping[str, str], refusal: RefusalContext | 
         offers=_list_offers(session, [parse_row_id(typed.get(name, "")) for name in ("run_a_id", "run_b_id")]),
         typed=typed,
         usual=AlignmentOptions(),
+        may_start=service.may_align(actor),
         refusal=refusal,
     )
 
@@ -205,7 +208,7 @@ async def start_alignment(request: Request, actor: Who) -> Response:
     typed = await read_texts(request)
     outcome = await attempt(request, partial(_start, actor, typed))
     if outcome.refusal is not None:
-        return await read_again(request, partial(_form, request, typed, outcome.refusal))
+        return await read_again(request, partial(_form, request, actor, typed, outcome.refusal))
     return redirect(f"/alignments/{outcome.made}", flash="Queued: this page follows it.")
 
 
@@ -267,6 +270,8 @@ def _page(request: Request, actor: Actor, alignment_id: int, refused: RefusedFor
         requests=requests,
         asked=asked,
         blocked=asked and approval.explain_why_not_sign(session, actor, asked, policy),
+        may_withdraw=asked is not None and approval.may_withdraw(actor, asked),
+        may_align=service.may_align(actor),
         is_in_force=any(one.state in {"OPEN", "APPROVED"} for one in requests),
         form=refused,
         meanings=MEANINGS,

@@ -43,6 +43,8 @@ from boresight.verdicts.gates.judgement import GateReport, parse_report
 MOST_FRAMES, MOST_STARS = 20_000, 400_000
 #: Alignments that wait at a time.
 MOST_WAITING = 50
+#: Who asks for alignments, and submits them.
+ALIGNER = "analyst"
 LEASE_S = 900.0
 MOST_ATTEMPTS = 3
 #: Former alignments of a pair that a page compares.
@@ -98,11 +100,16 @@ def parse_options(given: Mapping[str, Any]) -> AlignmentOptions:
     return AlignmentOptions(**given)
 
 
+def may_align(actor: Actor) -> bool:
+    """Whether an actor may ask for alignments, and that they go on board."""
+    return ALIGNER in actor.roles
+
+
 def request_alignment(
     session: Session, actor: Actor, run_a_id: int, run_b_id: int, given: Mapping[str, Any]
 ) -> Alignment:
     """Queue the alignment of the sensors of two runs that succeeded; the same one while it has not ended."""
-    require_role(actor, "analyst")
+    require_role(actor, ALIGNER)
     require_scope(actor, "runs")
     parse_options(given)
     a, b = (_get_usable_run(session, run_id) for run_id in (run_a_id, run_b_id))

@@ -505,13 +505,18 @@ def _get_submittable(
     refuse_control_characters(reason=reason)
     row = session.get_known(ParameterSet, parameter_set_id)
     require_seen(session, row, seen_version)
+    refuse_unsubmittable(session, row)
+    return row
+
+
+def refuse_unsubmittable(session: Session, row: ParameterSet) -> None:
+    """Refuse to submit a set whose state on the ground does not allow it."""
     if row.ground_state not in SUBMITTABLE:
         raise ConflictError(
             f"{row.name} is {row.ground_state}: {describe_last_change(session, row)}. "
             f"Submit a set that is {' or '.join(SUBMITTABLE)}.",
             code="wrong-state",
         )
-    return row
 
 
 def _open(session: Session, actor: Actor, row: ParameterSet, reason: str, policy: Policy) -> Approval:

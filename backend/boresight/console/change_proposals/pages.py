@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 
 from fastapi import Depends, Request
@@ -67,15 +67,14 @@ def change_proposals_page(request: Request, session: Reading, actor: Who) -> HTM
 @router.get("/change-proposals/{proposal_id:int}", response_class=HTMLResponse)
 def change_proposal_page(request: Request, actor: Who, proposal_id: int) -> HTMLResponse:
     """Show a proposal with what it changes."""
-    return _page(request, actor, proposal_id, None, "")
+    return _page(request, actor, proposal_id, None, {})
 
 
 def _page(
-    request: Request, actor: Actor, proposal_id: int, refusal: RefusalContext | None, comment: str
+    request: Request, actor: Actor, proposal_id: int, refusal: RefusalContext | None, typed: Mapping[str, str]
 ) -> HTMLResponse:
     with open_reading(get_server(request).engine) as session:
         row = session.get_known(ChangeProposal, proposal_id)
-        own = row.proposed_by == actor.user_id
         return render(
             request,
             "change_proposals/change_proposal.html",
@@ -86,10 +85,10 @@ def _page(
             sensor=session.get_known(Sensor, row.sensor_id),
             differences=proposals.list_differences(session, row),
             blocked=proposals.explain_why_not_decide(session, actor, row),
-            may_withdraw=row.state == "OPEN" and (own or "administrator" in actor.roles),
+            may_withdraw=proposals.may_withdraw(session, actor, row),
             names=read_names(session),
             refusal=refusal,
-            comment=comment,
+            typed=typed,
         )
 
 
@@ -108,5 +107,5 @@ async def decide(request: Request, actor: Who, proposal_id: int) -> Response:
         return redirect(f"/change-proposals/{proposal_id}")
     outcome = await attempt(request, changes[action])
     if outcome.value is None:
-        return await run_in_threadpool(_page, request, actor, proposal_id, outcome.refusal, comment)
+        return await run_in_threadpool(_page, request, actor, proposal_id, outcome.refusal, form)
     return redirect(f"/change-proposals/{proposal_id}", flash=EFFECTS[action])

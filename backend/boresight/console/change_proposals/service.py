@@ -107,6 +107,16 @@ def explain_why_not_decide(session: Session, actor: Actor, row: ChangeProposal) 
     return _explain_closed(session, row)
 
 
+def may_withdraw(session: Session, actor: Actor, row: ChangeProposal) -> bool:
+    """Whether this actor may take a proposal back now."""
+    return _is_own(actor, row) and _explain_closed(session, row) is None
+
+
+def _is_own(actor: Actor, row: ChangeProposal) -> bool:
+    """Whether a proposal is the actor's to take back: who made it, or an administrator."""
+    return actor.user_id == row.proposed_by or "administrator" in actor.roles
+
+
 def confirm(
     session: Session, actor: Actor, proposal_id: int, seen_version: int | None, comment: str = ""
 ) -> ChangeProposal:
@@ -151,7 +161,7 @@ def withdraw(session: Session, actor: Actor, proposal_id: int, seen_version: int
     """Take a proposal back: who made it, or an administrator."""
     require_scope(actor, "sensors")
     row = session.get_known(ChangeProposal, proposal_id)
-    if actor.user_id != row.proposed_by:
+    if not _is_own(actor, row):
         require_role(actor, "administrator")
     require_seen(session, row, seen_version)
     _require_open(session, row)

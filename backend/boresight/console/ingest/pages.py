@@ -27,7 +27,7 @@ from boresight.console.fleet.tables import Sensor
 from boresight.console.ingest import policies, service
 from boresight.console.ingest import queries as rows
 from boresight.console.ingest.rules import RULES
-from boresight.console.ingest.tables import DECISION_STATES, IngestDecision, IngestPolicy
+from boresight.console.ingest.tables import ANSWERS, DECISION_STATES, IngestDecision, IngestPolicy
 from boresight.console.list_queries import list_newest
 from boresight.console.mission_control import queries as link_rows
 from boresight.console.mission_control.tables import FAILURES_TOLD
@@ -210,7 +210,7 @@ def _decision(
         stopped=[] if prepared is None else find_blocking_gates(session, prepared),
         approval=session.get(Approval, row.approval_id) if row.approval_id else None,
         titles=TITLES,
-        may_answer=row.state == "ASKED" and "analyst" in actor.roles,
+        why_not={one: service.explain_why_not_answer(session, actor, row, one) for one in ANSWERS},
         quiet_days=service.QUIET_DAYS,
         names=read_names(session),
         typed=typed,
@@ -283,9 +283,9 @@ def _policy(
         linked=request.app.state.mission_control.links,
         link=link_rows.find_link(session, sensor_id),
         failures_told=FAILURES_TOLD,
-        may_write=bool(actor.roles.intersection(policies.WRITERS)),
-        may_stop=bool(actor.roles.intersection((*policies.WRITERS, "operator"))),
-        may_enable="administrator" in actor.roles,
+        may_write=policies.may_write(actor),
+        steps=policies.list_open_steps(session, actor, shown) if shown else set(),
+        why_not_enable=policies.explain_why_not_enable(session, shown) if shown else None,
         names=read_names(session),
         typed=typed,
         refusal=refusal,

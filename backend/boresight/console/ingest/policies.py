@@ -9,6 +9,7 @@ A policy that was not rehearsed is not enabled. Its rules never change: other ru
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from boresight.console.alarms.rules import update_alarms
@@ -21,7 +22,7 @@ from boresight.console.ingest.tables import IngestPolicy
 from boresight.console.runs.presets import get_offer
 from boresight.console.telemetry.profiles import find_profile
 from boresight.console.transitions import move, name_subject, require_seen
-from boresight.errors import ConflictError, RefusedInputError
+from boresight.errors import BoresightError, ConflictError, RefusedInputError
 from boresight.mission_control.systems import TITLES
 from boresight.platform.actors import INGEST, Actor, require_person, require_role, require_scope
 from boresight.platform.audit import log as audit
@@ -31,6 +32,67 @@ from boresight.platform.web.text_validation import refuse_control_characters
 
 WRITERS = ("analyst", "administrator")
 LONGEST_REASON = 2000
+
+
+@dataclass(frozen=True)
+class PolicyStep:
+    """A step of a policy: who takes it, from which states, what to do in another, and whether only in person, as what."""
+
+    roles: tuple[str, ...]
+    states: tuple[str, ...]
+    remedy: str
+    in_person: str = ""
+
+
+STEPS = {
+    "rehearse": PolicyStep(WRITERS, ("DRAFT", "ACTIVE", "PAUSED"), "write a new version and rehearse that"),
+    "enable": PolicyStep(("administrator",), ("DRAFT",), "write a new version to enable", "enable an ingest policy"),
+    "pause": PolicyStep((*WRITERS, "operator"), ("ACTIVE",), "choose an ACTIVE one to pause"),
+    "resume": PolicyStep(WRITERS, ("PAUSED",), "choose a PAUSED one to resume", "resume an ingest policy"),
+    "switch-off": PolicyStep((*WRITERS, "operator"), ("DRAFT", "ACTIVE", "PAUSED"), "there is nothing to switch off"),
+}
+
+
+def may_write(actor: Actor) -> bool:
+    """Whether an actor may draft policies."""
+    return bool(actor.roles.intersection(WRITERS))
+
+
+def list_open_steps(session: Session, actor: Actor, row: IngestPolicy) -> set[str]:
+    """Return the steps of a policy that this actor may take now."""
+    found = {name for name, step in STEPS.items() if row.state in step.states and actor.roles.intersection(step.roles)}
+    return found - ({"enable"} if explain_why_not_enable(session, row) else set())
+
+
+def explain_why_not_enable(session: Session, row: IngestPolicy) -> str | None:
+    """Say what a draft lacks to be enabled; None where it lacks nothing."""
+    try:
+        _refuse_unready(session, row)
+    except BoresightError as refusal:
+        return str(refusal)
+    return None
+
+
+def _refuse_unready(session: Session, row: IngestPolicy) -> None:
+    if row.rehearsal is None:
+        raise ConflictError(
+            f"Policy {row.number} has not been rehearsed; rehearse it first to see which decisions it would have requested."
+        )
+    _refuse_unknown(session, read_rules(row))
+
+
+def _take(session: Session, actor: Actor, name: str, policy_id: int, seen_version: int | None) -> IngestPolicy:
+    """Return a policy to take a step of; refuse who may not, and one whose state does not allow it."""
+    step = STEPS[name]
+    if step.in_person:
+        require_person(actor, step.in_person)
+    require_role(actor, *step.roles)
+    require_scope(actor, "telemetry-sets")
+    row = session.get_known(IngestPolicy, policy_id)
+    require_seen(session, row, seen_version)
+    if row.state not in step.states:
+        raise ConflictError(f"Policy {row.number} is {row.state}; {step.remedy}.")
+    return row
 
 
 def read_rules(row: IngestPolicy) -> PolicyRules:
@@ -83,12 +145,7 @@ def record_rehearsal(
     session: Session, actor: Actor, policy_id: int, found: Mapping[str, Any], seen_version: int | None
 ) -> IngestPolicy:
     """Put a rehearsal on record, without which a policy is not enabled."""
-    require_role(actor, *WRITERS)
-    require_scope(actor, "telemetry-sets")
-    row = session.get_known(IngestPolicy, policy_id)
-    require_seen(session, row, seen_version)
-    if row.state == "OFF":
-        raise ConflictError(f"Policy {row.number} is OFF; write a new version and rehearse that.")
+    row = _take(session, actor, "rehearse", policy_id, seen_version)
     row.rehearsal, row.rehearsed_utc = dict(found), utc_now()
     told = {name: found[name] for name in ("sets", "asked", "held", "unconfirmed", "not_judged")}
     move(session, actor, row, row.state, "rehearsed", **told)
@@ -97,17 +154,8 @@ def record_rehearsal(
 
 def enable(session: Session, actor: Actor, policy_id: int, seen_version: int | None) -> IngestPolicy:
     """Put a rehearsed draft into force, in place of the policy that is; an administrator, in person."""
-    require_person(actor, "enable an ingest policy")
-    require_role(actor, "administrator")
-    row = session.get_known(IngestPolicy, policy_id)
-    require_seen(session, row, seen_version)
-    if row.state != "DRAFT":
-        raise ConflictError(f"Policy {row.number} is {row.state}, not a DRAFT; write a new version to enable.")
-    if row.rehearsal is None:
-        raise ConflictError(
-            f"Policy {row.number} has not been rehearsed; rehearse it first to see which decisions it would have requested."
-        )
-    _refuse_unknown(session, read_rules(row))
+    row = _take(session, actor, "enable", policy_id, seen_version)
+    _refuse_unready(session, row)
     before = rows.find_policy_in_force(session, row.sensor_id)
     if before is not None:
         move(session, actor, before, "OFF", "switched off", reason=f"Policy {row.number} is in force.")
@@ -135,24 +183,14 @@ def pause_by_person(
     session: Session, actor: Actor, policy_id: int, reason: str, seen_version: int | None
 ) -> IngestPolicy:
     """Stop a policy until it is resumed; files stay where they are."""
-    require_role(actor, *WRITERS, "operator")
-    require_scope(actor, "telemetry-sets")
-    row = session.get_known(IngestPolicy, policy_id)
-    require_seen(session, row, seen_version)
-    if row.state != "ACTIVE":
-        raise ConflictError(f"Policy {row.number} is {row.state}; choose an ACTIVE one to pause.")
+    row = _take(session, actor, "pause", policy_id, seen_version)
     _pause(session, actor, row, "PERSON", _check_reason(reason, "for pausing it"))
     return row
 
 
 def resume(session: Session, actor: Actor, policy_id: int, reason: str, seen_version: int | None) -> IngestPolicy:
     """Let a paused policy go on; the counts that stopped it begin again. Only a person may, because a machine stopped it."""
-    require_person(actor, "resume an ingest policy")
-    require_role(actor, *WRITERS)
-    row = session.get_known(IngestPolicy, policy_id)
-    require_seen(session, row, seen_version)
-    if row.state != "PAUSED":
-        raise ConflictError(f"Policy {row.number} is {row.state}; choose a PAUSED one to resume.")
+    row = _take(session, actor, "resume", policy_id, seen_version)
     said = _check_reason(reason, "for resuming it")
     row.resumed_utc = utc_now()
     row.pause_code = row.pause_reason = row.paused_utc = None
@@ -163,12 +201,7 @@ def resume(session: Session, actor: Actor, policy_id: int, reason: str, seen_ver
 
 def switch_off(session: Session, actor: Actor, policy_id: int, reason: str, seen_version: int | None) -> IngestPolicy:
     """Take a policy out of force for good, or give a draft up."""
-    require_role(actor, *WRITERS, "operator")
-    require_scope(actor, "telemetry-sets")
-    row = session.get_known(IngestPolicy, policy_id)
-    require_seen(session, row, seen_version)
-    if row.state == "OFF":
-        raise ConflictError(f"Policy {row.number} is OFF already; there is nothing to switch off.")
+    row = _take(session, actor, "switch-off", policy_id, seen_version)
     move(session, actor, row, "OFF", "switched off", reason=_check_reason(reason, "for switching it off"))
     update_alarms(session, [row.sensor_id])
     return row

@@ -51,7 +51,7 @@ from boresight.console.telemetry.service import (
 )
 from boresight.console.telemetry.tables import TelemetrySet, parse_quality
 from boresight.console.transitions import move, name_subject, require_seen
-from boresight.errors import BoresightError, ConflictError, RefusedInputError
+from boresight.errors import BoresightError, ConflictError, ForbiddenError, RefusedInputError
 from boresight.platform.actors import DAY_S, INGEST, POLICY, Actor, Policy, require_person, require_role, require_scope
 from boresight.platform.audit import log as audit
 from boresight.platform.audit.subjects import AuditAction
@@ -505,6 +505,30 @@ class DecisionAnswer:
             raise RefusedInputError(f"WAIT can last up to {MOST_QUIET_DAYS:.0f} days; enter a number greater than 0.")
 
 
+def explain_why_not_answer(session: Session, actor: Actor, row: IngestDecision, given: str) -> str | None:
+    """Say why this actor may not give an answer; None when nothing but the reason is missing."""
+    try:
+        _refuse_answerer(actor)
+        _refuse_answer(session, row, given)
+    except (ForbiddenError, ConflictError) as refusal:
+        return str(refusal)
+    return None
+
+
+def _refuse_answerer(actor: Actor) -> int:
+    user_id = require_person(actor, "answer an ingest decision")
+    require_role(actor, "analyst")
+    return user_id
+
+
+def _refuse_answer(session: Session, row: IngestDecision, given: str) -> None:
+    """Refuse an answer where none is asked for, and to submit a set that was submitted on its own page meanwhile."""
+    if row.state != "ASKED":
+        raise ConflictError(f"Decision {row.id} is {row.state}; it needs no answer. Choose one that is ASKED.")
+    if given == "SUBMIT":
+        approvals.refuse_unsubmittable(session, session.get_known(ParameterSet, row.parameter_set_id or 0))
+
+
 def answer(
     session: Session,
     actor: Actor,
@@ -516,13 +540,11 @@ def answer(
     policy: Policy = POLICY,
 ) -> IngestDecision:
     """Answer a question in person; SUBMIT opens the request for approval, with whoever answers as its submitter."""
-    user_id = require_person(actor, "answer an ingest decision")
-    require_role(actor, "analyst")
+    user_id = _refuse_answerer(actor)
     row = session.get_known(IngestDecision, decision_id)
     require_seen(session, row, seen_version)
     given.check()
-    if row.state != "ASKED":
-        raise ConflictError(f"Decision {row.id} is {row.state}; it needs no answer. Choose one that is ASKED.")
+    _refuse_answer(session, row, given.answer)
     if given.answer == "SUBMIT":
         prepared = session.get_known(ParameterSet, row.parameter_set_id or 0)
         request = approvals.submit(session, actor, blobs, prepared.id, given.reason, prepared.version, policy=policy)

@@ -23,6 +23,7 @@ from boresight.console.fleet.timeline import describe_source
 from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets.service import USABLE_STATUSES
 from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs import queries as run_queries
 from boresight.console.runs import service as runs
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
 from boresight.console.uplinks import service as uplinks
@@ -70,7 +71,8 @@ class NextStep:
     """What is next, with the button of whoever may do it.
 
     `label`, `href`: of the button; `posts` says that pressing it acts at once, else it leads to a form or a dialog. `who`: the
-    printed names of those who may. `held`: why somebody who has the role cannot take it now.
+    printed names of those who may. `held`: why somebody who has the role cannot take it now. `is_optional`: nothing needs it, so
+    that the sentence is the answer and the button stands aside.
     """
 
     sentence: str
@@ -81,6 +83,7 @@ class NextStep:
     who: tuple[str, ...] = ()
     role: str = ""
     held: str = ""
+    is_optional: bool = False
 
 
 @dataclass(frozen=True)
@@ -135,7 +138,7 @@ def make_workflow(
     viewer = _Viewer(session, actor, policy, users.list_users(session))
     if row is None:
         step = _step_of_run(viewer, run)
-        stations = lay_out([None] * len(TITLES), TITLES, stopped=not step.posts)
+        stations = lay_out([None] * len(TITLES), TITLES, stopped=not step.posts or step.is_optional)
         if run is not None and run.state not in TERMINAL_RUN_STATES:
             stations[0] = Station(TITLES[0], "standby", UNDER_WAY.get(run.state, "running"), run.launched_utc)
         return Workflow("", tuple(stations), step)
@@ -273,8 +276,21 @@ def _step_of_run(viewer: _Viewer, run: Run | None) -> NextStep:
         said = f"It ended with {str(status).replace('_', ' ')}, so no parameter set can be made: follow the advice and run again."
         return viewer.step_for(("analyst",), said, "Run it again", again)
     address = f"/runs/{run.id}/parameter-set"
+    if (active := find_set_on_board(viewer.session, run)) is not None:
+        said = f"{active.name}, made from its telemetry, is ACTIVE on board: no further step."
+        step = viewer.step_for(("analyst",), said, "Create a set anyway", address, posts=True)
+        return replace(step, is_optional=True) if step.is_mine else NextStep(said)
     said = "Review the four views, then create a parameter set from the result and assess its gates."
     return viewer.step_for(("analyst",), said, "Create parameter set", address, posts=True)
+
+
+def find_set_on_board(session: Session, run: Run) -> ParameterSet | None:
+    """Return the set that is active on board, if all telemetry of a run went into it already."""
+    active = set_queries.find_active_set(session, run.sensor_id)
+    if active is None or active.run_id is None:
+        return None
+    went_in = run_queries.list_held_sets(session, session.get_known(Run, active.run_id))
+    return active if went_in.issuperset({run.telemetry_set_id, *run.joint_set_ids}) else None
 
 
 def _step_of_set(viewer: _Viewer, row: ParameterSet, known: _Records) -> NextStep:
