@@ -54,7 +54,7 @@ from boresight.platform.web.problems import make_problem
 from boresight.platform.web.response_cache import GAPS
 from boresight.platform.web.static_files import has_documentation
 from boresight.resources import folder
-from boresight.verdicts.numbers import show_numbers
+from boresight.verdicts.numbers import keep_typed, show_numbers
 
 T = TypeVar("T")
 _transaction = asynccontextmanager(open_write_session)
@@ -173,6 +173,7 @@ def _environment() -> Environment:
         loader=FileSystemLoader(folder("frontend") / "templates"),
         autoescape=True,
         undefined=StrictUndefined,
+        finalize=keep_typed,
         trim_blocks=True,
         lstrip_blocks=True,
     )
