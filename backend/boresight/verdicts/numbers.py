@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -131,10 +131,14 @@ def urad(value_rad: Any, digits: int = 4) -> str:
     return number(value_rad * 1e6, digits) if is_number(value_rad) else MISSING
 
 
-def urad_between(value_rad: Any, ends_rad: tuple[float, float] | None, digits: int = 3) -> str:
+def urad_between(value_rad: Any, ends_rad: Sequence[float] | None, digits: int = 3) -> str:
     """Print an angle in microradians with its 95 % interval in brackets, without the unit."""
-    told = urad(value_rad, digits)
-    return told if ends_rad is None else f"{told} ({' to '.join(urad(end, digits) for end in ends_rad)})"
+    return f"{urad(value_rad, digits)} {urad_interval(ends_rad, digits)}".rstrip()
+
+
+def urad_interval(ends_rad: Sequence[float] | None, digits: int = 3) -> str:
+    """Print an interval in microradians in brackets, without the unit; nothing where it is not known."""
+    return "" if ends_rad is None else f"({' to '.join(urad(end, digits) for end in ends_rad)})"
 
 
 def to_second_digit(value: float, sigma: float, large: float = LARGE, power: int | None = None) -> str:
