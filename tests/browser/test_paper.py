@@ -3,6 +3,7 @@
 import re
 
 import pytest
+from playwright.sync_api import expect
 
 from tests.browser.people import get_password
 from tests.browser.window import BROKEN
@@ -42,6 +43,39 @@ def test_the_theme_is_the_system_s_until_one_is_chosen(people):
         window.use_theme("light")
         window.open("/runs")
         assert window.page.evaluate("document.documentElement.dataset.theme") == "light"
+
+
+UNDRAWN = """() => [...document.querySelectorAll("plot-figure")].filter(one =>
+    one.checkVisibility() && !one.querySelector(".js-plotly-plot .main-svg")).length"""
+PRINT_COUNTS = f"() => {{ window.print = () => {{ window.missing = ({UNDRAWN})(); }}; }}"
+
+
+@pytest.mark.parametrize("by", ["Control+p", "button"])
+def test_every_figure_is_drawn_before_the_page_is_printed(people, numbers, by):
+    with people.seat("analyst", new=True) as window:
+        window.open("/runs/{batch}?part=evidence".format(**numbers))
+        assert window.page.evaluate(UNDRAWN) > 0
+        window.page.evaluate(PRINT_COUNTS)
+        if by == "button":
+            window.page.get_by_role("button", name="Print this page").click()
+        else:
+            window.page.keyboard.press(by)
+        window.page.wait_for_function("() => window.missing !== undefined")
+        assert window.page.evaluate("window.missing") == 0
+        expect(window.page.locator("#print-page")).to_be_enabled()
+
+
+def test_a_figure_that_was_not_drawn_says_so_on_paper_only(people, numbers):
+    with people.seat("analyst", new=True) as window:
+        window.leave_figures_out()
+        window.open("/runs/{batch}?part=evidence".format(**numbers))
+        waiting = window.page.locator("plot-figure[data-state=loading]:visible")
+        before = waiting.first.locator(".figure-words").inner_text()
+        window.page.evaluate("dispatchEvent(new Event('beforeprint'))")
+        on_paper = waiting.first.locator(".figure-words").inner_text()
+        assert "Print this page" in on_paper
+        window.page.evaluate("dispatchEvent(new Event('afterprint'))")
+        assert waiting.first.locator(".figure-words").inner_text() == before
 
 
 @pytest.mark.parametrize("address", few_of(PRINTED, 1))

@@ -85,10 +85,11 @@ def _advise_on_status(estimate: Estimate, observed: Observability, settings: Cal
         rest = ": allow more iterations, or free fewer parameters."
         yield Advice.begin("max_iterations", "The fit had not converged at its last iteration", rest)
     if estimate.status == "rank_deficient":
-        lost = [observed.direction(i) for i in range(len(observed.names)) if observed.singular_values[i] == 0]
-        names = sorted({name for direction in lost for name, value in direction.items() if abs(value) > 0.1})
+        lost = [i for i in range(len(observed.names)) if observed.singular_values[i] == 0]
+        parts = [part for i in lost for part in zip(observed.symbols, observed.direction(i).values(), strict=True)]
+        symbols = sorted({symbol for symbol, value in parts if abs(value) > 0.1})
         rest = f": hold at least {len(lost)} of them fixed and run again."
-        yield Advice.begin("rank_deficient", f"These data do not determine {', '.join(names)}", rest)
+        yield Advice.begin("rank_deficient", f"These data do not determine {', '.join(symbols)}", rest)
 
 
 def _advise_on_weak_directions(observed: Observability, estimate: Estimate) -> Iterator[Advice]:
@@ -120,7 +121,7 @@ def _advise_on_curvature(observed: Observability, estimate: Estimate, rise: floa
         "curved",
         finding,
         f"{size}, because the data barely separate {alike} and the fit is not linear there; hold "
-        f"{join_words([observed.names[p] for p in held])} fixed and run again before relying on its sigmas.",
+        f"{join_words([observed.symbols[p] for p in held])} fixed and run again before relying on its sigmas.",
     )
 
 
@@ -163,8 +164,8 @@ def _advise_on_shift(problem: Problem, parameters: Parameters, estimate: Estimat
     if estimate.status == "diverged":
         return
     shift = (estimate.x - problem.sensor.initial)[parameters.free] / parameters.scale
-    moved = [(problem.camera.parameter_names[p], steps) for p, steps in zip(parameters.free, shift, strict=True)]
-    far = ", ".join(f"{name} {steps:+.0f}" for name, steps in moved if abs(steps) > FAR_TYPICAL_SIGMAS)
+    moved = [(problem.camera.symbols[p], steps) for p, steps in zip(parameters.free, shift, strict=True)]
+    far = ", ".join(f"{symbol} {steps:+.0f}" for symbol, steps in moved if abs(steps) > FAR_TYPICAL_SIGMAS)
     if not far:
         return
     if np.abs(shift).max() > ANOTHER_SENSOR and fit.mean > FITS:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -131,10 +131,14 @@ def urad(value_rad: Any, digits: int = 4) -> str:
     return number(value_rad * 1e6, digits) if is_number(value_rad) else MISSING
 
 
-def urad_between(value_rad: Any, ends_rad: tuple[float, float] | None, digits: int = 3) -> str:
+def urad_between(value_rad: Any, ends_rad: Sequence[float] | None, digits: int = 3) -> str:
     """Print an angle in microradians with its 95 % interval in brackets, without the unit."""
-    told = urad(value_rad, digits)
-    return told if ends_rad is None else f"{told} ({' to '.join(urad(end, digits) for end in ends_rad)})"
+    return f"{urad(value_rad, digits)} {urad_interval(ends_rad, digits)}".rstrip()
+
+
+def urad_interval(ends_rad: Sequence[float] | None, digits: int = 3) -> str:
+    """Print an interval in microradians in brackets, without the unit; nothing where it is not known."""
+    return "" if ends_rad is None else f"({' to '.join(urad(end, digits) for end in ends_rad)})"
 
 
 def to_second_digit(value: float, sigma: float, large: float = LARGE, power: int | None = None) -> str:
@@ -273,6 +277,23 @@ MOST_DIGITS = 40
 SCRIPT = re.compile(r"(<script\b.*?</script>)", re.DOTALL)
 
 
+#: Stands within a page beside what would begin or part a number, where it is kept; no character of any text (Unicode says so).
+KEEP = "\ufdd0"
+
+
+class Typed(str):
+    """A text that a person typed, whose numbers stay as they are on every page."""
+
+    __slots__ = ()
+
+
+def keep_typed(value: Any) -> Any:
+    """Mark the numbers of a value that a template prints where a person typed it."""
+    if not isinstance(value, Typed):
+        return value
+    return PLAIN_NUMBER.sub(lambda found: KEEP.join(("", *found[0], "")), value)
+
+
 def find_tag_before(page: str, found: re.Match[str]) -> str:
     """Return what stands before a place in a page, from its last tag on: without a > the place is inside that tag."""
     return page[max(page.rfind("<", 0, found.start()), 0) : found.start()]
@@ -284,12 +305,15 @@ def is_told(tag: str, kept: tuple[str, ...] = AS_WRITTEN) -> bool:
 
 
 def show_numbers(page: str) -> str:
-    """Write the numbers in sentences, tooltips and labels of a page as its tables do; fields and what people wrote keep theirs."""
+    """Write the numbers in sentences, tooltips and labels of a page as its tables do; fields and what people wrote keep theirs.
+
+    What is kept stands in an element of those that are, or was marked by `keep_typed`.
+    """
 
     def show(found: re.Match[str]) -> str:
         return _typeset(page, found) if is_told(find_tag_before(page, found), (*AS_WRITTEN, *QUOTED)) else found[0]
 
-    return PLAIN_NUMBER.sub(show, page)
+    return PLAIN_NUMBER.sub(show, page).replace(KEEP, "")
 
 
 def show_numbers_of_report(document: str) -> str:

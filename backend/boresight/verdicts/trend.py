@@ -83,7 +83,7 @@ class TrendAnnotation:
 
 @dataclass(frozen=True, kw_only=True)
 class DriftTest:
-    """A test at the false-alarm rate of the document."""
+    """A test at the false-alarm rate of the document, or where two are made at half of it."""
 
     statistic: float
     dof: int

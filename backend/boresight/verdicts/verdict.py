@@ -26,7 +26,7 @@ from boresight.calibration.trust.advice import TOO_SMALL
 from boresight.errors import RefusedInputError
 from boresight.estimation.filters import FILTERS
 from boresight.estimation.statistics.observability import WEAK, is_curved
-from boresight.verdicts.history import find_rms_intervals, interval_of_rms, settled_step, sigma_of_rms
+from boresight.verdicts.history import Ends, find_rms_intervals, interval_of_rms, settled_step, sigma_of_rms
 from boresight.verdicts.numbers import count, number, percent, urad, urad_between
 
 LEVELS = ("off", "standby", "normal", "caution", "serious", "critical")  # of the Astro UX status system, worst last
@@ -199,9 +199,14 @@ def count_weak(seen: Observability) -> int:
 
 def list_rms(scores: Evaluation | None, rms: Change, arcs: float | None) -> list[str]:
     """Write the RMS of a set before and after in microradians, each with its 95 % interval where that is known."""
+    ends = _find_rms_ends(scores, rms, arcs)
+    return [urad_between(value, known) for value, known in zip((rms.initial, rms.final), ends, strict=True)]
+
+
+def _find_rms_ends(scores: Evaluation | None, rms: Change, arcs: float | None) -> tuple[Ends | None, Ends | None]:
+    """Find the 95 % intervals of the RMS of a set before and after."""
     known = find_rms_intervals(scores)
-    pairs = ((rms.initial, known.initial), (rms.final, known.final))
-    return [urad_between(value, interval_of_rms(value, arcs, ends)) for value, ends in pairs]
+    return interval_of_rms(rms.initial, arcs, known.initial), interval_of_rms(rms.final, arcs, known.final)
 
 
 def describe_rms(scores: Evaluation | None, rms: Change, arcs: float | None) -> str:
@@ -434,7 +439,8 @@ class RunSummary:
     """What lists show of a run; what its calibration does not have, or what was not kept yet when it ended, is None.
 
     `advice`: the gravest sentence; `finding`: what it found, for a line among others; absent from summaries of earlier versions.
-    `weak_directions`: how many the data hardly determine, or not at all. `tail_rms_rad`: of a filter, at its end. `seconds`,
+    `weak_directions`: how many the data hardly determine, or not at all. The intervals are those of 95 %; absent from summaries of
+    earlier versions. `tail_rms_rad`: of a filter, at its end. `seconds`,
     `cpu_seconds`: what a worker took for it.
     """
 
@@ -457,6 +463,10 @@ class RunSummary:
     trend: TrendEntry | None = None
     validation_rms_initial_arc_rad: float | None = None
     validation_rms_final_arc_rad: float | None = None
+    rms_initial_interval_rad: list[float] | None = None
+    rms_final_interval_rad: list[float] | None = None
+    validation_rms_initial_interval_rad: list[float] | None = None
+    validation_rms_final_interval_rad: list[float] | None = None
     seconds: float | None = None
     cpu_seconds: float | None = None
 
@@ -478,6 +488,11 @@ def summarise_run(result: Calibration) -> RunSummary:
     judged = make_verdict(result)
     advice = [*result.advice, *(judged.reasons if judged.level != "normal" else ())]
     seen, validation, history = result.observability, result.validation, result.history
+    fitted = _find_rms_ends(result.evaluation, result.rms_arc_rad, result.pairs)
+    of_validation = (
+        _find_rms_ends(validation, validation.rms_arc_rad, validation.common_pairs) if validation else (None, None)
+    )
+    before, after, valid_before, valid_after = (ends and list(ends) for ends in (*fitted, *of_validation))
     return RunSummary(
         status=result.status,
         level=judged.level,
@@ -498,6 +513,10 @@ def summarise_run(result: Calibration) -> RunSummary:
         trend=trend_entry(result),
         validation_rms_initial_arc_rad=validation.rms_arc_rad.initial if validation else None,
         validation_rms_final_arc_rad=validation.rms_arc_rad.final if validation else None,
+        rms_initial_interval_rad=before,
+        rms_final_interval_rad=after,
+        validation_rms_initial_interval_rad=valid_before,
+        validation_rms_final_interval_rad=valid_after,
     )
 
 

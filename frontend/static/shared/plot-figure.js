@@ -19,6 +19,8 @@ import { getZoom, keepZoom } from "./view-address.js";
 
 const SLOW_MS = 10_000;
 const SIZES = { narrow: 420, medium: 820 }; // below these, as a phone and as a column of a page, some figures are laid out otherwise
+const LOADING = "Loading the figure.";
+const NOT_DRAWN = "This figure was not drawn when the page was printed. “Print this page”, at the foot of the page, draws every figure first.";
 const PAPER_PX = { small: 330, large: 680 }; // what A4 leaves of a panel's width
 const WAIT_MS = 250; // a zoom, or another layout, is asked for when it has come to rest: a picture of a whole page squeezes it for a moment
 
@@ -75,6 +77,8 @@ export class PlotFigure extends HTMLElement {
   /** @type {Figure | null} */
   #figure = null;
   #busy = false;
+  /** @type {Promise<void> | null} what is fetched and drawn now */
+  #work = null;
   #again = false;
   #drawnAt = "";
   #abort = new AbortController();
@@ -103,7 +107,7 @@ export class PlotFigure extends HTMLElement {
     document.addEventListener("boresight:theme", () => this.#draw(), { signal });
     addEventListener("hashchange", () => this.#zoom(), { signal });
     this.#resizer.observe(this.canvas);
-    this.#say("loading", "Loading the figure.");
+    this.#say("loading", LOADING);
     near.observe(this);
     queue = queue.then(waitForQuiet).then(() => this.#drawInTurn());
   }
@@ -114,10 +118,10 @@ export class PlotFigure extends HTMLElement {
     await pause(REST * this.#costMs);
   }
 
-  /** Fetch and draw for the first time, unless that was done already. */
+  /** Fetch and draw for the first time, unless that was done already, or wait for it where it is under way. */
   async begin() {
     if (this.checkVisibility()) near.unobserve(this);
-    if (!this.#begun && this.isConnected && this.checkVisibility()) await this.refresh();
+    await (!this.#begun && this.isConnected && this.checkVisibility() ? this.refresh() : this.#work);
   }
 
   disconnectedCallback() {
@@ -141,14 +145,17 @@ export class PlotFigure extends HTMLElement {
   }
 
   /** Fetch and draw; a refresh that arrives in the middle of one is done once, afterwards. @param {Record<string, string>} [headers] */
-  async refresh(headers = {}) {
-    if (this.#busy) {
-      this.#again = true;
-      return;
-    }
+  refresh(headers = {}) {
+    if (this.#busy) this.#again = true;
+    else this.#work = this.#fetchAndDraw(headers);
+    return this.#work;
+  }
+
+  /** @param {Record<string, string>} headers */
+  async #fetchAndDraw(headers) {
     this.#begun = this.#busy = true;
     const slow = setTimeout(() => this.#say("loading", "Still working on this figure."), SLOW_MS);
-    if (!this.#figure) this.#say("loading", "Loading the figure.");
+    if (!this.#figure) this.#say("loading", LOADING);
     try {
       const [figure] = await Promise.all([fetchJson(this.#address(this.#window), headers), load()]);
       this.#figure = figure;
@@ -195,10 +202,26 @@ export class PlotFigure extends HTMLElement {
     this.dispatchEvent(new CustomEvent("figure-drawn", { bubbles: true }));
   }
 
-  /** Draw for paper, or again for the screen, before the browser lays the page out. @param {boolean} paper */
+  /**
+   * Draw for paper, or again for the screen, before the browser lays the page out. It waits for no fetch, so a figure that was not
+   * drawn says so on paper.
+   * @param {boolean} paper
+   */
   print(paper) {
     this.#paper = paper;
-    return isDrawn(this.canvas) && this.checkVisibility() ? this.#draw() : undefined;
+    if (!this.checkVisibility()) return undefined;
+    if (isDrawn(this.canvas)) return this.#draw();
+    if (this.dataset.state === "loading") {
+      this.begin();
+      this.#say("loading", paper ? NOT_DRAWN : LOADING);
+    }
+    return undefined;
+  }
+
+  /** Draw for paper, after the first drawing where there was none. */
+  async prepareForPaper() {
+    await this.begin();
+    await this.print(true);
   }
 
   /** Show what the address says of this chart. */
@@ -327,6 +350,11 @@ export class PlotFigure extends HTMLElement {
 }
 
 customElements.define("plot-figure", PlotFigure);
+document.addEventListener("boresight:print", (event) => {
+  if (!(event instanceof CustomEvent)) return;
+  usePaper(true);
+  event.detail.push(...findAll("plot-figure", PlotFigure).map((figure) => figure.prepareForPaper()));
+});
 for (const [name, paper] of /** @type {const} */ ([["beforeprint", true], ["afterprint", false]])) {
   addEventListener(name, () => {
     usePaper(paper);

@@ -13,12 +13,13 @@ from hypothesis import strategies as st
 from boresight.console.access import preferences, users
 from boresight.console.access.queries import write_preference
 from boresight.console.pages.formats import STORED_TIME, show_times
+from boresight.console.pages.rendering import TEMPLATES
 from boresight.errors import ForbiddenError, NotFoundError, RefusedInputError
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import open_reading, open_writing, utc_after
 from boresight.platform.db.times import STYLE, TIME_FORMS, TimeStyle, read_time
-from boresight.verdicts.numbers import show_numbers
+from boresight.verdicts.numbers import Typed, show_numbers
 from tests.console.alarms.test_pages import drifting  # noqa: F401 - a fixture
 from tests.console.approvals.test_pages import signed, submitted
 from tests.sites import PASSWORD, PEOPLE
@@ -133,6 +134,14 @@ def test_numbers_in_sentences_are_written_as_in_tables_and_what_people_wrote_or_
         f'aria-label="at {minus}5{thin}%" data-at="-1,200"><b title="{minus}1">{minus}1</b></i>'
     )
     assert show_numbers("<p>from -1.2e-05 to 3e+10</p>") == f"<p>from {minus}1.2·10⁻⁵ to 3·10¹⁰</p>"
+
+
+def test_what_a_person_typed_keeps_its_numbers_wherever_a_page_prints_it():
+    typed = Typed("flat 1,000 -5 of 5% at 3e-5, 12,345,678 urad.csv & 'q'-3")
+    page = TEMPLATES.from_string('<b title="{{ name }}">{{ name }}</b> {{ name ~ "" }}').render(name=typed)
+    kept, shown = show_numbers(page).split("</b>")
+    assert html.unescape(kept) == f'<b title="{typed}">{typed}'
+    assert "1\u202f000" in shown
 
 
 @example("26d2f85e27011179f2e80f119e0552e3", UUID("26d2f85e-1e11-4179-92e8-0f119e0552e3"), "gap-")

@@ -11,6 +11,7 @@ from boresight.console.approvals import gate_profiles, gates
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import queries as gate_rows
 from boresight.console.approvals import service as approvals
+from boresight.console.approvals.pages.gates import make_gates_panel
 from boresight.console.approvals.tables import Approval
 from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets.tables import ParameterSet
@@ -95,6 +96,25 @@ def test_a_report_holds_until_the_profile_moves(candidate, assess, engine, set_p
     set_profile()
     with open_reading(engine) as session:
         assert gates.find_valid_report(session, row.id) is None
+        assert gates.list_moved_since(session, report) == ["profile_sha256"]
+
+
+@pytest.mark.parametrize(("state", "shown"), [("SUBMITTED", ["incumbent_sha256"]), ("BASELINE", [])])
+def test_a_page_warns_of_another_baseline_unless_the_set_is_that_baseline(
+    candidate, assess, engine, people, state, shown
+):
+    row, other = candidate(), candidate()
+    assess(row.id)
+    with open_writing(engine) as session:
+        for number, new in (
+            (1, "SUPERSEDED"),
+            (row.id, state),
+            (row.id if state == "BASELINE" else other.id, "BASELINE"),
+        ):
+            session.get_one(ParameterSet, number).ground_state = new
+            audit.append(session, people["root"], "exchanged", f"parameter-sets/{number}")
+        panel = make_gates_panel(session, people["ana"], session.get_one(ParameterSet, row.id))
+    assert panel.moved == shown
 
 
 def test_the_baseline_has_nothing_to_be_compared_with(assess):

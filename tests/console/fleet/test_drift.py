@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from boresight.calibration.advice_kinds import ADVICE_KINDS
 from boresight.console.fleet import trend as drift
@@ -80,6 +81,20 @@ def test_a_sensor_that_holds_raises_no_alarm_and_one_that_moves_does(session):
     assert moved.verdict == "DRIFT"
     assert moved.largest is not None
     assert "largest change is in a1" in moved.sentence
+
+
+def test_a_limit_says_how_often_chance_exceeds_it_which_is_half_as_often_where_two_tests_are_made(session):
+    rng = np.random.default_rng(1)
+    _baselined(session, rng)
+    for days, tests, share in (([30], 1, 0.001), ([60, 90], 2, 0.0005)):
+        _mission(session, rng, days)
+        found = drift.judge_drift(read_trend(session, 1))
+        made = [one for one in (found.holds, found.slope) if one is not None]
+        assert [one.alpha for one in made] == [share] * tests
+        assert [one.limit for one in made] == pytest.approx([chi2.isf(share, 8)] * tests)
+        for one in made:
+            assert f"for 8 degrees of freedom, {drift.describe_limit(one)}" in found.sentence
+            assert f"{100 * share:g}\u202f%" in drift.describe_limit(one)
 
 
 def test_a_slow_drift_is_seen_by_the_line_before_any_single_calibration_shows_it(session):

@@ -41,6 +41,7 @@ from boresight.platform.jobs.worker_news import WorkerState
 from boresight.resources import folder
 from boresight.simulation.sensors import st16_sensor
 from boresight.telemetry.sensors import sensor_document
+from boresight.verdicts.numbers import urad_interval
 from boresight.verdicts.verdict import summarise_run
 from tests.console.uplinks.services import advance, promote_by_hand
 from tests.missions import add_run, add_set, make_baseline
@@ -214,11 +215,13 @@ def submitted(site):
 
 def test_a_sensor_shows_its_status_baseline_and_rms_before_and_after(site, read, results):
     page = read(site.visitor("victor").get("/"))
-    rms = results["sqrf"]["rms_arc_rad"]
+    summary = summarise_run(parse_calibration(results["sqrf"]))
+    after = f"{summary.rms_final_arc_rad * 1e6:.2f} {urad_interval(summary.rms_final_interval_rad)}"
+    before = f"{summary.rms_initial_arc_rad * 1e6:.1f} {urad_interval(summary.rms_initial_interval_rad)}"
     assert GROUND_SHIFTED in page
     assert "PS-ST16-1-0" in page
     assert "ground calibration" in page
-    assert f"{rms['final'] * 1e6:.2f} from {rms['initial'] * 1e6:.1f}" in page
+    assert f"{after} from {before}" in page
     site.app.state.workers.state = WorkerState
     assert "Not connected" in read(site.visitor("victor").get("/"))
 

@@ -34,6 +34,7 @@ from boresight.verdicts.verdict import (
     WORD_OF_LEVEL,
     PartVerdict,
     judge_parts,
+    list_rms,
     make_verdict_marks,
     trust_marks,
 )
@@ -600,6 +601,28 @@ def test_a_row_says_how_much_the_rms_fell_in_microradians(site, read, results):
     assert f"{100 * (rms['final'] / rms['initial'] - 1):.1f}".lstrip("-") in house_page
     assert "SUCCEEDED" in house_page
     assert "converged" in house_page
+
+
+def test_lists_print_the_rms_with_the_interval_of_the_run_s_page_and_an_older_row_without(site, results):
+    result = parse_calibration(results["batch"])
+    before, after = list_rms(result.evaluation, result.rms_arc_rad, result.pairs)
+    interval = after[after.index("(") :]
+    assert f"{before} → {after} µrad" in strip_tags(site.visitor("victor").get("/runs/1"))
+
+    def rows() -> list[str]:
+        pages = [site.visitor("victor").get(path) for path in ("/runs", "/sensors/1", "/telemetry/1")]
+        return [re.search(r'<tr>(?:(?!</tr>).)*"/runs/1".*?</tr>', page, re.DOTALL)[0] for page in pages]
+
+    for row in rows():
+        assert f'title="{before} → {after} µrad"' in row
+        assert f">{interval}</small>" in row
+    with open_writing(site.engine) as session:
+        run = session.get_one(Run, 1)
+        run.summary = {name: value for name, value in run.summary.items() if not name.endswith("_interval_rad")}
+        audit.append(session, COMMAND_LINE, "made older", "runs/1")
+    for row in rows():
+        assert f'title="{before.split()[0]} → {after.split()[0]} µrad"' in row
+        assert interval not in row
 
 
 def test_a_fit_with_advice_is_a_caution_in_the_list_with_the_advice_at_hand(site, results):

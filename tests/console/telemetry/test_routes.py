@@ -11,9 +11,12 @@ import httpx
 import numpy as np
 import pytest
 
+from boresight.console.runs.tables import Run
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.telemetry.tables import TelemetrySet
-from boresight.platform.db.sessions import open_reading
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import open_reading, open_writing
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.telemetry.writing import write_csv
 from tests.served import PASSWORD, House, add_people, serving, settings_in
@@ -187,6 +190,19 @@ def test_an_upload_leads_to_its_quality_report_and_a_scripted_one_is_told_where_
     for title in ("Detector coverage", "Radial coverage", "Stars in an exposure", "Magnitudes", "Findings", "Origin"):
         assert title in read(page)
     assert "no-run-yet" in codes(page)
+
+
+def test_lists_print_a_file_name_and_a_label_as_they_were_typed(site, table):
+    name = "night 1,000 at -5.csv"
+    upload(site.visitor("ada"), table, name)
+    with open_writing(site.engine) as session:
+        session.get(Run, 1).label = name
+        session.get(Run, 1).telemetry_set_id = 3
+        audit.append(session, COMMAND_LINE, "named", "runs/1")
+    visitor = site.visitor("ada")
+    assert f">{name}</a>" in visitor.get("/telemetry")
+    page = visitor.get("/runs")
+    assert page.count(f'title="{name}"') == page.count(f">{name}<") == 2  # the label's cell and the data's
 
 
 def test_a_refused_file_shows_row_and_column_and_keeps_the_choices(site, table, read):

@@ -76,6 +76,29 @@ def test_the_page_asks_with_nothing_preselected_and_takes_no_loading_without_an_
     assert (told["c_sd"], told["c_sd_said"]) == ("LOADED", "Pass 1, TC 7")
 
 
+@pytest.mark.parametrize(
+    ("states", "place"),
+    [
+        (["SENT"], "record-loaded"),
+        (["SENT", "LOADED"], "c-sd"),
+        (["SENT", "MISMATCH"], "c-sd"),
+        (["SENT", "LOADED", "UNKNOWN"], "record-loaded"),
+    ],
+)
+def test_the_page_asks_in_one_place_in_every_state(site, turning, states, place):
+    for state in states[1:]:
+        recorded(site, turning, state, "NOT YET" if state == "LOADED" else None)
+    page = site.visitor("olga").get(f"/parameter-sets/{turning}/uplink")
+    assert re.search(r"<small>on board</small>.*?<span>(\w+)</span></span>", page, re.DOTALL)[1] == states[-1]
+    dialogs = re.findall(r'<dialog id="([\w-]+)".*?</dialog>', page, re.DOTALL)
+    asking = [one for one in dialogs if 'name="c_sd"' in page.split(f'<dialog id="{one}"')[1].split("</dialog>")[0]]
+    assert asking == [place]
+    if states[-1] == "UNKNOWN":
+        assert posted(site, turning, "UNKNOWN", c_sd="LOADED", c_sd_said="TC 7").status_code == 201
+        assert recorded(site, turning, "LOADED").status_code == 303, "it was told, and is not asked again"
+        assert not stays_open(site, turning)
+
+
 def test_a_set_that_turns_nothing_is_not_asked(site):
     advance(site, "SENT")
     page = site.visitor("olga").get("/parameter-sets/1/uplink")

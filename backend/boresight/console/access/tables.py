@@ -8,7 +8,7 @@ import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
 from boresight.platform.db.declared import STRICT, Base, Sealing, allow_only
-from boresight.platform.db.documents import JsonText
+from boresight.platform.db.documents import JsonText, TypedText
 
 ROLES = ("viewer", "analyst", "operator", "approver", "administrator")
 SESSION_ENDINGS = (
@@ -70,7 +70,7 @@ class ApiKey(Base):
     sealing = Sealing(fleeting={"last_used_utc": "moves with every use"})
     id: Mapped[int] = mapped_column(primary_key=True)
     user_id: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
-    label: Mapped[str] = mapped_column(sa.Text)
+    label: Mapped[str] = mapped_column(TypedText)
     prefix: Mapped[str] = mapped_column(sa.Text, unique=True)
     key_hash: Mapped[str] = mapped_column(sa.Text)
     scopes: Mapped[list[str]] = mapped_column(JsonText)
@@ -141,7 +141,7 @@ class SecondFactor(Base):
     id: Mapped[int] = mapped_column(primary_key=True)
     user_id: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
     kind: Mapped[str] = mapped_column(sa.Text)
-    label: Mapped[str] = mapped_column(sa.Text)
+    label: Mapped[str] = mapped_column(TypedText)
     secret: Mapped[str] = mapped_column(sa.Text)  # encrypted; of a security key its public key
     credential_id: Mapped[str | None] = mapped_column(sa.Text, unique=True)  # of a security key, in base64url
     rp_id: Mapped[str | None] = mapped_column(sa.Text)  # the site that a security key was registered for

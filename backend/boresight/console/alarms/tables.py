@@ -8,7 +8,7 @@ import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
 from boresight.platform.db.declared import STRICT, Base, allow_only, only_one
-from boresight.platform.db.documents import JsonText
+from boresight.platform.db.documents import JsonText, TypedText
 
 ALARM_KINDS = ("DRIFT", "AGE", "MISMATCH", "CHAIN", "FILES", "HEAD", "CLOCK", "INGEST", "LINK", "BACKUP")
 ALARM_LEVELS = ("critical", "serious", "caution")
@@ -66,5 +66,5 @@ class AlarmEvent(Base):
     event: Mapped[str] = mapped_column(sa.Text)
     user_id: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
     printed_name: Mapped[str] = mapped_column(sa.Text)
-    text: Mapped[str] = mapped_column(sa.Text)
+    text: Mapped[str] = mapped_column(TypedText)
     at_utc: Mapped[str] = mapped_column(sa.Text)

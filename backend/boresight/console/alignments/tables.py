@@ -12,7 +12,7 @@ from sqlalchemy.orm import Mapped, mapped_column
 from boresight.calibration.calibration import parse_part
 from boresight.errors import RefusedInputError
 from boresight.platform.db.declared import STRICT, Base, Sealing, allow_only, only_one
-from boresight.platform.db.documents import JsonText
+from boresight.platform.db.documents import JsonText, TypedText
 
 ALIGNMENT_STATES = ("QUEUED", "RUNNING", "SUCCEEDED", "FAILED")
 ENDED_STATES = ("SUCCEEDED", "FAILED")
@@ -72,14 +72,14 @@ class AlignmentRequest(Base):
     result_sha256: Mapped[str] = mapped_column(sa.Text)
     state: Mapped[str] = mapped_column(sa.Text)
     version: Mapped[int] = mapped_column(default=1)  # counts transitions; the ETag
-    reason: Mapped[str] = mapped_column(sa.Text)
+    reason: Mapped[str] = mapped_column(TypedText)
     submitted_utc: Mapped[str] = mapped_column(sa.Text)
     submitted_by: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
     closed_utc: Mapped[str | None] = mapped_column(sa.Text)
     signed_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
     printed_name: Mapped[str | None] = mapped_column(sa.Text)
-    meaning: Mapped[str | None] = mapped_column(sa.Text)
-    comment: Mapped[str | None] = mapped_column(sa.Text)
+    meaning: Mapped[str | None] = mapped_column(TypedText)
+    comment: Mapped[str | None] = mapped_column(TypedText)
 
 
 @dataclass(frozen=True, kw_only=True)

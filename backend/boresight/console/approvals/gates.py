@@ -229,7 +229,7 @@ def _record(session: Session, actor: Actor, assessment: GateAssessment) -> GateR
     if moved:
         since = describe_baseline(session, row.sensor_id)
         raise StaleError(
-            f"The {' and the '.join(moved)} changed while {row.name} was assessed.{since} Assess it again.",
+            f"The {gates.name_inputs(moved)} changed while {row.name} was assessed.{since} Assess it again.",
             code="changed-while-assessed",
         )
     document = to_plain(assessment.report)
@@ -271,7 +271,7 @@ def get_report(session: Session, parameter_set_id: int, sha256: str | None = Non
     return report
 
 
-def list_moved_since(session: Session, report: GateReport) -> list[str]:
+def list_moved_since(session: Session, report: GateReport) -> list[gates.BoundInput]:
     """List the inputs of a report that have changed; it is valid while there are none."""
     now = compute_bound_hashes(session, session.get_known(ParameterSet, report.parameter_set_id))
     return gates.parse_bound_report(report.document).bound.list_moved(now)

@@ -13,7 +13,7 @@ from boresight.calibration.calibration import parse_part
 from boresight.console.fleet.tables import SensorDocument
 from boresight.errors import RefusedInputError
 from boresight.platform.db.declared import STRICT, Base, Sealing, allow_only, only_one
-from boresight.platform.db.documents import JsonText
+from boresight.platform.db.documents import JsonText, TypedText
 
 APPROVAL_STATES = ("OPEN", "APPROVED", "REJECTED", "WITHDRAWN", "STALE", "EXPIRED")
 APPROVAL_KINDS = ("PROMOTION", "ROLLBACK")
@@ -59,7 +59,7 @@ class Approval(Base):
     id: Mapped[int] = mapped_column(primary_key=True)
     parameter_set_id: Mapped[int] = mapped_column(sa.ForeignKey("parameter_sets.id"), index=True)
     state: Mapped[str] = mapped_column(sa.Text)
-    reason: Mapped[str] = mapped_column(sa.Text)
+    reason: Mapped[str] = mapped_column(TypedText)
     submitted_utc: Mapped[str] = mapped_column(sa.Text)
     submitted_by: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
     bound: Mapped[dict[str, Any]] = mapped_column(JsonText)  # hashes of set, run, gate report, profile and incumbent
@@ -91,8 +91,8 @@ class Signature(Base):
     user_id: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
     printed_name: Mapped[str] = mapped_column(sa.Text)
     decision: Mapped[str] = mapped_column(sa.Text)
-    meaning: Mapped[str] = mapped_column(sa.Text)
-    comment: Mapped[str] = mapped_column(sa.Text)
+    meaning: Mapped[str] = mapped_column(TypedText)
+    comment: Mapped[str] = mapped_column(TypedText)
     shown_sha256: Mapped[str] = mapped_column(sa.Text)
     signed_utc: Mapped[str] = mapped_column(sa.Text)
     console: Mapped[str | None] = mapped_column(sa.Text)  # whose console it was signed at, over the shoulder
@@ -110,7 +110,7 @@ class Remark(Base):
     approval_id: Mapped[int] = mapped_column(sa.ForeignKey("approvals.id"), index=True)
     user_id: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
     printed_name: Mapped[str] = mapped_column(sa.Text)
-    text: Mapped[str] = mapped_column(sa.Text)
+    text: Mapped[str] = mapped_column(TypedText)
     made_utc: Mapped[str] = mapped_column(sa.Text)
     thread_id: Mapped[int | None] = mapped_column(sa.Integer, index=True)  # without one it is about the whole request
     mentions: Mapped[list[str] | None] = mapped_column(JsonText)  # log-in names
@@ -197,7 +197,7 @@ class Waiver(Base):
     gate_report_id: Mapped[int] = mapped_column(sa.ForeignKey("gate_reports.id"))
     gate: Mapped[str] = mapped_column(sa.Text)
     code: Mapped[str] = mapped_column(sa.Text)
-    reason: Mapped[str] = mapped_column(sa.Text)
+    reason: Mapped[str] = mapped_column(TypedText)
     expires_utc: Mapped[str] = mapped_column(sa.Text)
     made_utc: Mapped[str] = mapped_column(sa.Text)
     made_by: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))

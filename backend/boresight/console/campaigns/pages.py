@@ -7,7 +7,7 @@ found besides.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -22,6 +22,7 @@ from boresight.calibration.options import FORM, METHODS
 from boresight.console import list_queries as lists
 from boresight.console.access.dependencies import KNOWN, Reading, Who, csrf
 from boresight.console.campaigns import service as campaigns
+from boresight.console.campaigns.queries import MemberStatus
 from boresight.console.campaigns.service import FAILED, MOST_SENSORS, CampaignView, MemberRequest, make_result_line
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.service import SensorChoices
@@ -112,22 +113,23 @@ def _csv_row(view: CampaignView, people: Mapping[int, str]) -> dict[str, Any]:
 def campaign_page(request: Request, session: Reading, actor: Who, campaign_id: int) -> HTMLResponse:
     """Show a campaign: its progress, its failures with their causes, and its results by sensor."""
     view = campaigns.read_campaign(session, campaign_id)
-    lines = _lines(session, campaign_id)
+    standings = campaigns.list_results(session, campaign_id)
+    lines = _lines(standings)
     return render(
         request,
         "campaigns/campaign.html",
         view=view,
         failed=[line for line in lines if line["state"] in FAILED],
         lines=lines,
+        summaries={one.id: one.summary for one in standings},
         people=read_names(session).people,
         may_launch="analyst" in actor.roles,
     )
 
 
-def _lines(session: Session, campaign_id: int) -> list[dict[str, Any]]:
+def _lines(standings: Iterable[MemberStatus]) -> list[dict[str, Any]]:
     """Return the result lines, failures first and then by verdict, worst first."""
-    lines = [make_result_line(one) for one in campaigns.list_results(session, campaign_id)]
-    return sorted(lines, key=_rank)
+    return sorted(map(make_result_line, standings), key=_rank)
 
 
 def _rank(line: Mapping[str, Any]) -> tuple[int, int, str]:
@@ -139,7 +141,7 @@ def _rank(line: Mapping[str, Any]) -> tuple[int, int, str]:
 @router.get("/campaigns/{campaign_id:int}/results.csv", dependencies=[KNOWN])
 def campaign_results(session: Reading, campaign_id: int) -> Response:
     """Send the results over sensors as CSV, arcs in rad."""
-    lines = _lines(session, campaign_id)
+    lines = _lines(campaigns.list_results(session, campaign_id))
     return csv_file(f"campaign-{campaign_id}", [name for name in lines[0] if name != "id"], lines)
 
 

@@ -8,7 +8,7 @@ import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
 from boresight.platform.db.declared import STRICT, Base
-from boresight.platform.db.documents import JsonText
+from boresight.platform.db.documents import JsonText, TypedText
 
 
 class Campaign(Base):
@@ -18,7 +18,7 @@ class Campaign(Base):
     noun = "campaign"
     __table_args__ = (STRICT,)
     id: Mapped[int] = mapped_column(primary_key=True)
-    label: Mapped[str] = mapped_column(sa.Text)
+    label: Mapped[str] = mapped_column(TypedText)
     preset: Mapped[str | None] = mapped_column(sa.Text)  # the name of the preset
     settings: Mapped[dict[str, Any]] = mapped_column(JsonText)
     launched_utc: Mapped[str] = mapped_column(sa.Text)

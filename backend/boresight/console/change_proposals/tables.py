@@ -8,7 +8,7 @@ import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
 from boresight.platform.db.declared import STRICT, Base, allow_only
-from boresight.platform.db.documents import JsonText
+from boresight.platform.db.documents import JsonText, TypedText
 
 PROPOSAL_KINDS = ("gate-profile", "table-definition")
 PROPOSAL_STATES = ("OPEN", "CONFIRMED", "REFUSED", "WITHDRAWN", "STALE", "EXPIRED")
@@ -31,7 +31,7 @@ class ChangeProposal(Base):
     base_number: Mapped[int]  # the version in force that it was made against
     document: Mapped[dict[str, Any]] = mapped_column(JsonText)
     sha256: Mapped[str] = mapped_column(sa.Text)
-    reason: Mapped[str] = mapped_column(sa.Text)
+    reason: Mapped[str] = mapped_column(TypedText)
     proposed_utc: Mapped[str] = mapped_column(sa.Text)
     proposed_by: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
     expires_utc: Mapped[str] = mapped_column(sa.Text)
@@ -39,5 +39,5 @@ class ChangeProposal(Base):
     version: Mapped[int] = mapped_column(default=1)
     closed_utc: Mapped[str | None] = mapped_column(sa.Text)
     closed_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
-    comment: Mapped[str | None] = mapped_column(sa.Text)  # of who closed it
+    comment: Mapped[str | None] = mapped_column(TypedText)  # of who closed it
     number: Mapped[int | None]  # the version that it became

@@ -36,7 +36,7 @@ from boresight.estimation.statistics import drift as tests
 from boresight.estimation.statistics.drift import FALSE_ALARM_RATE, Epoch, RegressionLine
 from boresight.platform.db.sessions import Session, utc_text
 from boresight.verdicts import trend as documents
-from boresight.verdicts.numbers import fixed, number, quantity
+from boresight.verdicts.numbers import NARROW_SPACE, fixed, number, quantity
 from boresight.verdicts.verdict import RunSummary, parse_run_summary
 
 SAME_VALUE = 1e-6  # in typical sigmas: fixed parameters that differ by less are the same
@@ -429,8 +429,15 @@ def make_baseline_epoch(baseline: ParameterSet, own: TrendPoint | None, names: S
 
 
 def describe_test(test: tests.ChiSquareTest) -> str:
-    """Write a statistic, its degrees of freedom and its limit."""
-    return f"χ² {number(test.statistic, 3)} for {test.dof} degrees of freedom, limit {number(test.limit, 3)}"
+    """Write a statistic and its degrees of freedom, and the limit with its false-alarm probability, as both set it."""
+    return f"χ² {number(test.statistic, 3)} for {test.dof} degrees of freedom, {describe_limit(test)}"
+
+
+def describe_limit(test: tests.ChiSquareTest) -> str:
+    """Write a limit with the share of cases in which chance alone exceeds it."""
+    return (
+        f"limit {number(test.limit, 3)}, which chance alone exceeds in {100 * test.alpha:.2g}{NARROW_SPACE}% of cases"
+    )
 
 
 def _with_sentence(found: DriftResult, baseline: ParameterSet) -> DriftResult:

@@ -25,7 +25,7 @@ from boresight.console.approvals import queries as approval_rows
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.gates import GateAssessment
 from boresight.console.fleet.tables import Sensor
-from boresight.console.fleet.trend import Trend, read_trend, read_trends
+from boresight.console.fleet.trend import Trend, describe_limit, read_trend, read_trends
 from boresight.console.fleet.trend_document import Advice, advise
 from boresight.console.ingest import policies
 from boresight.console.ingest import queries as rows
@@ -286,9 +286,9 @@ def _report_other_sensor(found: PolicyFinding, name: str, other: OtherSensor) ->
     instead, own = other.other, other.own
     said = (
         f"The stars fit {other.name} better than {name}: χ² {number(instead.statistic, 3)} for {instead.dof} degrees of freedom "
-        f"against the sets of {other.name}, {number(own.statistic, 3)} against those of {name}, limit {number(own.limit, 3)}. Send "
-        f"the file to {other.name}, and check who puts files into the folder of {name}. If the camera of {name} has really changed "
-        "this way, submit its run manually."
+        f"against the sets of {other.name}, {number(own.statistic, 3)} against those of {name}, {describe_limit(own)}. "
+        f"Send the file to {other.name}, and check who puts files into the folder of {name}. If the camera of {name} has really "
+        "changed this way, submit its run manually."
     )
     return replace(found, state="NOT JUDGED", reasons=(Reason("WRONG SENSOR", said), *found.reasons), other=other)
 

@@ -11,7 +11,7 @@ from sqlalchemy.orm import Mapped, mapped_column
 from boresight.calibration.calibration import parse_part
 from boresight.errors import RefusedInputError
 from boresight.platform.db.declared import STRICT, Base, Sealing, allow_only, only_one
-from boresight.platform.db.documents import JsonText
+from boresight.platform.db.documents import JsonText, TypedText
 
 POLICY_STATES = ("DRAFT", "ACTIVE", "PAUSED", "OFF")
 PAUSE_CODES = ("TOO MANY SETS", "TOO MANY REQUESTS", "BAD CLOCK", "WRONG SENSOR", "FAILURES", "FOLDER", "PERSON")
@@ -47,7 +47,7 @@ class IngestPolicy(Base):
     number: Mapped[int]
     document: Mapped[dict[str, Any]] = mapped_column(JsonText)  # its rules
     sha256: Mapped[str] = mapped_column(sa.Text)
-    reason: Mapped[str] = mapped_column(sa.Text)
+    reason: Mapped[str] = mapped_column(TypedText)
     created_utc: Mapped[str] = mapped_column(sa.Text)
     created_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
     state: Mapped[str] = mapped_column(sa.Text)
@@ -92,7 +92,7 @@ class IngestDecision(Base):
     sensor_id: Mapped[int] = mapped_column(sa.ForeignKey("sensors.id"))
     policy_id: Mapped[int] = mapped_column(sa.ForeignKey("ingest_policies.id"))
     source: Mapped[str] = mapped_column(sa.Text)
-    file_name: Mapped[str] = mapped_column(sa.Text)
+    file_name: Mapped[str] = mapped_column(TypedText)
     file_sha256: Mapped[str | None] = mapped_column(sa.Text, index=True)
     size_bytes: Mapped[int]
     received_utc: Mapped[str] = mapped_column(sa.Text)
@@ -109,7 +109,7 @@ class IngestDecision(Base):
     evidence: Mapped[dict[str, Any]] = mapped_column(JsonText)  # the numbers, the reasons and the alternatives
     decided_utc: Mapped[str | None] = mapped_column(sa.Text)
     answer: Mapped[str | None] = mapped_column(sa.Text)
-    answer_reason: Mapped[str | None] = mapped_column(sa.Text)
+    answer_reason: Mapped[str | None] = mapped_column(TypedText)
     answered_utc: Mapped[str | None] = mapped_column(sa.Text)
     answered_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
     quiet_until_utc: Mapped[str | None] = mapped_column(sa.Text)  # of WAIT: how long the same change is not asked again

@@ -6,7 +6,7 @@ import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
 from boresight.platform.db.declared import STRICT, Base, Sealing, allow_only
-from boresight.platform.db.documents import JsonText
+from boresight.platform.db.documents import JsonText, TypedText
 
 MESSAGE_STATES = ("PENDING", "DELIVERED", "FAILED", "DROPPED")
 
@@ -20,7 +20,7 @@ class MessageAddress(Base):
     sealing = Sealing(fleeting={"told_audit_id": "moves with every audit record"})
     id: Mapped[int] = mapped_column(primary_key=True)
     user_id: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
-    label: Mapped[str] = mapped_column(sa.Text)
+    label: Mapped[str] = mapped_column(TypedText)
     service: Mapped[str] = mapped_column(sa.Text)  # its scheme, such as mailto or slack
     shown: Mapped[str] = mapped_column(sa.Text)  # what is shown of it
     address: Mapped[str] = mapped_column(sa.Text)  # empty once it was removed

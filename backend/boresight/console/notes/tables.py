@@ -6,6 +6,7 @@ import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column, relationship
 
 from boresight.platform.db.declared import STRICT, Base, allow_only
+from boresight.platform.db.documents import TypedText
 
 NOTE_SUBJECTS = ("runs", "sensors", "parameter-sets")
 
@@ -18,7 +19,7 @@ class NoteAttachment(Base):
     __table_args__ = (sa.Index("ix_note_attachments_note_id", "note_id"), STRICT)
     id: Mapped[int] = mapped_column(primary_key=True)
     note_id: Mapped[int] = mapped_column(sa.ForeignKey("notes.id"))
-    name: Mapped[str] = mapped_column(sa.Text)
+    name: Mapped[str] = mapped_column(TypedText)
     sha256: Mapped[str] = mapped_column(sa.ForeignKey("blobs.sha256"))
     size_bytes: Mapped[int]
     made_utc: Mapped[str] = mapped_column(sa.Text)
@@ -39,7 +40,7 @@ class Note(Base):
     subject_id: Mapped[int]
     user_id: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
     printed_name: Mapped[str] = mapped_column(sa.Text)
-    text: Mapped[str] = mapped_column(sa.Text)
+    text: Mapped[str] = mapped_column(TypedText)
     made_utc: Mapped[str] = mapped_column(sa.Text)
     attachments: Mapped[list[NoteAttachment]] = relationship(lazy="selectin", order_by=NoteAttachment.id, viewonly=True)
 
@@ -52,7 +53,7 @@ class Annotation(Base):
     id: Mapped[int] = mapped_column(primary_key=True)
     sensor_id: Mapped[int] = mapped_column(sa.ForeignKey("sensors.id"))
     at_utc: Mapped[str] = mapped_column(sa.Text)
-    text: Mapped[str] = mapped_column(sa.Text)
+    text: Mapped[str] = mapped_column(TypedText)
     user_id: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
     printed_name: Mapped[str] = mapped_column(sa.Text)
     made_utc: Mapped[str] = mapped_column(sa.Text)

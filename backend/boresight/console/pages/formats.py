@@ -34,6 +34,7 @@ from boresight.verdicts.numbers import (
     size,
     unit,
     urad,
+    urad_interval,
 )
 from boresight.verdicts.trend import SHOWN_AS
 from boresight.verdicts.verdict import LEVEL_OF_STATUS, LEVELS
@@ -151,6 +152,7 @@ FILTERS = (
     sigma,
     plus_minus,
     urad,
+    urad_interval,
     sigmas,
     size,
     utc,

@@ -54,7 +54,7 @@ from boresight.platform.web.problems import make_problem
 from boresight.platform.web.response_cache import GAPS
 from boresight.platform.web.static_files import has_documentation, static_version
 from boresight.resources import folder
-from boresight.verdicts.numbers import show_numbers
+from boresight.verdicts.numbers import keep_typed, show_numbers
 
 T = TypeVar("T")
 _transaction = asynccontextmanager(open_write_session)
@@ -182,6 +182,7 @@ def _environment() -> Environment:
         loader=PageTemplates(folder("frontend") / "templates"),
         autoescape=True,
         undefined=StrictUndefined,
+        finalize=keep_typed,
         trim_blocks=True,
         lstrip_blocks=True,
     )

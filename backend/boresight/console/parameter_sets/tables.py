@@ -8,7 +8,7 @@ import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
 from boresight.platform.db.declared import STRICT, Base, allow_only, only_one
-from boresight.platform.db.documents import JsonText
+from boresight.platform.db.documents import JsonText, TypedText
 
 GROUND_STATES = ("CANDIDATE", "SUBMITTED", "APPROVED", "BASELINE", "SUPERSEDED", "REJECTED", "WITHDRAWN", "EXPIRED")
 ONBOARD_STATES = ("NOT SENT", "SENT", "LOADED", "VERIFIED", "ACTIVE", "MISMATCH", "UNKNOWN")
@@ -56,4 +56,4 @@ class Promotion(Base):
     approval_id: Mapped[int | None] = mapped_column(sa.ForeignKey("approvals.id"))  # None: the ground calibration
     at_utc: Mapped[str] = mapped_column(sa.Text)
     promoted_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
-    reason: Mapped[str | None] = mapped_column(sa.Text)  # None: none was given, or it came with the sensor
+    reason: Mapped[str | None] = mapped_column(TypedText)  # None: none was given, or it came with the sensor

@@ -13,7 +13,7 @@ from boresight.calibration.calibration import parse_part
 from boresight.calibration.options import StatedSettings, get_method_title
 from boresight.errors import RefusedInputError
 from boresight.platform.db.declared import STRICT, Base, Journal, Sealing, allow_only
-from boresight.platform.db.documents import JsonText
+from boresight.platform.db.documents import JsonText, TypedText
 
 RUN_STATES = ("QUEUED", "RUNNING", "CANCELLING", "SUCCEEDED", "FAILED", "CANCELLED", "LOST")
 TERMINAL_RUN_STATES = ("SUCCEEDED", "FAILED", "CANCELLED", "LOST")
@@ -77,7 +77,7 @@ class Run(Base):
     method: Mapped[str] = mapped_column(sa.Text)
     settings: Mapped[dict[str, Any]] = mapped_column(JsonText)
     sensor_document: Mapped[dict[str, Any]] = mapped_column(JsonText)  # the sensor as it was at launch
-    label: Mapped[str] = mapped_column(sa.Text, default="")
+    label: Mapped[str] = mapped_column(TypedText, default="")
     state: Mapped[str] = mapped_column(sa.Text)
     reason: Mapped[str | None] = mapped_column(sa.Text)  # why it failed, was lost or was cancelled
     attempt: Mapped[int] = mapped_column(default=0)
@@ -183,7 +183,7 @@ class Preset(Base):
     id: Mapped[int] = mapped_column(primary_key=True)
     name: Mapped[str] = mapped_column(sa.Text)
     number: Mapped[int]
-    sentence: Mapped[str] = mapped_column(sa.Text)
+    sentence: Mapped[str] = mapped_column(TypedText)
     document: Mapped[dict[str, Any]] = mapped_column(JsonText)  # the settings
     created_utc: Mapped[str] = mapped_column(sa.Text)
     created_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))

@@ -6,6 +6,7 @@ import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
 from boresight.platform.db.declared import STRICT, Base, Sealing
+from boresight.platform.db.documents import TypedText
 
 
 class SavedView(Base):
@@ -17,7 +18,7 @@ class SavedView(Base):
     sealing = Sealing(unsealed="is an address under a name that its owner makes and removes; it decides nothing")
     id: Mapped[int] = mapped_column(primary_key=True)
     user_id: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
-    name: Mapped[str] = mapped_column(sa.Text)
+    name: Mapped[str] = mapped_column(TypedText)
     path: Mapped[str] = mapped_column(sa.Text)
     favourite: Mapped[int]
     shared: Mapped[int]

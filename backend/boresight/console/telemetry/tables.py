@@ -12,7 +12,7 @@ from boresight.calibration.calibration import parse_part
 from boresight.calibration.diagnosis.result import Diagnosis, parse_diagnosis
 from boresight.errors import RefusedInputError
 from boresight.platform.db.declared import STRICT, Base
-from boresight.platform.db.documents import JsonText
+from boresight.platform.db.documents import JsonText, TypedText
 from boresight.telemetry.quality.findings import SEVERITIES, Finding
 from boresight.telemetry.quality.report import QualityReport
 
@@ -55,7 +55,7 @@ class TelemetrySet(Base):
     __table_args__ = (sa.UniqueConstraint("sensor_id", "original_sha256"), STRICT)
     id: Mapped[int] = mapped_column(primary_key=True)
     sensor_id: Mapped[int] = mapped_column(sa.ForeignKey("sensors.id"), index=True)
-    name: Mapped[str] = mapped_column(sa.Text)
+    name: Mapped[str] = mapped_column(TypedText)
     purpose: Mapped[str] = mapped_column(sa.Text)  # calibration | validation
     original_sha256: Mapped[str] = mapped_column(sa.ForeignKey("blobs.sha256"))
     table_sha256: Mapped[str] = mapped_column(sa.ForeignKey("blobs.sha256"))

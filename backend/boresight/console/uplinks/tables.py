@@ -13,7 +13,7 @@ from boresight.console.fleet.tables import SensorDocument
 from boresight.console.parameter_sets.tables import ONBOARD_STATES
 from boresight.errors import RefusedInputError
 from boresight.platform.db.declared import STRICT, Base, allow_only
-from boresight.platform.db.documents import JsonText
+from boresight.platform.db.documents import JsonText, TypedText
 
 C_SD_ANSWERS = ("LOADED", "NOT YET", "NOT NEEDED")
 
@@ -57,15 +57,15 @@ class Uplink(Base):
     id: Mapped[int] = mapped_column(primary_key=True)
     parameter_set_id: Mapped[int] = mapped_column(sa.ForeignKey("parameter_sets.id"), index=True)
     onboard_state: Mapped[str] = mapped_column(sa.Text)
-    source: Mapped[str] = mapped_column(sa.Text)
+    source: Mapped[str] = mapped_column(TypedText)
     recorded_utc: Mapped[str] = mapped_column(sa.Text)
     recorded_by: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
     method: Mapped[str | None] = mapped_column(sa.Text)  # how a read-back was compared: bytes | crc
     evidence: Mapped[dict[str, Any] | None] = mapped_column(JsonText)  # package, dump, CRC, differing fields
     printed_name: Mapped[str | None] = mapped_column(sa.Text)  # of the activation's signature
-    meaning: Mapped[str | None] = mapped_column(sa.Text)
+    meaning: Mapped[str | None] = mapped_column(TypedText)
     c_sd: Mapped[str | None] = mapped_column(sa.Text)
-    c_sd_said: Mapped[str | None] = mapped_column(sa.Text)
+    c_sd_said: Mapped[str | None] = mapped_column(TypedText)
     leaves_state: Mapped[int | None]
 
     @property

@@ -6,7 +6,7 @@ import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
 from boresight.platform.db.declared import STRICT, Base, Journal, Sealing, allow_only
-from boresight.platform.db.documents import JsonText
+from boresight.platform.db.documents import JsonText, TypedText
 
 DELIVERY_STATES = ("PENDING", "DELIVERED", "FAILED")
 
@@ -24,7 +24,7 @@ class Webhook(Base):
         }
     )
     id: Mapped[int] = mapped_column(primary_key=True)
-    label: Mapped[str] = mapped_column(sa.Text)
+    label: Mapped[str] = mapped_column(TypedText)
     url: Mapped[str] = mapped_column(sa.Text)
     actions: Mapped[list[str]] = mapped_column(JsonText)  # empty: all
     secret: Mapped[str] = mapped_column(sa.Text)

@@ -78,12 +78,15 @@ class ChiSquareTest:
         What it exceeds with probability alpha although nothing changed.
     p
         The probability of so much or more although nothing changed.
+    alpha
+        The false-alarm probability of this test alone.
     """
 
     statistic: float
     dof: int
     limit: float
     p: float
+    alpha: float
 
     @property
     def rejects(self) -> bool:
@@ -120,7 +123,7 @@ class RegressionLine:
 
 def chi_square_test(statistic: float, dof: int, alpha: float) -> ChiSquareTest:
     """Hold a sum of squares against its distribution."""
-    return ChiSquareTest(statistic, dof, float(chdtri(dof, alpha)), float(chdtrc(dof, statistic)))
+    return ChiSquareTest(statistic, dof, float(chdtri(dof, alpha)), float(chdtrc(dof, statistic)), alpha)
 
 
 def mahalanobis(difference: FloatArray, covariance: FloatArray) -> float | None:

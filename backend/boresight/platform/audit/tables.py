@@ -10,7 +10,7 @@ from sqlalchemy.orm import Mapped, mapped_column
 from boresight.platform.audit.signing import PublicKey
 from boresight.platform.audit.subjects import AuditOutcome, AuditSubject, parse_outcome, parse_subject
 from boresight.platform.db.declared import STRICT, Base, Journal, Sealing
-from boresight.platform.db.documents import JsonText
+from boresight.platform.db.documents import JsonText, TypedText
 
 
 class AuditRecord(Base):
@@ -28,7 +28,7 @@ class AuditRecord(Base):
     object: Mapped[str] = mapped_column(sa.Text)
     before: Mapped[dict[str, Any] | None] = mapped_column(JsonText)
     after: Mapped[dict[str, Any] | None] = mapped_column(JsonText)
-    reason: Mapped[str | None] = mapped_column(sa.Text)
+    reason: Mapped[str | None] = mapped_column(TypedText)
     request_id: Mapped[str | None] = mapped_column(sa.Text)
     previous_hash: Mapped[str] = mapped_column(sa.Text)
     hash: Mapped[str] = mapped_column(sa.Text, unique=True)

@@ -13,6 +13,8 @@ import sqlalchemy as sa
 from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.sql.compiler import SQLCompiler
 
+from boresight.verdicts.numbers import Typed
+
 #: An integer that may not fit into 64 bits, which the fast reader would round to a float.
 _LONG_INTEGER = re.compile(r"(?<![.\d])\d{19}")
 
@@ -48,6 +50,22 @@ class JsonText(sa.types.TypeDecorator[Any]):
     def process_result_value(self, value: Any, dialect: sa.Dialect) -> Any:  # noqa: ARG002 - SQLAlchemy gives both
         """Decode on the way out."""
         return None if value is None else read(value)
+
+
+class TypedText(sa.types.TypeDecorator[str]):
+    """A TEXT column of what people typed, such as a file name: pages keep its numbers as they are."""
+
+    impl = sa.Text
+    cache_ok = True
+
+    @property
+    def python_type(self) -> type[str]:
+        """What stands in it."""
+        return str
+
+    def process_result_value(self, value: str | None, dialect: sa.Dialect) -> str | None:  # noqa: ARG002 - SQLAlchemy gives both
+        """Mark it for the pages."""
+        return None if value is None else Typed(value)
 
 
 class _TextIn(sa.sql.functions.GenericFunction[str]):

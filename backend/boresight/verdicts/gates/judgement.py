@@ -26,7 +26,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 from boresight.calibration.calibration import parse_part
 from boresight.errors import RefusedInputError
@@ -100,19 +100,25 @@ class BoundHashes:
     incumbent_sha256: str | None
     table_definition_sha256: str | None = None
 
-    def list_moved(self, now: BoundHashes) -> list[str]:
-        """Name what has another hash now."""
-        return [word for name, word in BOUND.items() if getattr(self, name) != getattr(now, name)]
+    def list_moved(self, now: BoundHashes) -> list[BoundInput]:
+        """List which have another value now."""
+        return [name for name in BOUND if getattr(self, name) != getattr(now, name)]
 
 
-#: What each hash is of.
-BOUND = {
+BoundInput = Literal["set_sha256", "run_result_sha256", "profile_sha256", "incumbent_sha256", "table_definition_sha256"]
+#: What each hash is of, in words for people.
+BOUND: Mapping[BoundInput, str] = {
     "set_sha256": "set",
     "run_result_sha256": "run result",
     "profile_sha256": "profile",
     "incumbent_sha256": "baseline",
     "table_definition_sha256": "table definition",
 }
+
+
+def name_inputs(moved: Iterable[BoundInput]) -> str:
+    """Name inputs in a sentence that begins with its article."""
+    return " and the ".join(BOUND[name] for name in moved)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -46,7 +46,7 @@ from boresight.errors import RefusedInputError
 from boresight.platform.actors import Actor, Policy, require_role
 from boresight.platform.db.sessions import Session, open_reading, utc_after, utc_now
 from boresight.platform.web.paging import parse_row_id
-from boresight.verdicts.gates import GATES, Gate
+from boresight.verdicts.gates import GATES, BoundInput, Gate, name_inputs
 from boresight.verdicts.gates.judgement import STATUSES, GateRow, gate_rows
 from boresight.verdicts.gates.profile import THRESHOLDS
 
@@ -71,7 +71,7 @@ class GatesPanel:
 
     set: ParameterSet
     report: GateReport | None
-    moved: Sequence[str]
+    moved: Sequence[BoundInput]
     words: str
     verdict: str
     rows: Sequence[GateRow]
@@ -103,9 +103,14 @@ class GatesPanel:
         return [row for row in self.rows if row.status == "PASS"]
 
     @property
+    def moved_words(self) -> str:
+        """What changed since the report, for a sentence that begins with its article."""
+        return name_inputs(self.moved)
+
+    @property
     def warnings(self) -> Sequence[str]:
         """What is against the set, the worst first: evidence that changed, then every gate that does not pass."""
-        outdated = [f"The {' and the '.join(self.moved)} changed since the gates were assessed: assess them again."]
+        outdated = [f"The {self.moved_words} changed since the gates were assessed: assess them again."]
         return [*(outdated if self.moved else ()), *(row.warning for row in self.against)]
 
 
@@ -120,7 +125,7 @@ def make_gates_panel(
     report = approval_queries.find_newest_report(session, row.id, report_sha256)
     moved = outdated = [] if report is None else gates.list_moved_since(session, report)
     if row.ground_state in {"BASELINE", "SUPERSEDED"}:
-        moved = [one for one in moved if one != "baseline"]  # it was replaced by this very set
+        moved = [one for one in moved if one != "incumbent_sha256"]  # it was replaced by this very set
     found = None if report is None else gates.lay_waivers(session, report)
     rows = [] if found is None else gate_rows(found.gates, found.blocking)
     now = utc_now()

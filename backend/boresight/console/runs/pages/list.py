@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -37,7 +37,7 @@ from boresight.console.runs.pages.launch import differences
 from boresight.console.runs.tables import RUN_STATES, Run, parse_progress, parse_settings
 from boresight.console.telemetry import queries as telemetry_rows
 from boresight.platform.db.sessions import Session
-from boresight.verdicts.numbers import MISSING, NARROW_SPACE, number, urad
+from boresight.verdicts.numbers import MISSING, NARROW_SPACE, number, urad, urad_between, urad_interval
 from boresight.verdicts.verdict import WORD_OF_LEVEL, judge_result, parse_run_summary
 
 RUNS = Table(
@@ -56,7 +56,7 @@ RUNS = Table(
             "RMS",
             "rms",
             "num",
-            "Arclength RMS before and after, unweighted; sorted by after",
+            "Arclength RMS before and after, unweighted, and below the 95 % interval of the one after; sorted by after",
             "µrad",
             csv=("rms_initial_arc_rad", "rms_final_arc_rad"),
         ),
@@ -65,7 +65,7 @@ RUNS = Table(
             "Validation RMS",
             "validation",
             "num",
-            "RMS of the validation set, before and after; sorted by after",
+            "RMS of the validation set, before and after, and below the 95 % interval of the one after; sorted by after",
             "µrad",
             optional=True,
             csv=("validation_rms_initial_arc_rad", "validation_rms_final_arc_rad"),
@@ -136,6 +136,15 @@ def _names(session: Session, sensor_ids: Collection[int] | None, set_ids: Collec
 
 
 @dataclass(frozen=True)
+class RmsCell:
+    """An RMS before and after, the 95 % interval of the one after below it, and in the tooltip each with its own."""
+
+    text: str
+    interval: str = ""
+    told: str = ""
+
+
+@dataclass(frozen=True)
 class RunLine:
     """One row of the list."""
 
@@ -147,8 +156,8 @@ class RunLine:
     fit: str | None
     fit_level: str
     advice: str
-    rms: str
-    validation: str
+    rms: RmsCell
+    validation: RmsCell
     change: str
     frames: int | None
     chi2_per_dof: float | None
@@ -160,6 +169,8 @@ def make_run_line(run: Run, names: RunNames) -> RunLine:
     """Lay out a run; missing values are a dash."""
     summary = parse_run_summary(run.summary)
     before, after = summary.rms_initial_arc_rad, summary.rms_final_arc_rad
+    valid_before, valid_after = summary.validation_rms_initial_arc_rad, summary.validation_rms_final_arc_rad
+    valid_ends = summary.validation_rms_initial_interval_rad, summary.validation_rms_final_interval_rad
     level = judge_result(summary)
     return RunLine(
         run=run,
@@ -170,8 +181,8 @@ def make_run_line(run: Run, names: RunNames) -> RunLine:
         fit=_fit(summary.status, level),
         fit_level=level,
         advice=summary.advice or "",
-        rms=_from_to(before, after),
-        validation=_from_to(summary.validation_rms_initial_arc_rad, summary.validation_rms_final_arc_rad),
+        rms=_make_rms_cell(before, after, summary.rms_initial_interval_rad, summary.rms_final_interval_rad),
+        validation=_make_rms_cell(valid_before, valid_after, *valid_ends),
         frames=summary.frames,
         change=_change(before, after),
         chi2_per_dof=summary.chi2_per_dof,
@@ -185,8 +196,13 @@ def _fit(status: str | None, level: str) -> str | None:
     return WORD_OF_LEVEL.get(level, status) if status == "converged" else status
 
 
-def _from_to(before: float | None, after: float | None) -> str:
-    return MISSING if after is None else f"{urad(before)} → {urad(after)}"
+def _make_rms_cell(
+    before: float | None, after: float | None, ends_before: Sequence[float] | None, ends_after: Sequence[float] | None
+) -> RmsCell:
+    if after is None:
+        return RmsCell(MISSING)
+    told = f"{urad_between(before, ends_before)} → {urad_between(after, ends_after)} µrad"
+    return RmsCell(f"{urad(before)} → {urad(after)}", urad_interval(ends_after), told)
 
 
 def _change(before: float | None, after: float | None) -> str:

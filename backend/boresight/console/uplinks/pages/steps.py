@@ -192,6 +192,7 @@ def _page(
     other = known.active[0] if known.active and known.active[0].id != row.id else None
     old = other or find_baseline_before(session, row)
     document, before = read_set_and_incumbent(row, old)
+    is_open = uplinks.is_c_sd_open(session, row)
     return render(
         request,
         "uplinks/uplink_steps.html",
@@ -217,7 +218,8 @@ def _page(
         c_sd=find_c_sd_record(session, row),
         why_c_sd=uplinks.explain_c_sd(session, row),
         may_record_c_sd=row.onboard_state in uplinks.WITH_C_SD,
-        c_sd_open=uplinks.is_c_sd_open(session, row) and row.onboard_state in uplinks.WITH_C_SD,
+        c_sd_open=is_open and row.onboard_state in uplinks.WITH_C_SD,
+        loading_asks=is_open,
         crc_held=uplinks.has_shown_mismatch(session, row),
         why_not_active=uplinks.explain_why_not_activate(session, actor, row),
         why_not_sent=_why_not_sent(row),
@@ -351,7 +353,7 @@ async def record(request: Request, actor: Who, blobs: Blobs, set_id: int) -> Res
         if (
             state == "LOADED"
             and not typed.get("c_sd")
-            and uplinks.explain_c_sd(session, session.get_known(ParameterSet, set_id))
+            and uplinks.is_c_sd_open(session, session.get_known(ParameterSet, set_id))
         ):
             raise RefusedInputError(
                 "Say whether the update of C_SD was loaded with the set: choose one of the answers."
