@@ -16,7 +16,7 @@ import numpy as np
 
 from boresight.arrays import FloatArray
 from boresight.calibration import calibration as tree
-from boresight.calibration.calibration import Calibration, Evaluation, IntervalChange
+from boresight.calibration.calibration import Calibration, Evaluation
 
 Ends = tuple[float, float]
 
@@ -146,11 +146,14 @@ def sigma_of_rms(rms_rad: float | None, arcs: float | None) -> float | None:
 SIGMAS_OF_INTERVAL = 1.96  # half of a 95 % interval
 
 
-def interval_of_rms(rms_rad: float | None, arcs: float | None, resampled: Sequence[float | None] = ()) -> Ends | None:
-    """Return the 95 % interval of an RMS: by resampled frames where that was done, else as of so many independent arcs."""
-    low, high = resampled or (None, None)
-    if low is not None and high is not None:
-        return low, high
+def interval_of_rms(rms_rad: float | None, arcs: float | None, resampled: Ends | None = None) -> Ends | None:
+    """Return the 95 % interval of an RMS: as wide, for its size, as resampled frames say, else as of so many independent arcs.
+
+    `resampled`: from `find_relative_intervals`. It is of the pairs that the flight code accepts, whose RMS is smaller than that of
+    all fitted pairs where some of these are far off; so it is scaled, and contains the RMS whatever that is of.
+    """
+    if rms_rad is not None and resampled is not None:
+        return rms_rad * resampled[0], rms_rad * resampled[1]
     sigma = sigma_of_rms(rms_rad, arcs)
     if rms_rad is None or sigma is None:
         return None
@@ -159,17 +162,20 @@ def interval_of_rms(rms_rad: float | None, arcs: float | None, resampled: Sequen
 
 def interval_of_fit(result: Calibration, rms_rad: float | None) -> Ends | None:
     """Return the 95 % interval of an RMS of the fitted frames at some state: as wide, for its size, as that of the estimate."""
-    known, final = find_rms_intervals(result.evaluation), result.rms_arc_rad.final
-    ends = interval_of_rms(final, result.pairs, known.final)
-    if ends is None or not final or rms_rad is None:
-        return interval_of_rms(rms_rad, result.pairs)
-    return ends[0] * rms_rad / final, ends[1] * rms_rad / final
+    return interval_of_rms(rms_rad, result.pairs, find_relative_intervals(result.evaluation)[1])
 
 
-def find_rms_intervals(scores: Evaluation | None) -> IntervalChange:
-    """Return the 95 % intervals of a set's RMS by resampled frames; empty ones where there are none."""
-    found = scores.intervals if scores else None
-    return found.rms_arc_rad if found else IntervalChange(initial=[], final=[])
+def find_relative_intervals(scores: Evaluation | None) -> tuple[Ends | None, Ends | None]:
+    """Return the 95 % intervals of a set's RMS before and after by resampled frames, as shares of it; None where there is none."""
+    if scores is None or scores.intervals is None:
+        return None, None
+    rms, known = scores.rms_arc_rad, scores.intervals.rms_arc_rad
+    return _as_shares(rms.initial, known.initial), _as_shares(rms.final, known.final)
+
+
+def _as_shares(rms_rad: float | None, ends_rad: Sequence[float | None]) -> Ends | None:
+    low, high = ends_rad or (None, None)
+    return None if not rms_rad or low is None or high is None else (max(0.0, low / rms_rad), high / rms_rad)
 
 
 def tail_start(result: Calibration, history: History, tail_from: float | None) -> float:

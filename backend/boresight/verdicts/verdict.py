@@ -26,7 +26,7 @@ from boresight.calibration.trust.advice import TOO_SMALL
 from boresight.errors import RefusedInputError
 from boresight.estimation.filters import FILTERS
 from boresight.estimation.statistics.observability import WEAK, is_curved
-from boresight.verdicts.history import Ends, find_rms_intervals, interval_of_rms, settled_step, sigma_of_rms
+from boresight.verdicts.history import Ends, find_relative_intervals, interval_of_rms, settled_step, sigma_of_rms
 from boresight.verdicts.numbers import count, number, percent, urad, urad_between
 
 LEVELS = ("off", "standby", "normal", "caution", "serious", "critical")  # of the Astro UX status system, worst last
@@ -205,8 +205,8 @@ def list_rms(scores: Evaluation | None, rms: Change, arcs: float | None) -> list
 
 def _find_rms_ends(scores: Evaluation | None, rms: Change, arcs: float | None) -> tuple[Ends | None, Ends | None]:
     """Find the 95 % intervals of the RMS of a set before and after."""
-    known = find_rms_intervals(scores)
-    return interval_of_rms(rms.initial, arcs, known.initial), interval_of_rms(rms.final, arcs, known.final)
+    before, after = find_relative_intervals(scores)
+    return interval_of_rms(rms.initial, arcs, before), interval_of_rms(rms.final, arcs, after)
 
 
 def describe_rms(scores: Evaluation | None, rms: Change, arcs: float | None) -> str:
@@ -222,7 +222,7 @@ def _validation(result: Calibration) -> VerdictMark:
     detail = f"{count(validation.frames)} held-out frames, {percent(validation.availability.final)} available"
     sigma = sigma_of_rms(after, validation.common_pairs)
     value = f"{describe_rms(validation, validation.rms_arc_rad, validation.common_pairs)} µrad"
-    known = interval_of_rms(after, validation.common_pairs, find_rms_intervals(validation).final)
+    known = interval_of_rms(after, validation.common_pairs, find_relative_intervals(validation)[1])
     detail += "; no interval was stored" if known is None else "; 95 % intervals in brackets"
     if after < before:
         return VerdictMark(name, question, "normal", "better", value, detail)

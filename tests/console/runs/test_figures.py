@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 from starlette.datastructures import QueryParams
 
-from boresight.calibration.calibration import parse_calibration
+from boresight.calibration.calibration import Change, parse_calibration
 from boresight.calibration.options import METHODS
 from boresight.console.runs.figure_routes import _stacked
 from boresight.console.runs.pages.compare import method_panel
@@ -18,7 +18,7 @@ from boresight.figures import FIGURES
 from boresight.figures.chart import Trace
 from boresight.figures.charts.methods import method_scores
 from boresight.verdicts.answers import make_headline
-from boresight.verdicts.verdict import describe_rms, make_verdict_marks
+from boresight.verdicts.verdict import describe_rms, list_rms, make_verdict_marks
 from tests.test_refusals import says_what_to_do
 
 
@@ -152,6 +152,15 @@ def test_one_number_has_one_interval_wherever_it_stands(results, method):
         assert " → ".join(listed[f"{words} data, {one} parameters"] for one in ("old", "new")) == told
     title = FIGURES["rms"].draw([Trace("Run 1", result)]).layout.title.text
     assert (fitted in title, "95 %" in title) == (True, True)
+
+
+@pytest.mark.parametrize("share", [0.5, 1.0, 2.0])
+def test_the_interval_of_an_rms_contains_it_also_where_the_flight_code_accepts_other_pairs(results, share):
+    result = parse_calibration(results["batch"])
+    rms = Change(initial=share * result.rms_arc_rad.initial, final=share * result.rms_arc_rad.final)
+    for told in list_rms(result.evaluation, rms, result.pairs):
+        value, low, high = read_interval(told)
+        assert low < value < high
 
 
 def test_an_rms_without_resampled_frames_has_the_interval_of_as_many_independent_arcs(results):
