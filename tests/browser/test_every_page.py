@@ -5,7 +5,7 @@ from playwright.sync_api import expect
 
 from boresight.console.runs.pages.run import PARTS
 from boresight.figures import CHAPTERS
-from tests.browser.window import CUT, CUT_OFF, WRITES
+from tests.browser.window import BROKEN, CUT, CUT_OFF, WRITES
 from tests.effort import effort, few_of
 
 pytestmark = pytest.mark.browser
@@ -92,6 +92,15 @@ def stands_under_the_verdict(window, part):
     assert window.page.locator(".small-view").count() == (4 if part == "result" else 0)
 
 
+#: Gives every sensor of the list of runs a name, as a renewed part would have it.
+NAME_SENSORS = """name => {
+    const place = document.querySelector("table.runs").parentElement;
+    const renewed = place.cloneNode(true);
+    for (const link of renewed.querySelectorAll("td a[href^='/sensors/']")) link.textContent = name;
+    place.replaceWith(renewed);
+}"""
+
+
 @pytest.mark.parametrize("name", few_of([*HERE, *(name for name in ADDRESSES if name not in HERE)], len(HERE)))
 def test_a_page_keeps_nobody_out_fits_its_window_and_sends_nothing_by_keys(people, numbers, name):
     with people.seat(VISITORS.get(name, "analyst")) as window:
@@ -109,6 +118,20 @@ def test_a_page_keeps_nobody_out_fits_its_window_and_sends_nothing_by_keys(peopl
             assert window.page.evaluate(CUT_OFF) == [], "a button that writes is alive while the server is gone"
         if name in REFUSED:
             window.forgive(f"status of {REFUSED[name]}")
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_a_long_name_of_a_sensor_is_parted_between_its_words_and_leaves_the_list_of_runs_in_sight(
+    people, numbers, width
+):
+    with people.seat("analyst") as window:
+        window.page.set_viewport_size({"width": width, "height": 900})
+        window.open(ADDRESSES["runs"].format(**numbers))
+        window.page.evaluate(NAME_SENSORS, "As inverted_wang_decentred")
+        window.settle()
+        assert window.page.evaluate(CUT) == []
+        assert window.page.evaluate(BROKEN) == []
+        assert window.page.evaluate("document.querySelector('table.runs').dataset.fit === 'cards'") == (width == 390)
 
 
 def test_a_name_of_sixty_letters_and_a_long_label_cut_no_list(people):

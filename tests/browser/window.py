@@ -382,7 +382,6 @@ class Window:
         self.page.route("**/*", _stay)
         self.page.evaluate(PRESS_EVERYTHING, KEYS)
         self.settle()
-        self.page.unroute("**/*", _stay)
         self.page.remove_listener("request", note)
         assert sent == []
 

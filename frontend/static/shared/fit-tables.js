@@ -4,10 +4,11 @@
  * cell under the heading of its column, so that nothing lies beyond an edge. One whose columns are to be compared
  * (`data-pinned`) keeps them beside each other where there is room for a few: its first column and the reference stay in sight
  * while the others are scrolled in its own place (`data-fit="pinned"`), which fades where more follows (`data-more`).
+ * A long name or path in a cell may be parted after _ and /, so that none of its words is.
  *
  * And bars that stay in sight begin where the top bar ends, however many lines it takes.
  */
-import { find, findAll } from "./dom.js";
+import { find, findAll, make } from "./dom.js";
 
 const ROOM_FOR_COLUMNS_PX = 640;
 
@@ -25,6 +26,20 @@ function label(table) {
       column += cell.colSpan;
     }
   }
+}
+
+const LONG_NAME = /(?=\S{16})\S*[_/]\S/;
+
+/** @param {HTMLTableElement} table */
+function offerBreaks(table) {
+  const walker = document.createTreeWalker(table, NodeFilter.SHOW_TEXT);
+  /** @type {Text[]} */
+  const found = [];
+  while (walker.nextNode()) {
+    const text = walker.currentNode;
+    if (text instanceof Text && LONG_NAME.test(text.data) && !text.parentElement?.closest("option, textarea, svg")) found.push(text);
+  }
+  for (const text of found) text.replaceWith(...text.data.split(/(?<=[_/])(?=\S)/).flatMap((part, k) => (k ? [make("wbr", {}), part] : [part])));
 }
 
 /** @param {HTMLTableElement} table */
@@ -58,6 +73,7 @@ const watched = new ResizeObserver((entries) => {
 /** @param {ParentNode} root */
 function fitAll(root) {
   for (const table of findTables(root)) {
+    offerBreaks(table);
     fit(table);
     if (table.parentElement) watched.observe(table.parentElement);
   }
