@@ -72,6 +72,8 @@ def make_headline(result: Calibration) -> Headline:
         both = list_rms(result.validation, unseen, result.validation.common_pairs)
         told.append(f"validation {urad(unseen.initial, 3)} → {both[1]} µrad")
         at_length.append(f"validation {' → '.join(both)} µrad")
+    if any("(" in one for one in told):
+        told[-1] += " (95 %)"
     seen = result.observability
     if seen and seen.singular_values:
         told.append("no weak direction" if not count_weak(seen) else describe_weak(seen))

@@ -401,6 +401,7 @@ def test_a_set_is_assessed_from_its_page_but_by_no_viewer(site, read, candidate)
     answer = visitor.post(f"/parameter-sets/{candidate}/assess")
     assert answer.headers["location"] == f"/parameter-sets/{candidate}/gates"
     words = read(visitor.get(f"/parameter-sets/{candidate}/gates"))
+    assert "ncumbent" not in words
     assert "by Ada Analyst" in words
     assert "× baseline" in words
     viewer = site.visitor("victor")

@@ -9,6 +9,7 @@ from boresight.console.ingest.tables import IngestDecision
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import open_writing
+from boresight.verdicts.gates import GATES
 from tests.console.approvals.gates import TIGHT, tight_profile
 from tests.console.ingest.decisions import asked, draft, in_force, received, send, step
 
@@ -78,11 +79,13 @@ def test_a_submission_of_a_set_that_a_gate_stops_says_so_on_its_button_and_leads
     offered = [{"answer": "SUBMIT", "sentence": "Ask.", "recommended": True}]
     with open_writing(house.app.state.engine) as session:
         decision = session.get_one(IngestDecision, row["id"])
-        decision.evidence = {**decision.evidence, "alternatives": offered}
+        gates = {"verdict": "FAIL", "blocking": ["validation-rms-incumbent"]}
+        decision.evidence = {**decision.evidence, "alternatives": offered, "gates": gates}
         set_id = decision.parameter_set_id
         audit.append(session, COMMAND_LINE, "decided", f"ingest-decisions/{decision.id}")
     page = _read(house, "ada", f"/ingest/{row['id']}")
     assert "although" not in page
+    assert (GATES["validation-rms-incumbent"].title in page, "validation-rms-incumbent" in page) == (True, False)
     assert "button-primary" in page.split('id="answer-1"')[0].rpartition("<button")[2]
     tight_profile(house, row["sensor_id"])
     assert house.person("ada").post(f"/api/v1/parameter-sets/{set_id}:assess").json()["blocking"] == [TIGHT["name"]]

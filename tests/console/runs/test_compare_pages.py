@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.console.runs.comparisons import ASSUMPTION, MOST_RUNS, read_run_ids
+from boresight.console.runs.pages import compare
 from boresight.console.runs.pages.compare import read_view, together
 from boresight.console.runs.tables import Run
 from boresight.errors import RefusedInputError
@@ -32,6 +33,13 @@ def test_only_what_differs_is_shown_unless_asked_for(site, read):
     assert "Square-root filter" in few
     assert "Calibration set" not in few
     assert "Calibration set" in all_rows
+
+
+def test_a_difference_names_the_run_that_differs_and_the_reference(site, read, monkeypatch):
+    monkeypatch.setattr(compare, "UNLIKELY", 2.0)
+    monkeypatch.setattr(compare, "NEGLIGIBLE", 0.0)
+    text = read(site.visitor("victor").get("/compare?runs=1,2&reference=2"))
+    assert "#1 differs significantly from the reference #2" in text
 
 
 def test_a_run_without_a_result_is_compared_as_far_as_it_has_come(site, read):

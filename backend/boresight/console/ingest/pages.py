@@ -63,6 +63,7 @@ from boresight.platform.actors import Actor
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.paging import parse_row_id
+from boresight.verdicts.gates import GATES
 
 router = PageRouter(dependencies=[Depends(csrf)])
 
@@ -208,6 +209,7 @@ def _decision(
         run=session.get(Run, row.run_id) if row.run_id else None,
         prepared=prepared,
         stopped=[] if prepared is None else find_blocking_gates(session, prepared),
+        blocking=[GATES[name].title for name in row.evidence.get("gates", {}).get("blocking", ()) if name in GATES],
         approval=session.get(Approval, row.approval_id) if row.approval_id else None,
         titles=TITLES,
         why_not={one: service.explain_why_not_answer(session, actor, row, one) for one in ANSWERS},

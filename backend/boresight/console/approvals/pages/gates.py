@@ -103,6 +103,12 @@ class GatesPanel:
         return [row for row in self.rows if row.status == "PASS"]
 
     @property
+    def bound(self) -> Sequence[tuple[str, str | None]]:
+        """What the report is based on, in words, with its SHA-256."""
+        known = {} if self.report is None else self.report.document["bound"]
+        return [(name_inputs([name]).capitalize(), sha256) for name, sha256 in known.items()]
+
+    @property
     def moved_words(self) -> str:
         """What changed since the report, for a sentence that begins with its article."""
         return name_inputs(self.moved)

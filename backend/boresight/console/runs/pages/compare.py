@@ -36,6 +36,7 @@ from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.history import SETTLED_SIGMAS
 from boresight.verdicts.numbers import MISSING, count, fixed, number, plus_minus, power, quantity, sigmas
 from boresight.verdicts.verdict import describe_iterations, list_rms
+from boresight.wording import join_words
 
 #: Differences from here on are marked; chance makes one of 370 as large.
 FAR_SIGMAS = 3.0
@@ -144,12 +145,11 @@ def answer(found: Comparison) -> ComparedAnswer:
         what = "methods" if len({one.run.method for one in found.compared}) > 1 else "runs"
         return ComparedAnswer("normal", f"Same data: the {what} differ by at most {size}, negligible.")
     if far:
-        named = ", ".join(f"#{found.compared[k].run.id}" for k in far)
-        return ComparedAnswer(
-            "caution",
-            f"{count(len(far))} of {count(len(known))} runs differ significantly from the reference ({named}); largest "
-            f"difference {size}.",
-        )
+        named = join_words([f"#{found.compared[k].run.id}" for k in far])
+        differ = f"{named} {'differs' if len(far) == 1 else 'differ'} significantly"
+        of = f" ({count(len(far))} of {count(len(known))} compared)" if len(known) > 1 else ""
+        reference = f"the reference #{found.compared[found.reference].run.id}"
+        return ComparedAnswer("caution", f"{differ} from {reference}{of}; largest difference {size}.")
     if same and largest[0] > FAR_SIGMAS:
         return ComparedAnswer(
             "caution", f"Same data: the runs differ by at most {size}, more than expected between methods."
