@@ -141,7 +141,9 @@ def _send(place: Path, request: Request, cached: str = CACHED) -> Response:
     content = _content(place, place.stat().st_mtime_ns)
     zipped = content.compressed is not None and takes_gzip(request.headers.get("accept-encoding", "").encode())
     tag = f'"{content.sha256}{"-gz" if zipped else ""}"'
-    headers = {"ETag": tag, "Cache-Control": cached}  # the compressing middleware adds Vary
+    headers = {"ETag": tag, "Cache-Control": cached}
+    if zipped:  # to a plain one the compressing middleware adds it
+        headers["Vary"] = "Accept-Encoding"
     if tag in [known.strip() for known in request.headers.get("if-none-match", "").split(",")]:
         return Response(status_code=304, headers=headers)
     if zipped:
