@@ -318,9 +318,12 @@ def _encrypt_secrets(app: FastAPI) -> None:
 
 def _warm(app: FastAPI) -> None:
     """Build the routes before somebody asks for them, and load the catalogue before the first upload."""
-    for route in app.routes:
-        if isinstance(route, LazyRoute):
-            route.prepare()
+    try:
+        for route in app.routes:
+            if isinstance(route, LazyRoute):
+                route.prepare()
+    except Exception:
+        log.exception("A route could not be built; the first request for it will try again")
     try:
         app.state.catalogue()
     except Exception:

@@ -78,6 +78,36 @@ def test_a_figure_that_was_not_drawn_says_so_on_paper_only(people, numbers):
         assert waiting.first.locator(".figure-words").inner_text() == before
 
 
+def test_a_drawing_that_fails_keeps_nobody_from_printing(people):
+    with people.seat("analyst", new=True) as window:
+        window.open("/preferences")
+        window.page.evaluate(f"({PRINT_COUNTS})()")
+        fails = "event => event.detail.push(Promise.reject(new Error('no drawing')))"
+        window.page.evaluate(f"() => document.addEventListener('boresight:print', {fails})")
+        window.page.get_by_role("button", name="Print this page").click()
+        window.page.wait_for_function("() => window.missing === 0")
+        expect(window.page.locator("#print-page")).to_be_enabled()
+
+
+def test_a_figure_that_came_after_the_printing_is_drawn_for_the_screen(people, numbers):
+    with people.seat("analyst", new=True) as window:
+        held = []
+        window.page.route("**/figures/*", lambda route: held.append(route))  # noqa: PLW0108 - playwright marks what it is given
+        window.open("/runs/{batch}?part=evidence".format(**numbers))
+        window.page.evaluate("() => { document.dispatchEvent(new CustomEvent('boresight:print', { detail: [] })); }")
+        window.page.wait_for_timeout(1000)
+        window.page.evaluate("() => { dispatchEvent(new Event('afterprint')); }")
+        for route in held:
+            route.continue_()
+        window.page.unroute("**/figures/*")
+        window.figures_drawn()
+        window.settle()
+        misfits = """() => [...document.querySelectorAll("plot-figure .figure-canvas")].filter(one => one.checkVisibility()
+            && one.clientWidth >= 260 && one.querySelector(".main-svg").getAttribute("width") != one.clientWidth).length"""
+        assert held
+        assert window.page.evaluate(misfits) == 0
+
+
 @pytest.mark.parametrize("address", few_of(PRINTED, 1))
 def test_paper_cuts_nothing_off_and_folds_nothing_in(people, numbers, address):
     with people.seat("analyst", new=True) as window:

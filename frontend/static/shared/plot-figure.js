@@ -12,7 +12,7 @@ import { makeAge } from "./clock.js";
 import { find, findAll, make } from "./dom.js";
 import { count } from "./numbers.js";
 import { linkCursor, unlinkCursor } from "./plot-cursor.js";
-import { onTheme, onWhite, usePaper } from "./plot-theme.js";
+import { isForPaper, onTheme, onWhite, usePaper } from "./plot-theme.js";
 import { clear, draw, fit, makeImage, isDrawn, load, getRange, zoomTo } from "./plotly.js";
 import { BACKGROUND, Problem, fetchJson, describeError } from "./requests.js";
 import { getZoom, keepZoom } from "./view-address.js";
@@ -218,10 +218,10 @@ export class PlotFigure extends HTMLElement {
     return undefined;
   }
 
-  /** Draw for paper, after the first drawing where there was none. */
+  /** Draw for paper, after the first drawing where there was none, unless the page was printed without it meanwhile. */
   async prepareForPaper() {
     await this.begin();
-    await this.print(true);
+    if (isForPaper()) await this.print(true);
   }
 
   /** Show what the address says of this chart. */

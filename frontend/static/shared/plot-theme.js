@@ -13,6 +13,7 @@ const isStrong = () => !onPaper() && document.documentElement.dataset.theme === 
 
 /** Draw from now on for paper, or for the screen again. @param {boolean} paper */
 export const usePaper = (paper) => void (isPaper = paper);
+export const isForPaper = () => isPaper;
 
 /** @param {Figure} figure @param {object | undefined} template @returns {Figure} */
 function copied(figure, template) {

@@ -17,7 +17,7 @@ async function printPage() {
   button.disabled = true;
   button.textContent = "Drawing every figure …";
   document.dispatchEvent(new CustomEvent("boresight:print", { detail: drawings }));
-  await Promise.race([Promise.all(drawings), new Promise((resolve) => setTimeout(resolve, MOST_MS))]);
+  await Promise.race([Promise.allSettled(drawings), new Promise((resolve) => setTimeout(resolve, MOST_MS))]);
   button.disabled = false;
   button.textContent = words;
   window.print();

@@ -1,9 +1,11 @@
 """A route that is built by the first request for it, beside one that is built as it is declared."""
 
 import threading
+import time
 from typing import Annotated
 
 import httpx
+import pytest
 from fastapi import APIRouter, Depends, FastAPI
 from fastapi.routing import APIRoute
 
@@ -67,6 +69,37 @@ def test_many_that_ask_at_once_find_one_whole_route():
         one.join()
     assert len(found) == 8
     assert len(set(map(id, found))) == 1
+
+
+def test_a_route_that_could_not_be_built_is_built_by_the_next_request(monkeypatch):
+    app, (read, _make) = declare(LazyRoute)
+    visitor = Visitor(app, "", httpx.Cookies())
+    with monkeypatch.context() as patch:
+        patch.setattr(APIRoute, "get_route_handler", lambda _route: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            visitor.send("GET", "/numbers/3")
+    assert not is_built(read)
+    assert visitor.send("GET", "/numbers/3").json() == {"number": 3, "half": 1.5}
+
+
+def test_two_routes_are_never_built_at_once(monkeypatch):
+    _, routes = declare(LazyRoute)
+    build, inside, most = APIRoute.__init__, [], []
+
+    def watch(route, *given, **options):
+        inside.append(route)
+        most.append(len(inside))
+        time.sleep(0.05)
+        build(route, *given, **options)
+        inside.remove(route)
+
+    monkeypatch.setattr(APIRoute, "__init__", watch)
+    threads = [threading.Thread(target=route.prepare) for route in routes]
+    for one in threads:
+        one.start()
+    for one in threads:
+        one.join()
+    assert most == [1, 1]
 
 
 def test_a_server_can_build_every_route():

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import gzip
+import os
 import re
 import socket
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
@@ -16,13 +18,14 @@ import uvicorn
 from hypothesis import given
 from hypothesis import strategies as st
 from playwright.sync_api import sync_playwright
+from starlette.requests import Request
 
 from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.platform.jobs.worker_news import WorkerState
 from boresight.platform.web import static_files
 from boresight.platform.web.metrics import CachedCheck
 from boresight.platform.web.middleware import SECURITY_HEADERS, SECURITY_POLICY, takes_gzip
-from boresight.platform.web.static_files import static_version
+from boresight.platform.web.static_files import static_version, versioned_static_file
 from boresight.server import _Server, create_app
 from tests.browser.window import launch_chromium
 from tests.served import House, serving, settings_in
@@ -181,16 +184,43 @@ def test_a_file_under_another_servers_version_is_asked_for_again(house: House) -
     assert house.anybody().get(address).headers["cache-control"] == "public, no-cache"
 
 
-def test_a_change_of_any_static_file_is_a_new_version(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
-    file = tmp_path / "static" / "one.js"
-    file.parent.mkdir()
+@pytest.fixture
+def static_folder(tmp_path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setattr(static_files, "folder", lambda _name: tmp_path)
+    (tmp_path / "static").mkdir()
+    forget_static_files()
+    yield tmp_path / "static"
+    forget_static_files()
+
+
+def forget_static_files() -> None:
+    static_files._digests.cache_clear()
+    static_version.cache_clear()
+
+
+def test_a_change_of_any_static_file_is_a_new_version(static_folder: Path) -> None:
+    file = static_folder / "one.js"
     versions = set()
-    for text in ("a", "b"):
+    for change in (
+        lambda: file.write_text("a"),
+        lambda: file.write_text("b"),
+        lambda: file.rename(file.with_name("two.js")),
+    ):
+        change()
+        forget_static_files()
+        versions.add(static_version())
+    assert len(versions) == 3
+
+
+def test_a_file_that_an_update_replaced_under_a_running_server_is_not_kept_as_its_own(static_folder: Path) -> None:
+    file = static_folder / "one.js"
+    kept = []
+    for text in ("1.0", "1.1"):
         file.write_text(text)
-        versions.add(static_version.__wrapped__())
-    file.rename(file.with_name("two.js"))
-    assert len(versions | {static_version.__wrapped__()}) == 3
+        os.utime(file, (0, len(kept)))
+        answer = versioned_static_file(static_version(), file.name, Request({"type": "http", "headers": []}))
+        kept.append((answer.body, "immutable" in answer.headers["cache-control"]))
+    assert kept == [(b"1.0", True), (b"1.1", False)]
 
 
 def test_plotly_comes_from_the_python_package(house: House) -> None:
@@ -204,8 +234,10 @@ def test_plotly_comes_from_the_python_package(house: House) -> None:
 
 def test_compressed_and_plain_have_tags_of_their_own(house: House) -> None:
     plain = house.anybody().get("/static/shared/style.css", headers={"Accept-Encoding": "identity"})
-    assert plain.headers["etag"] != house.anybody().get("/static/shared/style.css").headers["etag"]
-    assert plain.headers["vary"] == "Accept-Encoding"
+    compressed = house.anybody().get("/static/shared/style.css", headers={"Accept-Encoding": "gzip"})
+    assert compressed.headers["content-encoding"] == "gzip"
+    assert plain.headers["etag"] != compressed.headers["etag"]
+    assert plain.headers["vary"] == compressed.headers["vary"] == "Accept-Encoding"
 
 
 @pytest.mark.parametrize(

@@ -11,11 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from fastapi import Depends, Request
+from fastapi import Request
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access import api_keys, users
-from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Blobs, Reading, ServerPolicy, ServerSettings, Who, Workers
 from boresight.console.access.tables import ROLES, ApiKey, User
 from boresight.console.backups import service as backups
@@ -118,7 +117,7 @@ STATES = {
     "nothing": ("Nothing yet", ("nothing",)),
 }
 
-gallery_router = PageRouter(dependencies=[Depends(get_actor)])
+gallery_router = PageRouter()
 
 
 def _find_traces(name: str, of: str) -> tuple[str, ...]:

@@ -19,7 +19,6 @@ from boresight.calibration.conversion import try_conversion
 from boresight.calibration.parameter_set import ParameterSetDocument, parse_parameter_set
 from boresight.cameras import CAMERA_MODELS
 from boresight.console import list_queries as lists
-from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading, Who, csrf, get_needed, get_server, same_for_roles
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.approvals import gates, review
@@ -95,7 +94,7 @@ SETS = Table(
     kind="sets",
 )
 
-router = PageRouter(dependencies=[Depends(get_actor)])
+router = PageRouter()
 
 
 @router.get("/parameter-sets", response_class=HTMLResponse, dependencies=[Depends(same_for_roles)])

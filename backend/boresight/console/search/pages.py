@@ -11,12 +11,10 @@ from dataclasses import asdict, dataclass
 from itertools import islice
 from typing import Any
 
-from fastapi import Depends
 from fastapi.responses import JSONResponse
 
 from boresight.calibration.options import OPTIONS
 from boresight.console import list_queries as lists
-from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading
 from boresight.console.alarms.tables import Alarm
 from boresight.console.approvals.tables import Approval
@@ -45,7 +43,7 @@ HELP = {
     "Gallery of figures": "/gallery",
 }
 
-router = PageRouter(dependencies=[Depends(get_actor)])
+router = PageRouter()
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,9 @@ from typing import Any
 from fastapi.routing import APIRoute
 from starlette.routing import compile_path
 
+#: One for all routes, because FastAPI changes the filters of warnings while it builds, which threads must not do at once.
+_BUILDING = threading.RLock()
+
 
 class LazyRoute(APIRoute):
     """A route of FastAPI, declared as one, that is built by the first request for it."""
@@ -31,14 +34,21 @@ class LazyRoute(APIRoute):
         self.methods = {method.upper() for method in methods or ("GET",)}
         self.path_regex, self.path_format, self.param_convertors = compile_path(path)
         self._options: dict[str, Any] | None = options
-        self._lock = threading.RLock()
 
     def prepare(self) -> None:
-        """Build the route, if it is not yet built."""
-        with self._lock:
+        """Build the route, if it is not yet built; what fails is tried again."""
+        with _BUILDING:
             options, self._options = self._options, None
-            if options is not None:
+            if options is None:
+                return
+            known = dict(vars(self))
+            try:
                 self._build(options)
+            except BaseException:
+                for name in vars(self).keys() - known:
+                    delattr(self, name)
+                vars(self).update(known, _options=options)
+                raise
 
     def _build(self, options: dict[str, Any]) -> None:
         super().__init__(self.path, self.endpoint, name=self.name, methods=self.methods, **options)

@@ -61,7 +61,7 @@ def _content(path: Path, changed_ns: int) -> Content:  # noqa: ARG001 - the time
     media_type = TYPES.get(path.suffix) or mimetypes.guess_type(path.name)[0] or "application/octet-stream"
     worth = media_type in COMPRESSED_TYPES and len(plain) >= COMPRESS_FROM_BYTES
     compressed = gzip.compress(plain, 6, mtime=0) if worth else None
-    return Content(plain, compressed, media_type, hashlib.sha256(plain).hexdigest()[:32])
+    return Content(plain, compressed, media_type, _digest(plain))
 
 
 def _file_path(name: str) -> Path:
@@ -72,14 +72,21 @@ def _file_path(name: str) -> Path:
 
 
 @cache
-def static_version() -> str:
-    """Return the version of the static files, as they were when it was first asked for."""
+def _digests() -> dict[str, str]:
+    """Return the digest of each static file by its name, as they were when first asked for."""
     top = folder("frontend") / "static"
     files = {path.relative_to(top).as_posix(): path for path in top.rglob("*") if path.is_file()} | SHIPPED
-    digest = hashlib.sha256()
-    for name, path in sorted(files.items()):
-        digest.update(name.encode() + hashlib.sha256(path.read_bytes()).digest())
-    return digest.hexdigest()[:16]
+    return {name: _digest(path.read_bytes()) for name, path in files.items()}
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:32]
+
+
+@cache
+def static_version() -> str:
+    """Return the version of the static files, as they were when it was first asked for."""
+    return _digest(repr(sorted(_digests().items())).encode())[:16]
 
 
 def has_documentation() -> bool:
@@ -115,8 +122,8 @@ def _inside(top: Path, name: str, otherwise: str) -> Path:
 
 @router.get("/static/version-{version}/{name:path}", name="versioned static")
 def versioned_static_file(version: str, name: str, request: Request) -> Response:
-    """Send a static file that the browser need not ask for again."""
-    return _send(_file_path(name), request, CACHED_FOR_A_YEAR if version == static_version() else CACHED)
+    """Send a static file that the browser need not ask for again, unless an update has replaced it under this server."""
+    return _send(_file_path(name), request, _digests().get(name) if version == static_version() else None)
 
 
 @router.get("/static/{name:path}", name="static")
@@ -137,11 +144,14 @@ def documentation_page(name: str, request: Request) -> Response:
     return _send(_page(name), request)
 
 
-def _send(place: Path, request: Request, cached: str = CACHED) -> Response:
+def _send(place: Path, request: Request, lasting_sha256: str | None = None) -> Response:
     content = _content(place, place.stat().st_mtime_ns)
+    cached = CACHED_FOR_A_YEAR if content.sha256 == lasting_sha256 else CACHED
     zipped = content.compressed is not None and takes_gzip(request.headers.get("accept-encoding", "").encode())
     tag = f'"{content.sha256}{"-gz" if zipped else ""}"'
-    headers = {"ETag": tag, "Cache-Control": cached}  # the compressing middleware adds Vary
+    headers = {"ETag": tag, "Cache-Control": cached}
+    if zipped:  # to a plain one the compressing middleware adds it
+        headers["Vary"] = "Accept-Encoding"
     if tag in [known.strip() for known in request.headers.get("if-none-match", "").split(",")]:
         return Response(status_code=304, headers=headers)
     if zipped:

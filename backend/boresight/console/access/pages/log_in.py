@@ -31,7 +31,7 @@ from boresight.errors import SecondFactorError, SessionEndedError, Unauthenticat
 from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.origins import is_own_path
 
-login_router = PageRouter()
+login_router = PageRouter(open_to_all=True)
 
 
 def local_path(address: str) -> str:

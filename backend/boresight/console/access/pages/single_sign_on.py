@@ -21,7 +21,7 @@ from boresight.platform.actors import Actor, require_person
 from boresight.platform.audit.security_log import tell
 from boresight.platform.db.sessions import Session
 
-router = PageRouter(prefix="/login/single-sign-on")
+router = PageRouter(prefix="/login/single-sign-on", open_to_all=True)
 
 
 def _provider(request: Request) -> IdentityProvider:

@@ -12,12 +12,11 @@ from typing import Annotated, Any
 from urllib.parse import urlencode
 
 import numpy as np
-from fastapi import Depends, Query, Request
+from fastapi import Query, Request
 from fastapi.responses import HTMLResponse
 
 from boresight.calibration.evaluation.contrast import Contrast
 from boresight.calibration.options import ALL, METHODS, OPTIONS, get_method_title, is_sequential
-from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading, get_server
 from boresight.console.pages.formats import words
 from boresight.console.pages.page_router import PageRouter
@@ -351,7 +350,7 @@ CROWDED_RUNS = 8
 OVERLAYS = {"lines": "every run", "band": "lowest to highest", "table": "no figures, tables only"}
 ALIGNED_BY = {"frame": "frame number", "time": "time since the first frame", "update": "update"}
 
-router = PageRouter(dependencies=[Depends(get_actor)])
+router = PageRouter()
 
 
 @dataclass(frozen=True)

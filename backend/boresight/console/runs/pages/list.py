@@ -12,7 +12,6 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.calibration.options import METHODS, CalibrationSettings, get_method_title
 from boresight.console.access import users
-from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading, Who, csrf, same_for_roles
 from boresight.console.fleet import queries as sensor_queries
 from boresight.console.fleet.pages.sensors import list_sensor_choices
@@ -101,7 +100,7 @@ OF_SUMMARY = (
     "frames",
 )
 
-router = PageRouter(dependencies=[Depends(get_actor)])
+router = PageRouter()
 
 
 @dataclass(frozen=True)

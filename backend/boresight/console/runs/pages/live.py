@@ -13,7 +13,6 @@ from typing import Any
 from fastapi import Depends, Request
 from fastapi.responses import HTMLResponse, JSONResponse, PlainTextResponse, Response
 
-from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading, Who, csrf, get_server
 from boresight.console.pages.formats import seconds_since
 from boresight.console.pages.page_router import PageRouter
@@ -243,7 +242,7 @@ def log_lines(request: Request, session: Reading, run_id: int, after: int = 0, l
     return render(request, "runs/log_lines.html", lines=filter_lines(rows, level), symbols=SYMBOLS)
 
 
-run_file_router = PageRouter(dependencies=[Depends(get_actor)])
+run_file_router = PageRouter()
 
 
 def _attachment(name: str) -> dict[str, str]:
