@@ -8,10 +8,12 @@ import logging
 import socket
 import sys
 import threading
+import time
 from collections import OrderedDict
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from functools import cache
+from typing import Any
 
 import uvicorn
 from anyio.to_thread import current_default_thread_limiter
@@ -100,6 +102,7 @@ SWITCH_S = (
     0.001  # after so long a thread that computes lets another go on; the event loop waits for that with each answer
 )
 COLLECTIONS = (20_000, 20, 50)  # an answer makes thousands of objects, nearly all of which are let go one by one
+BUILDING_REST_S = 0.001  # between two routes that are built in advance: a first request waits for one, not for all
 THREADS = (
     12  # of requests: those whose turn it is, and those that take long (`boresight.platform.web.concurrency_limit`)
 )
@@ -124,7 +127,12 @@ def create_app(settings: Settings, *, limits: ConcurrencyLimits | None = None, p
         telemetry=NO_TELEMETRY,
     )
     described = app.openapi
-    app.openapi = lambda: corrected(described(), app.state.log_in_cookie.name)  # type: ignore[method-assign]  # the framework's own way to extend it
+
+    def describe() -> dict[str, Any]:
+        _build_routes(app)  # whole, also those that another thread is building
+        return corrected(described(), app.state.log_in_cookie.name)
+
+    app.openapi = describe  # type: ignore[method-assign]  # the framework's own way to extend it
     _furnish(app, settings)
     for kind in (BoresightError, RequestValidationError, HTTPException):
         app.add_exception_handler(kind, _refuse)
@@ -316,12 +324,17 @@ def _encrypt_secrets(app: FastAPI) -> None:
         log.warning("%s", encryption.sentence)
 
 
+def _build_routes(app: FastAPI, rest_s: float = 0.0) -> None:
+    for route in app.routes:
+        if isinstance(route, LazyRoute):
+            route.prepare()
+            time.sleep(rest_s)
+
+
 def _warm(app: FastAPI) -> None:
     """Build the routes before somebody asks for them, and load the catalogue before the first upload."""
     try:
-        for route in app.routes:
-            if isinstance(route, LazyRoute):
-                route.prepare()
+        _build_routes(app, BUILDING_REST_S)
     except Exception:
         log.exception("A route could not be built; the first request for it will try again")
     try:
