@@ -576,6 +576,8 @@ def test_a_failed_run_shows_its_cause_the_end_of_its_log_and_the_next_step(site,
     page = site.visitor("ada").get(f"/runs/{run_id}")
     text = read(page)
     assert said_by(page, "failed").startswith("Its telemetry is gone.")
+    assert text.count("Its telemetry is gone.") == 1
+    assert "<summary" not in page.split('id="verdict"')[1].split('id="parts"')[0], "a fold with nothing in it"
     assert [f"step {k}" in text for k in range(9)] == [False] * 4 + [True] * 5
     assert f'href="/runs/{run_id}?part=record#log"' in page
     assert 'href="/telemetry/1">Quality report' in page
