@@ -37,7 +37,7 @@ from boresight.platform.actors import Actor
 from boresight.platform.audit.queries import find_response, forget_responses
 from boresight.platform.audit.tables import IdempotentResponse
 from boresight.platform.db.sessions import Engine, Session, open_reading, utc_after, utc_now
-from boresight.platform.web.lazy_route import LazyRoute
+from boresight.platform.web.lazy_route import BUILDING, LazyRoute
 from boresight.platform.web.openapi import dependency_refusals, refusals
 
 PREFIX = "/api/v1"
@@ -215,7 +215,8 @@ class _Writer:
         if shape is None:
             return Written({}, status, dict(answer.headers))
         if shape not in self._adapters:
-            self._adapters[shape] = TypeAdapter(shape)
+            with BUILDING:
+                self._adapters[shape] = TypeAdapter(shape)
         adapter = self._adapters[shape]
         body = adapter.dump_python(adapter.validate_python(answer.body, from_attributes=True), mode="json")
         headers = shape.headers(answer.body, status) if isinstance(shape, type) and issubclass(shape, Row) else {}

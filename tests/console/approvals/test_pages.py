@@ -14,8 +14,10 @@ from boresight.console.approvals.review import warn_of_shifts, warn_of_turn
 from boresight.console.approvals.tables import Approval
 from boresight.console.help.glossary import terms_of_parameters
 from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.db.sessions import open_reading, open_writing, utc_now
-from tests.sites import PASSWORD, answer_points, codes, strip_tags, text_of
+from boresight.verdicts.numbers import duration
+from tests.sites import PASSWORD, answer_points, as_shown, codes, strip_tags, text_of
 
 WORDS = {"decision": "APPROVE", "meaning": "I approve this set for baseline.", "comment": "Read all of it."}
 
@@ -436,6 +438,26 @@ def test_a_gate_that_blocks_is_named_and_waived_with_a_reason_for_1_to_30_days_a
         assert [one.gate for one in approval_queries.list_waivers_in_force(session, blocked, utc_now())] == [
             "parameter-shift"
         ]
+
+
+@pytest.mark.parametrize(("ended", "explained"), [("2025-12-31", True), ("2026-03-01", False)])
+def test_a_gate_that_older_validation_frames_fail_says_first_by_how_much_they_are_older(
+    site, candidate, ended, explained
+):
+    with open_writing(site.engine) as session:
+        for number, day in ((1, "2026-03-01"), (2, ended)):
+            row = session.get_known(TelemetrySet, number)
+            row.quality = row.quality | {"time": {"start_utc": f"{day}T00:00:00Z", "end_utc": f"{day}T00:10:00Z"}}
+        document = {"gates": [{"name": "validation-rms", "limit": 0.001, "marginal": 0.001}]}
+        gate_profiles.set_profile(session, site.actor("adele"), 1, document, "To be tried.", 0)
+    ada = site.visitor("ada")
+    assert ada.post(f"/parameter-sets/{candidate}/assess").status_code == 303
+    for page in ("", "/gates"):
+        gate = ada.get(f"/parameter-sets/{candidate}{page}").split('<tr id="gate-validation-rms">')[1].split("</tr>")[0]
+        why = strip_tags(gate.split('<td class="words">')[1])
+        assert ("TS-validation" in why, as_shown(duration(59.993 * 86400)) in why) == (explained, explained)
+        passing = text_of(ada.get(f"/parameter-sets/{candidate}{page}"), "gate-coverage")
+        assert "TS-validation" not in passing
 
 
 def test_there_are_no_gates_of_what_does_not_exist(site):

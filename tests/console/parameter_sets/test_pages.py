@@ -129,9 +129,18 @@ def test_the_page_has_each_act_once_and_a_submission_says_which_gates_stop_it(si
     assert [one for one in acts if "Submit" in one] == ["Submit PS-ST16-1-1 for approval"]
     tighten(site)
     ada.post(f"{candidate}/assess")
-    page = ada.get(candidate)
-    assert "although 1 gate stops it" in text_of(page, "submit-form")
-    assert 'href="/parameter-sets/2/gates"' in page.split('class="next-act"')[1].split("</div>")[0]
+    assert "although 1 gate stops it" in text_of(ada.get(candidate), "submit-form")
+
+
+@pytest.mark.parametrize("page", ["", "/gates"])
+def test_a_set_that_a_gate_stops_leads_an_analyst_to_its_recalibration_and_names_one_to_others(site, candidate, page):
+    tighten(site)
+    site.visitor("ada").post(f"{candidate}/assess")
+    steps = [site.visitor(name).get(f"{candidate}{page}").split('class="next-act"')[1] for name in ("ada", "victor")]
+    mine, theirs = (step.split("</div>")[0] for step in steps)
+    assert 'href="/runs/new?clone=1"' in mine
+    assert "href" not in theirs
+    assert "Ada Analyst" in theirs
 
 
 def test_an_approved_set_has_one_promotion_on_its_page_and_its_request_leads_there(site, candidate):

@@ -4,6 +4,7 @@ import csv
 import io
 import re
 from dataclasses import asdict, replace
+from itertools import pairwise
 
 import pytest
 
@@ -11,10 +12,11 @@ from boresight.calibration.calibration import LeftOut, ProcessNoise, parse_calib
 from boresight.calibration.options import METHODS
 from boresight.console.fleet.tables import Sensor
 from boresight.console.pages.formats import symbols
-from boresight.console.runs.pages.run import FORMER, PARTS, list_left_out, warn_of_old_validation
+from boresight.console.runs.pages.run import FORMER, PARTS, list_left_out, put_cause_first
 from boresight.console.runs.queries import Line, write_event
 from boresight.console.runs.tables import RUN_STATES, Run, RunEvent
 from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.telemetry.validation_age import explain_old_validation
 from boresight.figures import CHAPTERS, FIGURES
 from boresight.figures.charts.matching import GIVEN
 from boresight.figures.example_calibration import get_example_calibrations
@@ -360,28 +362,35 @@ def test_a_tab_is_no_better_than_its_validation_set_however_much_better_the_fit_
     assert judged({**validation, "rms_arc_rad": worse}) == PartVerdict("serious", "validation worse")
 
 
+def taken(name, begin, end):
+    time = None if end is None else {"start_utc": begin, "end_utc": end}
+    return TelemetrySet(name=name, quality={"time": time})
+
+
 @pytest.mark.parametrize(
-    ("ends", "final", "warned"),
+    ("ends", "explained"),
     [
-        ("2026-03-01T07:00:00Z", 5e-5, True),
-        ("2026-03-01T07:00:00Z", 2e-5, False),  # better, so no change lies between them
-        ("2026-03-01T09:00:00Z", 5e-5, False),  # no longer before the run's begin than the run lasts
-        (None, 5e-5, False),
+        ("2026-03-01T07:00:00Z", True),
+        ("2026-03-01T09:00:00Z", False),  # no longer before the run's begin than the run lasts
+        (None, False),
     ],
 )
-def test_a_run_whose_validation_set_was_taken_long_before_it_and_got_worse_warns_that_it_may_be_older(
-    results, ends, final, warned
-):
-    def taken(name, begin, end):
-        time = None if end is None else {"start_utc": begin, "end_utc": end}
-        return TelemetrySet(name=name, quality={"time": time})
-
-    validation = {**results["sqrf"]["validation"], "rms_arc_rad": {"initial": 3e-5, "final": final}}
-    result = parse_calibration({**results["batch"], "validation": validation})
+def test_validation_frames_taken_long_before_the_data_are_said_to_be_older_by_how_much(ends, explained):
     fitted = [taken("A", f"2026-03-01T{hour}:00:00Z", f"2026-03-01T{hour + 1}:00:00Z") for hour in (10, 11)]
-    said = warn_of_old_validation(result, fitted, taken("V", "2026-03-01T06:00:00Z", ends))
-    assert [("V" in one, duration(3 * 3600) in one) for one in said] == [(True, True)] * warned
-    assert not warn_of_old_validation(result, fitted, None)
+    said = explain_old_validation(fitted, taken("V", "2026-03-01T06:00:00Z", ends))
+    assert ("V" in said, duration(3 * 3600) in said) == (explained, explained)
+    assert not explain_old_validation(fitted, None)
+    assert not explain_old_validation([*fitted, taken("B", "", None)], taken("V", "2026-03-01T06:00:00Z", ends))
+
+
+@pytest.mark.parametrize(("final", "worse"), [(5e-5, True), (2e-5, False)])
+def test_an_older_validation_set_stands_directly_before_the_warning_that_it_explains(results, final, worse):
+    validation = {**results["sqrf"]["validation"], "rms_arc_rad": {"initial": 3e-5, "final": final}}
+    told = make_headline(parse_calibration({**results["batch"], "validation": validation})).warnings
+    said = put_cause_first(told, "OLD")
+    assert [one for one in said if one != "OLD"] == list(told)
+    assert [following.code for one, following in pairwise(said) if one == "OLD"] == ["validation_rms"] * worse
+    assert put_cause_first(told, "") == told
 
 
 def test_what_is_judged_of_a_run_is_a_part_of_its_page():
@@ -567,6 +576,8 @@ def test_a_failed_run_shows_its_cause_the_end_of_its_log_and_the_next_step(site,
     page = site.visitor("ada").get(f"/runs/{run_id}")
     text = read(page)
     assert said_by(page, "failed").startswith("Its telemetry is gone.")
+    assert text.count("Its telemetry is gone.") == 1
+    assert "<summary" not in page.split('id="verdict"')[1].split('id="parts"')[0], "a fold with nothing in it"
     assert [f"step {k}" in text for k in range(9)] == [False] * 4 + [True] * 5
     assert f'href="/runs/{run_id}?part=record#log"' in page
     assert 'href="/telemetry/1">Quality report' in page

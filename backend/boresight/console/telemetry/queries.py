@@ -26,6 +26,14 @@ def find_set_named(session: Session, sensor_id: int, name: str) -> TelemetrySet 
     return session.scalar(query.order_by(TelemetrySet.id).limit(1))
 
 
+def find_set_of_table(session: Session, sensor_id: int, table_sha256: str) -> TelemetrySet | None:
+    """Return the oldest set of a sensor whose runs work on a table."""
+    query = sa.select(TelemetrySet).where(
+        TelemetrySet.sensor_id == sensor_id, TelemetrySet.table_sha256 == table_sha256
+    )
+    return session.scalar(query.order_by(TelemetrySet.id).limit(1))
+
+
 def read_sensor_documents(session: Session) -> list[tuple[int, dict[str, Any]]]:
     """Return number and file of every sensor."""
     return [(row[0], row[1]) for row in session.execute(sa.select(Sensor.id, Sensor.document).order_by(Sensor.id))]

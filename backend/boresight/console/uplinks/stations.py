@@ -319,7 +319,8 @@ def _step_of_candidate(viewer: _Viewer, row: ParameterSet, report: GateReport | 
     if stopped := gates.lay_waivers(viewer.session, report).blocking:
         which = "it" if len(stopped) == 1 else "them"
         said = f"{row.name} is blocked by {_count_gates(stopped)}: waive {which} if possible, or recalibrate."
-        return viewer.step_for(gates.ASSESSORS, said, "Open its gates", f"{address}/gates")
+        again = f"/runs/new?clone={row.run_id}" if row.run_id is not None else f"/runs/new?sensor={row.sensor_id}"
+        return viewer.step_for(("analyst",), said, "Recalibrate", again)
     return viewer.step_for(
         ("analyst",), f"Submit {row.name} with a reason; another person signs it.", "Submit", f"{address}#reason"
     )

@@ -15,7 +15,7 @@ from fastapi.routing import APIRoute
 from starlette.routing import compile_path
 
 #: One for all routes, because FastAPI changes the filters of warnings while it builds, which threads must not do at once.
-_BUILDING = threading.RLock()
+BUILDING = threading.RLock()
 
 
 class LazyRoute(APIRoute):
@@ -37,7 +37,7 @@ class LazyRoute(APIRoute):
 
     def prepare(self) -> None:
         """Build the route, if it is not yet built; what fails is tried again."""
-        with _BUILDING:
+        with BUILDING:
             options, self._options = self._options, None
             if options is None:
                 return

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -39,14 +39,19 @@ from boresight.console.pages.rendering import (
     seen_version,
 )
 from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs import queries as run_queries
 from boresight.console.runs.pages.list import read_names
+from boresight.console.runs.tables import Run
+from boresight.console.telemetry import queries as telemetry_rows
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.telemetry.validation_age import explain_old_validation
 from boresight.console.uplinks.stations import make_workflow
 from boresight.console.uplinks.tables import TableDefinition
 from boresight.errors import RefusedInputError
 from boresight.platform.actors import Actor, Policy, require_role
 from boresight.platform.db.sessions import Session, open_reading, utc_after, utc_now
 from boresight.platform.web.paging import parse_row_id
-from boresight.verdicts.gates import GATES, BoundInput, Gate, name_inputs
+from boresight.verdicts.gates import GATES, BoundInput, Gate, name_inputs, parse_bound_report
 from boresight.verdicts.gates.judgement import STATUSES, GateRow, gate_rows
 from boresight.verdicts.gates.profile import THRESHOLDS
 
@@ -133,7 +138,8 @@ def make_gates_panel(
     if row.ground_state in {"BASELINE", "SUPERSEDED"}:
         moved = [one for one in moved if one != "incumbent_sha256"]  # it was replaced by this very set
     found = None if report is None else gates.lay_waivers(session, report)
-    rows = [] if found is None else gate_rows(found.gates, found.blocking)
+    old = _explain_old_frames(session, row, report)
+    rows = [] if found is None else [_with_cause(one, old) for one in gate_rows(found.gates, found.blocking)]
     now = utc_now()
     return GatesPanel(
         set=row,
@@ -150,6 +156,22 @@ def make_gates_panel(
         waivable=[one for one in rows if one.blocking and one.waivable and not outdated],
         typed=typed or TypedWaiver(),
     )
+
+
+def _explain_old_frames(session: Session, row: ParameterSet, report: GateReport | None) -> str:
+    """Say that the validation frames of a report are older than the data of the set's run; empty where they are not."""
+    held_out = None if report is None else parse_bound_report(report.document).held_out
+    if held_out is None or row.run_id is None:
+        return ""
+    run = session.get_known(Run, row.run_id)
+    fitted = [session.get_known(TelemetrySet, run.telemetry_set_id), *run_queries.list_further_sets(session, run)]
+    return explain_old_validation(fitted, telemetry_rows.find_set_of_table(session, row.sensor_id, held_out.sha256))
+
+
+def _with_cause(gate: GateRow, old: str) -> GateRow:
+    """Put that its frames are older than the data before what a gate on the validation RMS has against a set."""
+    explained = old and gate.name.startswith("validation-rms") and gate.status in {"FAIL", "MARGINAL"}
+    return replace(gate, sentence=f"{old} {gate.sentence}") if explained else gate
 
 
 def _name(session: Session, report: GateReport | None) -> str:

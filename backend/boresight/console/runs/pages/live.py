@@ -31,10 +31,7 @@ SILENT_S = 30.0  # a worker reports four times a second, or at every frame of a 
 WHAT_TO_TRY = (
     "Read the telemetry's quality report, then clone this run and edit it: free fewer parameters, or use another set."
 )
-UPLOAD_WITH_TIMES = (
-    "Computing star directions requires times, which this set lacks, so every attempt fails: "
-    "upload it again with time_utc."
-)
+UPLOAD_WITH_TIMES = "Every attempt on this set fails: upload it again with its times."
 NO_WORKERS = (
     "This server has no workers and no scheduler in its settings: the run starts when another server on "
     "this database takes it, or when this one is restarted with workers."

@@ -11,7 +11,6 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
 from functools import partial
 from typing import Any, NamedTuple
 from urllib.parse import urlencode
@@ -21,6 +20,7 @@ from fastapi.responses import HTMLResponse, Response
 from markupsafe import Markup
 from starlette.datastructures import QueryParams
 
+from boresight.calibration.advice_kinds import Advice
 from boresight.calibration.calibration import Calibration, Inputs
 from boresight.calibration.exports import EXPORT_FORMATS
 from boresight.calibration.options import CalibrationSettings, get_method_title
@@ -46,7 +46,8 @@ from boresight.console.runs.pages.list import compute_run_seconds, read_names
 from boresight.console.runs.pages.live import StateNotice, make_live_part, make_log_part
 from boresight.console.runs.pages.origin import make_origin
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
-from boresight.console.telemetry.tables import TelemetrySet, find_quality
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.telemetry.validation_age import explain_old_validation
 from boresight.console.uplinks.stations import make_workflow
 from boresight.errors import NotFoundError
 from boresight.estimation.statistics.observability import WEAK
@@ -542,36 +543,18 @@ def make_run_verdict(review: RunReview, notices: Sequence[StateNotice]) -> Headl
         kind = "No verdict" if review.run.state in TERMINAL_RUN_STATES else "No verdict yet"
         return Headline(review.run.state, review.run.state, f"{kind}: {review.why_nothing}", "", told)
     headline = make_headline(review.result)
-    old = warn_of_old_validation(review.result, [review.data, *review.further], review.validation)
-    return replace(headline, warnings=(*told, *headline.warnings, *old))
+    old = explain_old_validation([review.data, *review.further], review.validation)
+    return replace(headline, warnings=(*told, *put_cause_first(headline.warnings, old)))
 
 
-def warn_of_old_validation(
-    result: Calibration, fitted: Sequence[TelemetrySet], validation: TelemetrySet | None
-) -> Sequence[str]:
-    """Warn where a fit made validation worse whose frames end longer before those fitted than these last."""
-    rms = result.validation.rms_arc_rad if result.validation else None
-    spans = [_find_span(row) for row in fitted]
-    judging = _find_span(validation) if validation else None
-    if rms is None or rms.initial is None or rms.final is None or rms.final <= rms.initial:
-        return ()
-    known = [span for span in spans if span is not None]
-    if validation is None or judging is None or len(known) < len(spans):
-        return ()
-    begins, ends = min(begin for begin, _ in known), max(end for _, end in known)
-    if begins - judging[1] <= ends - begins:
-        return ()
-    earlier = duration((begins - judging[1]).total_seconds())
-    said = (
-        f"The validation set {validation.name} may be older than the change: its frames end {earlier} before this run's "
-        "begin, and its RMS got worse. Upload frames that were taken since, and run again with them as validation set."
-    )
-    return (said,)
-
-
-def _find_span(row: TelemetrySet) -> tuple[datetime, datetime] | None:
-    time = find_quality(row.quality).time
-    return None if time is None else (datetime.fromisoformat(time.start_utc), datetime.fromisoformat(time.end_utc))
+def put_cause_first(warnings: Sequence[str], old: str) -> tuple[str, ...]:
+    """Put that the validation set is older than the data before the warning that it explains, if that is there."""
+    said: list[str] = []
+    for one in warnings:
+        if old and isinstance(one, Advice) and one.code == "validation_rms":
+            said.append(old)
+        said.append(one)
+    return tuple(said)
 
 
 router = PageRouter(dependencies=[Depends(csrf)])

@@ -97,7 +97,7 @@ def stuck_detections(inputs: QualityInputs) -> Finding | None:
     if staying_stars.sum() > 0.5 * inputs.matched.sum():
         return None
     nouns = ("unmatched detection returns", "unmatched detections return")
-    said = "on the same pixels while the stars move, as hot pixels do, and not used."
+    said = "on the same pixels while the stars move, as hot pixels do, and are not used."
     return marked_rows(inputs, "HOT_PIXELS", "NORMAL", stuck, nouns, said)
 
 
