@@ -145,7 +145,6 @@ def test_every_gate_and_every_finding_on_telemetry_has_its_place_in_a_guide_and_
     assert gates - pages[built_site / "how-to" / "respond-to-a-gate.html"].names == set()
     templates = ROOT / "frontend" / "templates"
     for name, guide in {
-        "approvals/approval.html": "respond-to-a-gate.html#gate-",
         "approvals/gates_panel.html": "respond-to-a-gate.html#gate-",
         "telemetry/telemetry_set.html": "respond-to-a-finding.html#finding-",
     }.items():

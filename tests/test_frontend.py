@@ -111,6 +111,14 @@ def test_the_checker_of_types_is_pinned_and_nothing_of_it_is_shipped():
     assert all(package["integrity"].startswith("sha512-") for path, package in locked.items() if path)
 
 
+def test_no_page_leads_to_the_documentation_where_it_was_not_built():
+    linking = {name: text for name, text in PAGES.items() if 'href="/docs/' in text}
+    assert len(linking) > 4
+    guarded = r"{% if [^%]*\bhas_documentation\(\) %}(?:(?!{% (?:if|else|elif|endif)\b).)*"
+    bare = {name for name, text in linking.items() if 'href="/docs/' in re.sub(guarded, "", text, flags=re.DOTALL)}
+    assert bare == set()
+
+
 def test_the_line_over_a_page_leads_to_what_is_above_it_and_ends_with_the_page_itself():
     told = {name: re.findall(r"{% block context %}(.+?){% endblock %}", page) for name, page in PAGES.items()}
     lines = {name: line for name, found in told.items() for line in found}

@@ -290,6 +290,24 @@ OTHERS = {
 }
 
 
+COUNT_SUBMISSIONS = "document.addEventListener('submit', () => window.submissions++, true), (window.submissions = 0)"
+
+
+def test_enter_in_a_field_of_a_record_sends_nothing_and_leaves_its_dialog_open(browser, house):
+    place, _, _ = _hand_over(house)
+    with seat(browser, house, house.person("olga")) as window:
+        window.open(f"{place}#record-sent")
+        window.page.evaluate(COUNT_SUBMISSIONS)
+        dialog = window.page.get_by_role("dialog")
+        expect(dialog.locator("button[name=package_id]")).to_have_count(2)
+        dialog.get_by_label("Source").fill("Pass 1")
+        dialog.get_by_label("Source").press("Enter")
+        expect(dialog.get_by_label("Source")).to_have_value("Pass 1")
+        assert window.page.evaluate("window.submissions") == 0
+        dialog.get_by_role("button", name="Record SENT: package").click()
+        expect(window.page.locator(".two-states small + *").last).to_have_text("SENT")
+
+
 @pytest.mark.full
 @pytest.mark.parametrize("what", OTHERS)
 def test_the_dialogs_of_other_acts(browser, house, what):

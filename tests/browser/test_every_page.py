@@ -5,7 +5,8 @@ from playwright.sync_api import expect
 
 from boresight.console.runs.pages.run import PARTS
 from boresight.figures import CHAPTERS
-from tests.browser.window import BROKEN, CUT, CUT_OFF, WRITES
+from tests.browser.test_dialogs import seat
+from tests.browser.window import BROKEN, CUT, CUT_OFF, PHONE, WRITES
 from tests.effort import effort, few_of
 
 pytestmark = pytest.mark.browser
@@ -145,3 +146,16 @@ def test_a_name_of_sixty_letters_and_a_long_label_cut_no_list(people):
             expect(window.page.locator("main")).to_contain_text(LONG_NAME)
             window.fits()
             assert window.page.evaluate(CUT) == [], address
+
+
+def test_times_in_local_form_lead_no_telemetry_set_sideways_on_a_phone(browser, house):
+    client = house.log_in(house.new_person("analyst")[0])
+    local = {"value": {"form": "local", "zone": "America/Argentina/Buenos_Aires"}}
+    assert client.post("/api/v1/preferences/times:set", json=local).is_success
+    _, set_id = house.ready_sensor()
+    with seat(browser, house, client) as window:
+        window.page.set_viewport_size(PHONE)
+        window.open(f"/telemetry/{set_id}")
+        assert window.page.locator("dl.facts time").count() > 0
+        window.settle()
+        assert window.page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]

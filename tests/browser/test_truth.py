@@ -8,6 +8,8 @@ import pytest
 from playwright.sync_api import expect
 
 from boresight.console.runs.pages.run import PARTS
+from tests.browser.test_dialogs import seat
+from tests.browser.test_figures import HIDE
 from tests.browser.window import WRITES
 from tests.browser.work import choose_filter, ends_as, queue, upload
 from tests.effort import effort
@@ -17,6 +19,8 @@ pytestmark = pytest.mark.browser
 STARS = 3
 WHY, LABEL = "The pass ends soon.", "Typed before the server went"
 ONE_A_SECOND, TEN_A_SECOND = 1.0, 10.0
+BACK = """() => document.dispatchEvent(
+    new CustomEvent("boresight:link", { detail: { state: "live", sinceMs: Date.now() } }))"""
 ALWAYS_LATE = "AbortSignal.timeout = () => AbortSignal.abort(new DOMException('late', 'TimeoutError'))"
 
 
@@ -172,6 +176,36 @@ def test_a_busy_server_is_silent_and_not_gone_until_a_minute_has_passed(people):
         for seconds, state in ((10, "live"), (15, "stale"), (50, "disconnected")):
             window.page.clock.run_for(1000 * seconds)
             expect(link).to_have_attribute("data-state", state)
+
+
+def test_a_figure_that_failed_while_the_server_was_away_is_drawn_when_the_link_is_back(browser, house):
+    run_id = house.converged()
+    with seat(browser, house, house.person("ada")) as window:
+        page, figure = window.page, window.figure("convergence").locator("plot-figure")
+        for failed in ("error", "stale"):
+            page.route("**/figures/*", lambda route: route.abort())
+            if failed == "error":
+                window.open(f"/runs/{run_id}?part=convergence")
+                expect(page.locator("#link-state")).to_have_text("LIVE")  # before this test tells it again
+            else:
+                figure.dispatch_event("figure-refresh")
+            expect(figure).to_have_attribute("data-state", failed)
+            page.unroute("**/figures/*")
+            page.evaluate(BACK)
+            expect(figure).to_have_attribute("data-state", "ready")
+        window.forgive("ERR_")
+
+
+def test_a_page_opened_in_the_background_holds_no_connection_until_it_is_looked_at(browser, house):
+    with seat(browser, house, house.person("ada")) as window:
+        streams = []
+        window.page.on("request", lambda asked: streams.append(asked.url) if "/api/v1/events" in asked.url else None)
+        window.page.add_init_script(f"({HIDE})(true)")
+        window.open("/help/glossary")
+        assert streams == []
+        window.page.evaluate(HIDE, False)
+        expect(window.page.locator("#link-state")).to_have_text("LIVE")
+        assert len(streams) == 1
 
 
 @pytest.mark.full

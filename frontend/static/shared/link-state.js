@@ -137,7 +137,9 @@ document.addEventListener("visibilitychange", () => {
   if (!document.hidden && !ended) open();
 });
 addEventListener("pagehide", close);
-addEventListener("DOMContentLoaded", () => source ?? open()); // when every module listens
+addEventListener("DOMContentLoaded", () => {
+  if (!document.hidden && !source) open(); // when every module listens
+});
 addEventListener("offline", lose);
 addEventListener("online", probe);
 document.addEventListener("boresight:doubt", lose);

@@ -2,9 +2,9 @@
  * <plot-figure src name label scale>: one Plotly figure of a run, fetched as JSON and drawn as SVG.
  *
  * States, each in words below the drawing: loading, empty, error (with Retry), stale (the last good drawing stays,
- * dimmed, with its time). A `figure-refresh` event on the element fetches again. The panel around it has the CSV link and
- * the PNG button; an image is always on white. `scale` is log or linear, for the axes that a figure offers both for. Of a
- * figure that was thinned (`meta.detail`) a zoomed window is asked for again, in full. Charts of one axis share a cursor.
+ * dimmed, with its time). A `figure-refresh` event on the element fetches again, and the link's return what is in error or
+ * stale. The panel around it has the CSV link and the PNG button; an image is always on white. `scale` is log or linear, for
+ * the axes that a figure offers both for. Of a figure that was thinned (`meta.detail`) a zoomed window is asked for again, in full. Charts of one axis share a cursor.
  * A `small` one fills its place, and its panel's link opens the large one. What is folded away is drawn when it is unfolded.
  * The figure of a running run says as of which frame it is (`meta.as_of`). What is zoomed stands in the address (view-address.js).
  */
@@ -105,6 +105,9 @@ export class PlotFigure extends HTMLElement {
     const { signal } = this.#abort;
     this.addEventListener("figure-refresh", () => this.refresh(BACKGROUND), { signal });
     document.addEventListener("boresight:theme", () => this.#draw(), { signal });
+    document.addEventListener("boresight:link", ({ detail }) => {
+      if (detail.state === "live" && ["error", "stale"].includes(this.dataset.state ?? "")) this.refresh(BACKGROUND);
+    }, { signal });
     addEventListener("hashchange", () => this.#zoom(), { signal });
     this.#resizer.observe(this.canvas);
     this.#say("loading", LOADING);

@@ -12,6 +12,7 @@ from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import open_reading
 from tests.console.uplinks.pages import advance, define, version
+from tests.console.uplinks.test_update_of_c_sd import send_turning
 from tests.sites import PASSWORD, answer_points
 
 STEPS = "/parameter-sets/1/uplink"
@@ -80,6 +81,16 @@ def test_a_dialog_on_a_set_names_sensor_old_and_new_set_what_changes_most_and_wh
         worth = [abs(float(one.replace("−", "-"))) for one in re.findall(r'<td class="num">([−\d.]+)</td></tr>', shown)]
         assert len(worth) == 4
         assert worth == sorted(worth, reverse=True)
+
+
+def test_no_key_answers_a_dialog_whose_answer_stays_and_no_answer_of_several_stands_out(site, results):
+    place = f"/parameter-sets/{send_turning(site, results)}/uplink"
+    shown = dialogs(site.visitor("olga").get(place)) | dialogs(site.visitor("olga").get(STEPS))
+    sending = {name: re.findall(r"<button(?! type=)([^>]*)>", text) for name, text in shown.items()}
+    assert {name for name, buttons in sending.items() if " disabled" not in buttons[0]} == set()
+    several = {name: buttons[1:] for name, buttons in sending.items() if len(buttons) > 2}
+    assert several.keys() == {"record-loaded"}
+    assert [button for button in several["record-loaded"] if "button-primary" in button] == []
 
 
 def state_of(site, set_id=2):
