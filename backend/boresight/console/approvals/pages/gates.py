@@ -160,12 +160,12 @@ def make_gates_panel(
 
 def _explain_old_frames(session: Session, row: ParameterSet, report: GateReport | None) -> str:
     """Say that the validation frames of a report are older than the data of the set's run; empty where they are not."""
-    of_validation = None if report is None else parse_bound_report(report.document).of_validation
-    if of_validation is None or row.run_id is None:
+    kept = None if report is None else parse_bound_report(report.document).held_out
+    if kept is None or row.run_id is None:
         return ""
     run = session.get_known(Run, row.run_id)
     fitted = [session.get_known(TelemetrySet, run.telemetry_set_id), *run_queries.list_further_sets(session, run)]
-    return explain_old_validation(fitted, telemetry_rows.find_set_of_table(session, row.sensor_id, of_validation.sha256))
+    return explain_old_validation(fitted, telemetry_rows.find_set_of_table(session, row.sensor_id, kept.sha256))
 
 
 def _with_cause(gate: GateRow, old: str) -> GateRow:
