@@ -72,7 +72,7 @@ def make_headline(result: Calibration) -> Headline:
         both = list_rms(result.validation, unseen, result.validation.common_pairs)
         told.append(f"validation {urad(unseen.initial, 3)} → {both[1]} µrad")
         at_length.append(f"validation {' → '.join(both)} µrad")
-    if any("(" in one for one in told):
+    if told and interval_of_fit(result, rms.final) is not None:
         told[-1] += " (95 %)"
     seen = result.observability
     if seen and seen.singular_values:

@@ -440,8 +440,7 @@ class RunSummary:
 
     `advice`: the gravest sentence; `finding`: what it found, for a line among others; absent from summaries of earlier versions.
     `weak_directions`: how many the data hardly determine, or not at all. The intervals are those of 95 %; absent from summaries of
-    earlier versions. `tail_rms_rad`: of a filter, at its end. `seconds`,
-    `cpu_seconds`: what a worker took for it.
+    earlier versions. `tail_rms_rad`: of a filter, at its end. `seconds`, `cpu_seconds`: what a worker took for it.
     """
 
     status: str | None = None

@@ -4,7 +4,8 @@
  * States, each in words below the drawing: loading, empty, error (with Retry), stale (the last good drawing stays,
  * dimmed, with its time). A `figure-refresh` event on the element fetches again, and the link's return what is in error or
  * stale. The panel around it has the CSV link and the PNG button; an image is always on white. `scale` is log or linear, for
- * the axes that a figure offers both for. Of a figure that was thinned (`meta.detail`) a zoomed window is asked for again, in full. Charts of one axis share a cursor.
+ * the axes that a figure offers both for. Of a figure that was thinned (`meta.detail`) a zoomed window is asked for again, in
+ * full. Charts of one axis share a cursor.
  * A `small` one fills its place, and its panel's link opens the large one. What is folded away is drawn when it is unfolded.
  * The figure of a running run says as of which frame it is (`meta.as_of`). What is zoomed stands in the address (view-address.js).
  */

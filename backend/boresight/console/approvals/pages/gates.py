@@ -138,8 +138,9 @@ def make_gates_panel(
     if row.ground_state in {"BASELINE", "SUPERSEDED"}:
         moved = [one for one in moved if one != "incumbent_sha256"]  # it was replaced by this very set
     found = None if report is None else gates.lay_waivers(session, report)
-    old = _explain_old_frames(session, row, report)
-    rows = [] if found is None else [_with_cause(one, old) for one in gate_rows(found.gates, found.blocking)]
+    rows = [] if found is None else gate_rows(found.gates, found.blocking)
+    if any(map(_is_of_validation, rows)) and (old := _explain_old_frames(session, row, report)):
+        rows = [replace(one, sentence=f"{old} {one.sentence}") if _is_of_validation(one) else one for one in rows]
     now = utc_now()
     return GatesPanel(
         set=row,
@@ -168,10 +169,9 @@ def _explain_old_frames(session: Session, row: ParameterSet, report: GateReport 
     return explain_old_validation(fitted, telemetry_rows.find_set_of_table(session, row.sensor_id, kept.sha256))
 
 
-def _with_cause(gate: GateRow, old: str) -> GateRow:
-    """Put that its frames are older than the data before what a gate on the validation RMS has against a set."""
-    explained = old and gate.name.startswith("validation-rms") and gate.status in {"FAIL", "MARGINAL"}
-    return replace(gate, sentence=f"{old} {gate.sentence}") if explained else gate
+def _is_of_validation(gate: GateRow) -> bool:
+    """Whether a gate has something against a set by its validation RMS, which frames older than the data explain."""
+    return gate.name.startswith("validation-rms") and gate.status in {"FAIL", "MARGINAL"}
 
 
 def _name(session: Session, report: GateReport | None) -> str:
